@@ -1,0 +1,65 @@
+# Everything from a bare checkout with Python 3.11 or newer and make: `make demo`, `make test`.
+
+PYTHON ?= python3
+VENV ?= .venv
+PYTEST_FLAGS ?=
+LOCK_ENV := $(VENV)/.installed
+BIN := $(VENV)/bin
+
+# One thread for NumPy's linear algebra: more of them slow the planner's kernels down.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: help install demo test slow lint format types bench scenes wheel ci lock clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
+
+install: $(LOCK_ENV) ## make the environment in .venv
+
+$(LOCK_ENV): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, $(PYTHON) is older: make PYTHON=python3.x")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
+	$(BIN)/oimppi run task02 --start 0 --record runs/demo
+
+test: $(LOCK_ENV) ## the tests, under ten minutes on two cores
+	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
+
+slow: $(LOCK_ENV) ## the tests that take longer: whole episodes over many seeds
+	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
+
+lint: $(LOCK_ENV) ## ruff
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(LOCK_ENV) ## let ruff format and fix
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+types: $(LOCK_ENV) ## pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+bench: $(LOCK_ENV) ## time of a plan, by stage
+	$(BIN)/python tools/bench_plan.py
+
+scenes: $(LOCK_ENV) ## write the shipped scenes anew
+	$(BIN)/python tools/make_scenes.py
+
+wheel: $(LOCK_ENV) ## build a wheel through the source distribution and try it elsewhere
+	$(BIN)/python tools/check_wheel.py
+
+ci: ## what the continuous integration runs
+	.ci/run
+
+lock: ## resolve the dependencies anew (needs uv)
+	uv pip compile --no-config --universal --python-version 3.11 --extra dev --generate-hashes --fork-strategy fewest \
+		--no-emit-index-url --no-emit-find-links --no-header --no-annotate --upgrade -q pyproject.toml -o requirements.lock
+
+clean: ## remove what was built; not .venv
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache
+	find oimppi_warp kernels tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,143 @@
+"""Making distance fields: phi_2 over planar poses, and the obstacles' distance over space."""
+
+import warp as wp
+
+from oimppi_warp.kernels.geometry import PI, rotate
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Pieces:
+    """Convex pieces: cores as vertex lists, counter-clockwise, each grown by a radius.
+
+    Attributes:
+        vertices: All vertices [m].
+        first: Index of each piece's first vertex; one more entry closes the last piece.
+        center: A point inside of each piece [m].
+        reach: Largest distance of the piece from its center, radius included [m].
+        radius: [m].
+    """
+
+    vertices: wp.array[wp.vec2]
+    first: wp.array[int]
+    center: wp.array[wp.vec2]
+    reach: wp.array[float]
+    radius: wp.array[float]
+
+
+@wp.func
+def segment_distance(p: wp.vec2, a: wp.vec2, b: wp.vec2) -> float:
+    """Distance of a point to a segment [m]."""
+    ab = b - a
+    t = wp.clamp(wp.dot(p - a, ab) / wp.max(wp.dot(ab, ab), 1.0e-12), 0.0, 1.0)
+    return wp.length(p - (a + t * ab))
+
+
+@wp.func
+def widest_gap(edges: Pieces, i: int, pose_e: wp.vec3, points: Pieces, j: int, pose_p: wp.vec3) -> float:
+    """Largest signed distance of piece j of ``points`` in front of any edge of piece i of ``edges`` (cores only)."""
+    ce = wp.cos(pose_e[2])
+    se = wp.sin(pose_e[2])
+    cp = wp.cos(pose_p[2])
+    sp = wp.sin(pose_p[2])
+    best = float(-1.0e6)
+    n = edges.first[i + 1] - edges.first[i]
+    if n >= 2:
+        for e in range(n):
+            a = rotate(ce, se, edges.vertices[edges.first[i] + e])
+            b = rotate(ce, se, edges.vertices[edges.first[i] + (e + 1) % n])
+            normal = wp.normalize(wp.vec2(b[1] - a[1], a[0] - b[0]))
+            offset = wp.dot(normal, a + wp.vec2(pose_e[0], pose_e[1]))
+            gap = float(1.0e6)
+            for v in range(points.first[j], points.first[j + 1]):
+                q = rotate(cp, sp, points.vertices[v]) + wp.vec2(pose_p[0], pose_p[1])
+                gap = wp.min(gap, wp.dot(normal, q) - offset)
+            best = wp.max(best, gap)
+    return best
+
+
+@wp.func
+def nearest_vertex(edges: Pieces, i: int, pose_e: wp.vec3, points: Pieces, j: int, pose_p: wp.vec3) -> float:
+    """Smallest distance of a vertex of piece j of ``points`` to an edge of piece i of ``edges`` (cores only) [m]."""
+    ce = wp.cos(pose_e[2])
+    se = wp.sin(pose_e[2])
+    cp = wp.cos(pose_p[2])
+    sp = wp.sin(pose_p[2])
+    best = float(1.0e6)
+    n = edges.first[i + 1] - edges.first[i]
+    for e in range(n):
+        a = rotate(ce, se, edges.vertices[edges.first[i] + e]) + wp.vec2(pose_e[0], pose_e[1])
+        b = rotate(ce, se, edges.vertices[edges.first[i] + (e + 1) % n]) + wp.vec2(pose_e[0], pose_e[1])
+        for v in range(points.first[j], points.first[j + 1]):
+            q = rotate(cp, sp, points.vertices[v]) + wp.vec2(pose_p[0], pose_p[1])
+            best = wp.min(best, segment_distance(q, a, b))
+    return best
+
+
+@wp.func
+def piece_distance(a: Pieces, i: int, pose_a: wp.vec3, b: Pieces, j: int, pose_b: wp.vec3) -> float:
+    """Signed distance of two convex pieces: distance apart, or minus the depth of the shallowest way out [m]."""
+    gap = wp.max(widest_gap(a, i, pose_a, b, j, pose_b), widest_gap(b, j, pose_b, a, i, pose_a))
+    if gap > 0.0 or gap < -1.0e5:
+        # Apart: the separating edge may only bound the distance, which lies between a vertex and an edge.
+        gap = wp.min(nearest_vertex(a, i, pose_a, b, j, pose_b), nearest_vertex(b, j, pose_b, a, i, pose_a))
+    return gap - a.radius[i] - b.radius[j]
+
+
+@wp.kernel
+def object_clearance(
+    # in:
+    body: Pieces,
+    obstacles: Pieces,
+    table_lower: wp.vec2,
+    table_upper: wp.vec2,
+    origin: wp.vec2,
+    step: float,
+    furthest: float,
+    # out:
+    values: wp.array3d[float],
+):
+    """phi_2 at the nodes of a pose field: clearance of the body to obstacles and to the table's edge [m].
+
+    Clearances beyond ``furthest`` are cut off there.
+    """
+    t, i, j = wp.tid()
+    yaw = 2.0 * PI * float(t) / float(values.shape[0])
+    pose = wp.vec3(origin[0] + step * float(i), origin[1] + step * float(j), yaw)
+    rest = wp.vec3(0.0, 0.0, 0.0)
+    c = wp.cos(yaw)
+    s = wp.sin(yaw)
+    clearance = furthest
+    for a in range(body.radius.shape[0]):
+        center = rotate(c, s, body.center[a]) + wp.vec2(pose[0], pose[1])
+        for v in range(body.first[a], body.first[a + 1]):
+            q = rotate(c, s, body.vertices[v]) + wp.vec2(pose[0], pose[1])
+            edge = wp.min(wp.min(q[0] - table_lower[0], table_upper[0] - q[0]),
+                          wp.min(q[1] - table_lower[1], table_upper[1] - q[1]))  # fmt: skip
+            clearance = wp.min(clearance, edge - body.radius[a])
+        for b in range(obstacles.radius.shape[0]):
+            if wp.length(center - obstacles.center[b]) - body.reach[a] - obstacles.reach[b] < clearance:
+                clearance = wp.min(clearance, piece_distance(body, a, pose, obstacles, b, rest))
+    values[t, i, j] = clearance
+
+
+@wp.kernel
+def space_distance(
+    # in:
+    mesh: wp.uint64,
+    origin: wp.vec3,
+    step: float,
+    furthest: float,
+    # out:
+    values: wp.array3d[float],
+):
+    """Signed distance to a closed mesh at the nodes of a space field, cut off at ``furthest`` [m]."""
+    i, j, k = wp.tid()
+    p = origin + step * wp.vec3(float(i), float(j), float(k))
+    hit = wp.mesh_query_point_sign_winding_number(mesh, p, furthest)
+    distance = furthest
+    if hit.result:
+        nearest = wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v)
+        distance = wp.min(hit.sign * wp.length(p - nearest), furthest)
+    values[i, j, k] = distance

@@ -1,0 +1,188 @@
+"""The terms of the stage costs (equations 14 to 18 of the paper), the single source for every engine.
+
+Poses are planar (x, y, yaw) of the object's friction centre.
+"""
+
+import warp as wp
+
+from oimppi_warp.kernels.geometry import wrap_angle
+
+wp.set_module_options({"enable_backward": False})
+
+TERMS = ("goal", "contact", "reference", "approach", "align", "tilt", "height", "clearance", "above", "reach", "press",
+         "control")  # fmt: skip
+"""Names of the robot level's cost terms, in the order of :class:`CostTerms`."""
+
+CostTerms = wp.types.vector(length=len(TERMS), dtype=float)
+"""Weighted cost terms of the robot level."""
+
+
+@wp.struct
+class RobotWeights:
+    """Weights of the robot level; see ``oimppi_warp.config.RobotCost`` for each."""
+
+    w_d: float
+    w_theta: float
+    w_f: float
+    f_0: float
+    w_reference: float
+    w_ee: float
+    r_0: float
+    w_align: float
+    gamma_0: float
+    align_fade: float
+    w_tilt: float
+    w_height: float
+    height: float
+    w_clearance: float
+    clearance: float
+    w_above: float
+    w_reach: float
+    reach_lower: float
+    reach_upper: float
+    w_press: float
+    w_control: float
+
+
+@wp.struct
+class ObjectWeights:
+    """Weights of the object level; see ``oimppi_warp.config.ObjectCost`` for each."""
+
+    w_d: float
+    w_theta: float
+    w_f: float
+    f_0: float
+    w_to_go: float
+    w_margin: float
+    margin: float
+    w_reach: float
+    reach_lower: float
+    reach_upper: float
+
+
+@wp.func
+def squared(x: float) -> float:
+    """``x`` times itself."""
+    return x * x
+
+
+@wp.func
+def pose_distance_squared(a: wp.vec3, b: wp.vec3, w_theta: float) -> float:
+    """Squared distance of two planar poses (equation 15) [m^2]; for planar poses its arc cosine is the yaw error."""
+    return squared(a[0] - b[0]) + squared(a[1] - b[1]) + w_theta * squared(wrap_angle(a[2] - b[2]))
+
+
+@wp.func
+def contact_cost(force: float, f_0: float) -> float:
+    """Hinge on the contact force of object and environment (second term of equation 14) [N^2]."""
+    return squared(wp.max(force - f_0, 0.0))
+
+
+@wp.func
+def approach_cost(tip: wp.vec3, center: wp.vec3, r_0: float) -> float:
+    """Squared distance of tool and object beyond ``r_0`` (first term of equation 16) [m^2]."""
+    return wp.max(wp.length_sq(tip - center) - r_0 * r_0, 0.0)
+
+
+@wp.func
+def align_cost(tip: wp.vec2, center: wp.vec2, target: wp.vec2, gamma_0: float, fade: float) -> float:
+    """How far the tool is from being behind the object on its way to ``target`` (equation 17).
+
+    Closer than ``fade`` to the target the direction loses its meaning, and the cost its weight; 0 turns that off.
+    """
+    push = center - tip
+    way = target - center
+    length = wp.length(way)
+    cosine = wp.dot(push, way) / wp.max(wp.length(push) * length, 1.0e-6)
+    share = float(1.0)
+    if fade > 0.0:
+        share = wp.min(length / fade, 1.0)
+    return share * wp.max(gamma_0 - cosine, 0.0)
+
+
+@wp.func
+def tilt_cost(up: wp.vec3) -> float:
+    """Tilt of the tool from vertical (equation 18), the root of squared roll and pitch [rad].
+
+    ``up`` is the world's z axis in the tip's frame, the third row of its rotation. The tip's z axis points out of the
+    tool, so the paper's upright frame is the tip's turned by pi about x, which changes the sign of R32 and R33.
+    """
+    roll = wp.atan2(-up[1], -up[2])
+    pitch = wp.atan2(-up[0], wp.sqrt(up[1] * up[1] + up[2] * up[2]))
+    return wp.sqrt(roll * roll + pitch * pitch)
+
+
+@wp.func
+def shortfall(value: float, wanted: float) -> float:
+    """Square of what ``value`` lacks to ``wanted``."""
+    return squared(wp.max(wanted - value, 0.0))
+
+
+@wp.func
+def reach_cost(pose: wp.vec3, lower: float, upper: float) -> float:
+    """Squared distance of the object's centre to the ring around the base in which the arm can push well [m^2]."""
+    distance = wp.sqrt(pose[0] * pose[0] + pose[1] * pose[1])
+    return shortfall(distance, lower) + squared(wp.max(distance - upper, 0.0))
+
+
+@wp.func
+def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, clearance: float, to_go: float) -> float:
+    """Stage cost of the object level (equation 14 and our additions)."""
+    return (
+        w.w_d * pose_distance_squared(pose, goal, w.w_theta)
+        + w.w_f * contact_cost(force, w.f_0)
+        + w.w_margin * shortfall(clearance, w.margin)
+        + w.w_to_go * to_go
+        + w.w_reach * reach_cost(pose, w.reach_lower, w.reach_upper)
+    )
+
+
+@wp.func
+def robot_cost(
+    w: RobotWeights,
+    tip: wp.vec3,
+    up: wp.vec3,
+    pose: wp.vec3,
+    mid_height: float,
+    goal: wp.vec3,
+    reference: wp.vec3,
+    target: wp.vec3,
+    force: float,
+    room: float,
+    above: float,
+    pressed: float,
+    speed_squared: float,
+) -> CostTerms:
+    """Stage cost of the robot level (equations 14 to 18 and our additions), term by term and weighted.
+
+    Args:
+        w: Weights.
+        tip: Tool tip [m].
+        up: The world's z axis in the tip's frame.
+        pose: The object's pose.
+        mid_height: Height of the object's middle above the table [m].
+        goal: The object's goal.
+        reference: Where the object plan has the object at this step.
+        target: Where the object plan has it some steps ahead, for the alignment.
+        force: Contact force of object and environment, lambda_2 [N].
+        room: Clearance of arm and tool to obstacles and table, phi_3 [m].
+        above: 1 where the tip is above the object, else 0.
+        pressed: Depth by which the tool presses into an object that cannot yield [m].
+        speed_squared: Squared norm of the joint velocities [rad^2/s^2].
+    """
+    terms = CostTerms()
+    terms[0] = w.w_d * pose_distance_squared(pose, goal, w.w_theta)
+    terms[1] = w.w_f * contact_cost(force, w.f_0)
+    terms[2] = w.w_reference * pose_distance_squared(pose, reference, w.w_theta)
+    terms[3] = w.w_ee * approach_cost(tip, wp.vec3(pose[0], pose[1], mid_height), w.r_0)
+    terms[4] = w.w_align * align_cost(
+        wp.vec2(tip[0], tip[1]), wp.vec2(pose[0], pose[1]), wp.vec2(target[0], target[1]), w.gamma_0, w.align_fade
+    )
+    terms[5] = w.w_tilt * tilt_cost(up)
+    terms[6] = w.w_height * squared(tip[2] - w.height)
+    terms[7] = w.w_clearance * shortfall(room, w.clearance)
+    terms[8] = w.w_above * above
+    terms[9] = w.w_reach * reach_cost(pose, w.reach_lower, w.reach_upper)
+    terms[10] = w.w_press * pressed * pressed
+    terms[11] = w.w_control * speed_squared
+    return terms

@@ -1,0 +1,157 @@
+"""Planar geometry and look-ups in distance fields, shared by all kernels."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+PI = wp.constant(3.14159265358979)
+
+
+@wp.struct
+class PlanarField:
+    """A scalar over (x, y), bilinear between nodes and clamped outside.
+
+    Attributes:
+        values: [nx, ny].
+        origin: Position of node (0, 0) [m].
+        inv_step: Nodes per metre.
+    """
+
+    values: wp.array2d[float]
+    origin: wp.vec2
+    inv_step: float
+
+
+@wp.struct
+class PoseField:
+    """A scalar over planar poses, trilinear between nodes, clamped in x and y, periodic in yaw.
+
+    Attributes:
+        values: [nyaw, nx, ny]; node (i, j, k) is at yaw ``i * 2 pi / nyaw``.
+        origin: Position of node (0, 0) [m].
+        inv_step: Nodes per metre.
+        inv_yaw_step: Nodes per radian.
+    """
+
+    values: wp.array3d[float]
+    origin: wp.vec2
+    inv_step: float
+    inv_yaw_step: float
+
+
+@wp.struct
+class SpaceField:
+    """A scalar over (x, y, z), trilinear between nodes; far away (``outside``) beyond its box.
+
+    Attributes:
+        values: [nx, ny, nz].
+        origin: Position of node (0, 0, 0) [m].
+        inv_step: Nodes per metre.
+        outside: Value beyond the box [m].
+    """
+
+    values: wp.array3d[float]
+    origin: wp.vec3
+    inv_step: float
+    outside: float
+
+
+@wp.func
+def wrap_angle(a: float) -> float:
+    """The angle in [-pi, pi) [rad]."""
+    return a - 2.0 * PI * wp.floor((a + PI) / (2.0 * PI))
+
+
+@wp.func
+def rotate(c: float, s: float, v: wp.vec2) -> wp.vec2:
+    """``v`` turned by the angle with cosine ``c`` and sine ``s``."""
+    return wp.vec2(c * v[0] - s * v[1], s * v[0] + c * v[1])
+
+
+@wp.func
+def planar_field(field: PlanarField, p: wp.vec2) -> wp.vec3:
+    """Value and gradient (value, d/dx, d/dy) of the field at ``p``."""
+    nx = field.values.shape[0]
+    ny = field.values.shape[1]
+    fx = wp.clamp((p[0] - field.origin[0]) * field.inv_step, 0.0, float(nx - 1) - 1.0e-3)
+    fy = wp.clamp((p[1] - field.origin[1]) * field.inv_step, 0.0, float(ny - 1) - 1.0e-3)
+    i = int(fx)
+    j = int(fy)
+    ax = fx - float(i)
+    ay = fy - float(j)
+    v00 = field.values[i, j]
+    v01 = field.values[i, j + 1]
+    v10 = field.values[i + 1, j]
+    v11 = field.values[i + 1, j + 1]
+    low = v00 + ay * (v01 - v00)
+    high = v10 + ay * (v11 - v10)
+    dy = (1.0 - ax) * (v01 - v00) + ax * (v11 - v10)
+    return wp.vec3(low + ax * (high - low), (high - low) * field.inv_step, dy * field.inv_step)
+
+
+@wp.func
+def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
+    """Value and gradient (value, d/dx, d/dy, d/dyaw) of the field at a planar pose."""
+    nyaw = field.values.shape[0]
+    nx = field.values.shape[1]
+    ny = field.values.shape[2]
+    fx = wp.clamp((pose[0] - field.origin[0]) * field.inv_step, 0.0, float(nx - 1) - 1.0e-3)
+    fy = wp.clamp((pose[1] - field.origin[1]) * field.inv_step, 0.0, float(ny - 1) - 1.0e-3)
+    turns = pose[2] / (2.0 * PI)
+    ft = (turns - wp.floor(turns)) * float(nyaw)
+    i = int(fx)
+    j = int(fy)
+    t0 = wp.clamp(int(ft), 0, nyaw - 1)  # also where the yaw is not a number
+    t1 = t0 + 1
+    if t1 == nyaw:
+        t1 = 0
+    ax = fx - float(i)
+    ay = fy - float(j)
+    at = ft - float(t0)
+
+    a00 = field.values[t0, i, j]
+    a01 = field.values[t0, i, j + 1]
+    a10 = field.values[t0, i + 1, j]
+    a11 = field.values[t0, i + 1, j + 1]
+    b00 = field.values[t1, i, j]
+    b01 = field.values[t1, i, j + 1]
+    b10 = field.values[t1, i + 1, j]
+    b11 = field.values[t1, i + 1, j + 1]
+    c00 = a00 + at * (b00 - a00)
+    c01 = a01 + at * (b01 - a01)
+    c10 = a10 + at * (b10 - a10)
+    c11 = a11 + at * (b11 - a11)
+    low = c00 + ay * (c01 - c00)
+    high = c10 + ay * (c11 - c10)
+    d_x = (high - low) * field.inv_step
+    d_y = ((1.0 - ax) * (c01 - c00) + ax * (c11 - c10)) * field.inv_step
+    d_t = (
+        (1.0 - ax) * ((1.0 - ay) * (b00 - a00) + ay * (b01 - a01)) + ax * ((1.0 - ay) * (b10 - a10) + ay * (b11 - a11))
+    ) * field.inv_yaw_step
+    return wp.vec4(low + ax * (high - low), d_x, d_y, d_t)
+
+
+@wp.func
+def space_field(field: SpaceField, p: wp.vec3) -> float:
+    """Value of the field at ``p``."""
+    nx = field.values.shape[0]
+    ny = field.values.shape[1]
+    nz = field.values.shape[2]
+    fx = (p[0] - field.origin[0]) * field.inv_step
+    fy = (p[1] - field.origin[1]) * field.inv_step
+    fz = wp.max((p[2] - field.origin[2]) * field.inv_step, 0.0)
+    inside = fx >= 0.0 and fy >= 0.0 and fx < float(nx - 1) and fy < float(ny - 1) and fz < float(nz - 1)
+    value = field.outside
+    if inside:
+        i = int(fx)
+        j = int(fy)
+        k = int(fz)
+        ax = fx - float(i)
+        ay = fy - float(j)
+        az = fz - float(k)
+        c00 = wp.lerp(field.values[i, j, k], field.values[i, j, k + 1], az)
+        c01 = wp.lerp(field.values[i, j + 1, k], field.values[i, j + 1, k + 1], az)
+        c10 = wp.lerp(field.values[i + 1, j, k], field.values[i + 1, j, k + 1], az)
+        c11 = wp.lerp(field.values[i + 1, j + 1, k], field.values[i + 1, j + 1, k + 1], az)
+        value = wp.lerp(wp.lerp(c00, c01, ay), wp.lerp(c10, c11, ay), ax)
+    return value

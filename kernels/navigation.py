@@ -1,0 +1,121 @@
+"""Cost-to-go of the object: the length of the shortest free way to the goal over the grid of phi_2."""
+
+import warp as wp
+
+from oimppi_warp.kernels.geometry import PI, PoseField, wrap_angle
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Tolls:
+    """What a metre of way costs.
+
+    Attributes:
+        yaw_length: Length that turning by one radian counts as [m].
+        comfort: Clearance below which a metre costs more [m].
+        crowded: What it costs more at no clearance at all.
+        blocked: What it costs inside an obstacle: finite, so that every pose knows its way out.
+        reach_lower, reach_upper: Distances from the base's axis between which the arm can push well [m].
+        far: What a metre costs outside of them.
+    """
+
+    yaw_length: float
+    comfort: float
+    crowded: float
+    blocked: float
+    reach_lower: float
+    reach_upper: float
+    far: float
+
+
+@wp.func
+def toll(tolls: Tolls, clearance: float, distance: float) -> float:
+    """What a metre costs at a clearance and a distance from the base's axis."""
+    lack = wp.clamp((tolls.comfort - clearance) / tolls.comfort, 0.0, 1.0)
+    cost = 1.0 + tolls.crowded * lack * lack
+    if distance < tolls.reach_lower or distance > tolls.reach_upper:
+        cost = wp.max(cost, tolls.far)
+    if clearance < 0.0:
+        cost = tolls.blocked
+    return cost
+
+
+@wp.kernel
+def seed_to_go(
+    # in:
+    clearance: PoseField,
+    tolls: Tolls,
+    pose: wp.vec3,
+    near: float,
+    left: float,
+    # out:
+    to_go: wp.array3d[float],
+):
+    """Within ``near`` of a pose that has the length ``left`` to go, the cost-to-go is the straight way there."""
+    t, i, j = wp.tid()
+    step = 1.0 / clearance.inv_step
+    dx = clearance.origin[0] + step * float(i) - pose[0]
+    dy = clearance.origin[1] + step * float(j) - pose[1]
+    turn = tolls.yaw_length * wrap_angle(2.0 * PI * float(t) / float(to_go.shape[0]) - pose[2])
+    straight = wp.sqrt(dx * dx + dy * dy + turn * turn)
+    if straight <= near:
+        to_go[t, i, j] = wp.min(to_go[t, i, j], left + straight)
+
+
+@wp.func
+def sweep_order(n: int, m: int, backward: int) -> int:
+    """The m-th of n indices, forward or backward."""
+    out = m
+    if backward == 1:
+        out = n - 1 - m
+    return out
+
+
+@wp.kernel
+def sweep_to_go(
+    # in:
+    clearance: PoseField,
+    tolls: Tolls,
+    direction: int,
+    # out:
+    to_go: wp.array3d[float],
+    change: wp.array[float],
+):
+    """One Gauss-Seidel sweep of the shortest way over the 26 neighbours, in one of 8 directions (one thread).
+
+    Sweeps in alternating directions carry a way along the whole grid at once (fast sweeping, Zhao 2005), where
+    parallel relaxation would take a pass a cell. ``change`` [1] is the largest improvement.
+    """
+    nt = to_go.shape[0]
+    nx = to_go.shape[1]
+    ny = to_go.shape[2]
+    step = 1.0 / clearance.inv_step
+    turn = tolls.yaw_length / clearance.inv_yaw_step
+    largest = float(0.0)
+    for a in range(nt + 1):
+        t = sweep_order(nt + 1, a, direction & 1) % nt
+        for b in range(nx):
+            i = sweep_order(nx, b, (direction >> 1) & 1)
+            for c in range(ny):
+                j = sweep_order(ny, c, (direction >> 2) & 1)
+                old = to_go[t, i, j]
+                at = clearance.origin + step * wp.vec2(float(i), float(j))
+                here = toll(tolls, clearance.values[t, i, j], wp.length(at))
+                best = old
+                for dt in range(-1, 2):
+                    tt = (t + dt + nt) % nt
+                    for dx in range(-1, 2):
+                        ii = i + dx
+                        if ii >= 0 and ii < nx:
+                            for dy in range(-1, 2):
+                                jj = j + dy
+                                if jj >= 0 and jj < ny:
+                                    there = to_go[tt, ii, jj]
+                                    if there < best:
+                                        across = float(dx * dx + dy * dy) * step * step
+                                        length = wp.sqrt(across + float(dt * dt) * turn * turn)
+                                        best = wp.min(best, there + here * length)
+                largest = wp.max(largest, old - best)
+                to_go[t, i, j] = best
+    change[0] = largest

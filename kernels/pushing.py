@@ -1,0 +1,116 @@
+"""Quasi-static planar pushing on the ellipsoidal limit surface (the paper's Example 1, with friction)."""
+
+import warp as wp
+
+from oimppi_warp.kernels.geometry import PlanarField, PoseField, planar_field, pose_field, rotate
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class ObjectModel:
+    """The pushed object on its table.
+
+    Attributes:
+        force: Friction force mu m g [N].
+        radius: Friction torque over friction force [m].
+        tool_friction: Coulomb coefficient of tool and object.
+        top: Height of the object's top [m].
+        clearance: phi_2 over poses [m].
+        body: Signed distance to the object's outline [m].
+        slack: Clearance that the object keeps to obstacles, in the model [m].
+    """
+
+    force: float
+    radius: float
+    tool_friction: float
+    top: float
+    clearance: PoseField
+    body: PlanarField
+    slack: float
+
+
+@wp.struct
+class Settled:
+    """Where an object came to rest against the obstacles.
+
+    Attributes:
+        pose: Pose of the friction centre.
+        force: Contact force lambda_2 that pushed it there [N].
+        clearance: phi_2 before it was pushed out [m].
+    """
+
+    pose: wp.vec3
+    force: float
+    clearance: float
+
+
+@wp.func
+def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_radius: float) -> wp.vec3:
+    """The object's pose after a round tool moved from ``start`` to ``end``.
+
+    The object yields along the limit surface just as far as the tool would otherwise enter it. The contact sticks while
+    the force stays in the friction cone and slides along the cone's edge otherwise.
+    """
+    moved = pose
+    c = wp.cos(pose[2])
+    s = wp.sin(pose[2])
+    local = rotate(c, -s, end - wp.vec2(pose[0], pose[1]))
+    reach = wp.float32(model.body.values.shape[0] + model.body.values.shape[1]) / model.body.inv_step
+    if wp.length_sq(local) < reach * reach:
+        field = planar_field(model.body, local)
+        depth = tool_radius - field[0]
+        if depth > 0.0:
+            outward = wp.normalize(wp.vec2(field[1], field[2]))
+            n = -outward
+            t = wp.vec2(-n[1], n[0])
+            contact = local - field[0] * outward
+            travel = rotate(c, -s, end - start)
+            # Only the part of the way that is spent in contact drags the object sideways.
+            approach = wp.dot(travel, n)
+            share = wp.clamp(depth / wp.max(approach, 1.0e-6), 0.0, 1.0)
+            want = depth * n + share * wp.dot(travel, t) * t
+
+            # Motion of the contact point under a force f: (1 + r_y^2 / c^2, ...) f, with the limit surface's radius c.
+            b = 1.0 / (model.radius * model.radius)
+            a00 = 1.0 + contact[1] * contact[1] * b
+            a01 = -contact[0] * contact[1] * b
+            a11 = 1.0 + contact[0] * contact[0] * b
+            inv_det = 1.0 / (a00 * a11 - a01 * a01)
+            f = wp.vec2((a11 * want[0] - a01 * want[1]) * inv_det, (a00 * want[1] - a01 * want[0]) * inv_det)
+            if wp.abs(wp.dot(f, t)) > model.tool_friction * wp.dot(f, n):
+                edge = n + wp.sign(wp.dot(f, t)) * model.tool_friction * t
+                yielded = wp.vec2(a00 * edge[0] + a01 * edge[1], a01 * edge[0] + a11 * edge[1])
+                along = wp.dot(n, yielded)
+                if along < 0.05:  # a cone's edge that would pull the contact back: push straight instead
+                    edge = n
+                    along = a00 * n[0] * n[0] + 2.0 * a01 * n[0] * n[1] + a11 * n[1] * n[1]
+                f = (depth / along) * edge
+            shift = rotate(c, s, f)
+            moved = wp.vec3(
+                pose[0] + shift[0], pose[1] + shift[1], pose[2] + b * (contact[0] * f[1] - contact[1] * f[0])
+            )
+    return moved
+
+
+@wp.func
+def settle(model: ObjectModel, pose: wp.vec3, dt: float) -> Settled:
+    """Moves an object that entered an obstacle back to its surface, the shortest way by the mobility ``D``.
+
+    This is the complementarity of phi_2 and lambda_2 (equation 4) by projection: with ``x' = D w`` (equation 6) the
+    force that moves the object by phi_2 within ``dt`` is ``phi_2 / (dt g^T D g)``, ``g`` the gradient of phi_2.
+    """
+    out = Settled()
+    out.pose = pose
+    out.force = 0.0
+    field = pose_field(model.clearance, pose)
+    out.clearance = field[0]
+    ease = 1.0 / (model.radius * model.radius)
+    for _ in range(2):
+        if field[0] < model.slack:
+            mobility = field[1] * field[1] + field[2] * field[2] + ease * field[3] * field[3]
+            step = wp.min(model.slack - field[0], 0.02) / wp.max(mobility, 0.1)
+            out.pose = out.pose + step * wp.vec3(field[1], field[2], ease * field[3])
+            out.force = out.force + model.force * step / dt
+            field = pose_field(model.clearance, out.pose)
+    return out

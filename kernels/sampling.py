@@ -1,0 +1,61 @@
+"""Drawing perturbed control sequences around a nominal one (equation 11)."""
+
+from functools import lru_cache
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@lru_cache
+def make_sample_controls(size: int) -> wp.Kernel:
+    """The sampling kernel for controls of ``size`` numbers."""
+    vec = wp.types.vector(length=size, dtype=float)
+    mat = wp.types.matrix(shape=(size, size), dtype=float)
+
+    @wp.kernel(module=f"oimppi_warp.kernels.sample_controls_{size}", enable_backward=False)
+    def sample_controls(
+        # in:
+        nominal: wp.array[vec],
+        noise_map: wp.array[mat],
+        basis: wp.array2d[float],
+        bound: wp.array[vec],
+        counter: wp.array[int],
+        seed: int,
+        special: int,
+        # out:
+        controls: wp.array2d[vec],
+    ):
+        """``u = clip(nominal + basis noise_map z)`` with standard normal ``z`` for every knot.
+
+        The first two samples are the nominal and zero where ``special`` is 1. Shapes: ``nominal`` [horizon],
+        ``noise_map`` [1] (a square root of Sigma_u), ``basis`` [horizon, knot], ``bound`` [1], ``counter`` [1] (plans
+        made so far: each draws its own noise), ``controls`` [sample, horizon].
+        """
+        k = wp.tid()
+        horizon = controls.shape[1]
+        if special == 1 and k < 2:
+            for h in range(horizon):
+                if k == 0:
+                    controls[k, h] = nominal[h]
+                else:
+                    controls[k, h] = vec()
+        else:
+            state = wp.rand_init(seed + 7919 * counter[0], k)
+            limit = bound[0]
+            for h in range(horizon):
+                controls[k, h] = nominal[h]
+            for j in range(basis.shape[1]):
+                z = vec()
+                for i in range(size):
+                    z[i] = wp.randn(state)
+                shift = noise_map[0] * z
+                for h in range(horizon):
+                    controls[k, h] = controls[k, h] + basis[h, j] * shift
+            for h in range(horizon):
+                u = controls[k, h]
+                for i in range(size):
+                    u[i] = wp.clamp(u[i], -limit[i], limit[i])
+                controls[k, h] = u
+
+    return sample_controls

@@ -1,0 +1,73 @@
+"""Object-informed MPPI: an xArm6 pushes an object to its goal, planned on a CPU or a GPU.
+
+The public names are imported on first use, so that ``import oimppi_warp`` stays light.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from oimppi_warp.config import Config, best, paper
+    from oimppi_warp.episode import Episode
+    from oimppi_warp.errors import ConfigError, DeviceError, OimppiError, SceneError
+    from oimppi_warp.log import EpisodeLog
+    from oimppi_warp.metrics import Metrics, summarize
+    from oimppi_warp.planner import make_planner
+    from oimppi_warp.plant import SimulatedPlant
+    from oimppi_warp.scene import Scene
+    from oimppi_warp.usd import load_scene
+    from oimppi_warp.world import World
+
+__version__ = "0.1.0"
+
+_MODULES = {
+    "Config": "config",
+    "ConfigError": "errors",
+    "DeviceError": "errors",
+    "Episode": "episode",
+    "EpisodeLog": "log",
+    "Metrics": "metrics",
+    "OimppiError": "errors",
+    "Scene": "scene",
+    "SceneError": "errors",
+    "SimulatedPlant": "plant",
+    "World": "world",
+    "best": "config",
+    "load_scene": "usd",
+    "make_planner": "planner",
+    "paper": "config",
+    "summarize": "metrics",
+}
+
+__all__ = [
+    "Config",
+    "ConfigError",
+    "DeviceError",
+    "Episode",
+    "EpisodeLog",
+    "Metrics",
+    "OimppiError",
+    "Scene",
+    "SceneError",
+    "SimulatedPlant",
+    "World",
+    "best",
+    "load_scene",
+    "make_planner",
+    "paper",
+    "summarize",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
+    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -1,0 +1,234 @@
+"""Distance fields of a scene: made once by kernels, kept in a cache by content, looked up by every rollout.
+
+- ``phi_2(x, y, yaw)``: clearance of the object to obstacles, the robot's base and the table's edge (the paper's gap
+  function of object and environment), over poses of the object's friction centre.
+- ``d_B(x, y)``: signed distance to the object's outline, in the frame of its friction centre (the paper's Example 1).
+- the obstacles' distance over space, for the arm and the tool (the paper's phi_3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import shapely
+import trimesh
+import warp as wp
+from shapely.geometry.base import BaseGeometry
+
+from oimppi_warp.cache import cached, content_of
+from oimppi_warp.footprint import LimitSurface, Piece, core_points, footprint, height_range, limit_surface, outline
+from oimppi_warp.kernels import clearance as kernels
+from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
+from oimppi_warp.scene import Collider, Scene
+
+STEP = 0.01
+"""Grid step of phi_2 [m]."""
+YAW_NODES = 72
+"""Nodes of phi_2 over a full turn (5 degrees)."""
+FURTHEST = 0.15
+"""Distances are cut off here [m]."""
+BODY_STEP = 0.002
+"""Grid step of the object's own distance field [m]."""
+NEAR = 0.05
+"""Shapes this far above all obstacles are not looked up [m]."""
+SPACE_STEP = 0.01
+"""Grid step of the obstacles' distance field [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """What the planner knows of a scene's shapes, on one device.
+
+    Attributes:
+        surface: Limit surface of the object; planning poses are those of its ``center``.
+        outline: The object from above, around its friction centre.
+        top: Height of the object's top above the table [m].
+        clearance: phi_2 over poses of the friction centre [m].
+        body: Signed distance to the object's outline around its friction centre [m].
+        space: Distance to the obstacles [m].
+        space_top: Height above which no obstacle is nearer than ``NEAR`` [m].
+    """
+
+    surface: LimitSurface
+    outline: BaseGeometry
+    top: float
+    clearance: PoseField
+    body: PlanarField
+    space: SpaceField
+    space_top: float
+
+    def clearance_at(self, pose: np.ndarray) -> float:
+        """phi_2 at a pose [3] of the friction centre, on the host [m]."""
+        return pose_field_at(self.clearance, pose)
+
+
+def pose_field_at(field: PoseField, pose: np.ndarray) -> float:
+    """Value of a pose field, trilinear, on the host: the same as the kernels' look-up; NaN at a pose that is none."""
+    if not np.isfinite(pose).all():
+        return float("nan")
+    values = field.values.numpy()
+    nyaw, nx, ny = values.shape
+    x = np.clip((pose[0] - field.origin[0]) * field.inv_step, 0.0, nx - 1 - 1e-3)
+    y = np.clip((pose[1] - field.origin[1]) * field.inv_step, 0.0, ny - 1 - 1e-3)
+    t = (pose[2] / (2.0 * np.pi)) % 1.0 * nyaw
+    i, j, k = int(x), int(y), int(t) % nyaw
+    cube = values[[k, (k + 1) % nyaw]][:, i : i + 2, j : j + 2]
+    ax, ay, at = x - i, y - j, t - int(t)
+    return float(np.einsum("tij,t,i,j->", cube, [1 - at, at], [1 - ax, ax], [1 - ay, ay]))
+
+
+def build_geometry(scene: Scene, device: str) -> Geometry:
+    """All distance fields of a scene on a device, from the cache where it has them."""
+    surface = limit_surface(scene.object)
+    body = [_shifted(piece, -surface.center) for piece in footprint(scene.object.colliders)]
+    low, high = height_range(scene.object.colliders)
+    top = scene.object.rest_height + high
+    lower = scene.object.rest_height + low
+    obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
+    pieces = footprint((*obstacles, *scene.robot.base.colliders), lower=lower + 1e-3, upper=top)
+
+    clearance = _clearance_field(body, pieces, scene, device)
+    space, space_top = _space_field(obstacles, scene, device)
+    return Geometry(surface, outline(body), top, clearance, _body_field(body, device), space, space_top)
+
+
+def to_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
+    """Poses [..., 3] of the object's frame as poses of its friction centre."""
+    return _carry(pose, surface.center)
+
+
+def from_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
+    """Poses [..., 3] of the object's friction centre as poses of its frame."""
+    return _carry(pose, -surface.center)
+
+
+def _carry(pose: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    moved = np.array(pose, dtype=float)
+    c, s = np.cos(moved[..., 2]), np.sin(moved[..., 2])
+    moved[..., 0] += c * offset[0] - s * offset[1]
+    moved[..., 1] += s * offset[0] + c * offset[1]
+    return moved
+
+
+def pack_pieces(pieces: Iterable[Piece], device: str) -> kernels.Pieces:
+    """Convex pieces as the kernels read them."""
+    pieces = list(pieces)
+    centers = np.array([piece.vertices.mean(axis=0) for piece in pieces]).reshape(-1, 2)
+    reaches = [
+        np.linalg.norm(piece.vertices - center, axis=1).max() + piece.radius
+        for piece, center in zip(pieces, centers, strict=True)
+    ]
+    packed = kernels.Pieces()
+    vertices = np.concatenate([piece.vertices for piece in pieces]) if pieces else np.zeros((0, 2))
+    packed.vertices = wp.array(vertices, dtype=wp.vec2, device=device)
+    packed.first = wp.array(np.cumsum([0, *(len(piece.vertices) for piece in pieces)]), dtype=int, device=device)
+    packed.center = wp.array(centers, dtype=wp.vec2, device=device)
+    packed.reach = wp.array(np.array(reaches, dtype=np.float32), dtype=float, device=device)
+    packed.radius = wp.array(np.array([piece.radius for piece in pieces], np.float32), dtype=float, device=device)
+    return packed
+
+
+def _shifted(piece: Piece, offset: np.ndarray) -> Piece:
+    return Piece(piece.vertices + offset, piece.radius)
+
+
+def _clearance_field(body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str) -> PoseField:
+    lower, upper = np.array(scene.table.lower), np.array(scene.table.upper)
+    reach = arm_reach_bound(scene)
+    first = np.maximum(lower, -reach)
+    count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
+
+    def compute() -> np.ndarray:
+        values = wp.zeros((YAW_NODES, *count), dtype=float, device=device)
+        wp.launch(
+            kernels.object_clearance,
+            dim=values.shape,
+            inputs=[
+                pack_pieces(body, device),
+                pack_pieces(obstacles, device),
+                wp.vec2(*lower),
+                wp.vec2(*upper),
+                wp.vec2(*first),
+                STEP,
+                FURTHEST,
+            ],
+            outputs=[values],
+            device=device,
+        )
+        return values.numpy()
+
+    shapes = [x for piece in (*body, *obstacles) for x in (piece.vertices, piece.radius)]
+    content = content_of(*shapes, len(body), lower, upper, first, count, STEP, YAW_NODES, FURTHEST)
+    field = PoseField()
+    field.values = wp.array(cached("phi2", content, compute), dtype=float, device=device)
+    field.origin = wp.vec2(*first)
+    field.inv_step = 1.0 / STEP
+    field.inv_yaw_step = YAW_NODES / (2.0 * np.pi)
+    return field
+
+
+def arm_reach_bound(scene: Scene) -> float:
+    """A bound on how far the tool can be from the base's axis: the stretched length of the chain [m]."""
+    links = [np.linalg.norm(joint.parent_transform[:3]) for joint in scene.robot.joints[1:]]
+    return float(sum(links) + np.linalg.norm(scene.robot.tip[:3]))
+
+
+def _body_field(pieces: list[Piece], device: str) -> PlanarField:
+    shape = outline(pieces)
+    margin = 0.02
+    x0, y0, x1, y1 = shape.bounds
+    xs = np.arange(x0 - margin, x1 + margin + BODY_STEP, BODY_STEP)
+    ys = np.arange(y0 - margin, y1 + margin + BODY_STEP, BODY_STEP)
+    points = shapely.points(*np.meshgrid(xs, ys, indexing="ij"))
+    shapely.prepare(shape)
+    distance = shapely.distance(points, shape.boundary)
+    values = np.where(shapely.contains(shape, points), -distance, distance)
+    field = PlanarField()
+    field.values = wp.array(values.astype(np.float32), dtype=float, device=device)
+    field.origin = wp.vec2(xs[0], ys[0])
+    field.inv_step = 1.0 / BODY_STEP
+    return field
+
+
+def collider_mesh(collider: Collider) -> trimesh.Trimesh:
+    """The collider as a closed mesh in its body's frame (round ones with 32 sides)."""
+    points, radius = core_points(collider)
+    if radius > 0.0:
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices
+        points = (points[:, None, :] + ball[None, :, :]).reshape(-1, 3)
+    return trimesh.convex.convex_hull(points)
+
+
+def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[SpaceField, float]:
+    field = SpaceField()
+    field.inv_step = 1.0 / SPACE_STEP
+    field.outside = FURTHEST
+    if not obstacles:
+        field.values = wp.full((2, 2, 2), FURTHEST, dtype=float, device=device)
+        field.origin = wp.vec3(1e3, 1e3, 1e3)
+        return field, -1.0
+
+    mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([collider_mesh(collider) for collider in obstacles]))
+    reach = arm_reach_bound(scene)
+    lower = np.maximum(mesh.bounds[0] - FURTHEST, [-reach, -reach, 0.0])
+    upper = np.minimum(mesh.bounds[1] + FURTHEST, [reach, reach, 2.0])
+    count = np.maximum(np.ceil((upper - lower) / SPACE_STEP).astype(int) + 1, 2)
+
+    def compute() -> np.ndarray:
+        values = wp.zeros(tuple(count), dtype=float, device=device)
+        closed = wp.Mesh(
+            points=wp.array(mesh.vertices, dtype=wp.vec3, device=device),
+            indices=wp.array(mesh.faces.ravel(), dtype=int, device=device),
+            support_winding_number=True,
+        )
+        inputs = [closed.id, wp.vec3(*lower), SPACE_STEP, FURTHEST]
+        wp.launch(kernels.space_distance, dim=values.shape, inputs=inputs, outputs=[values], device=device)
+        return values.numpy()
+
+    content = content_of(mesh.vertices, mesh.faces, lower, count, SPACE_STEP, FURTHEST)
+    field.values = wp.array(cached("space", content, compute), dtype=float, device=device)
+    field.origin = wp.vec3(*lower)
+    return field, float(mesh.bounds[1, 2]) + NEAR

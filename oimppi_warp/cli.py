@@ -1,0 +1,283 @@
+"""The command ``oimppi``: each command is a dataclass with ``execute``, its options are the fields.
+
+Exit status: 0 the object is at its goal, 1 it is not, 2 bad input (one message on stderr, nothing written), 130 Ctrl-C
+(the record is complete up to the last control step). Heavy imports happen inside ``execute``, after the options are
+known to be good, so that help and mistakes answer at once.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from tyro.conf import Positional, UseAppendAction, arg, subcommand
+
+from oimppi_warp.config import PRESETS, Config, Method, set_option, validate
+from oimppi_warp.errors import ConfigError, OimppiError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from oimppi_warp.log import EpisodeLog
+    from oimppi_warp.metrics import Metrics
+    from oimppi_warp.scene import PlanarPose, Scene
+
+
+Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Plan and push until the object is at its goal.
+
+    Exit status: 0 at the goal, 1 not there, 2 bad input, 130 stopped by Ctrl-C.
+    """
+
+    scene: Annotated[Positional[str], arg(metavar="SCENE")]
+    """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
+
+    method: Method = "cloi"
+    """Plain MPPI, the object planned once ahead (SOI), or again at every step (CLOI)."""
+
+    engine: Literal["quasistatic"] = "quasistatic"
+    """What simulates the planner's samples."""
+
+    device: str = "auto"
+    """Where the planner computes: cpu, cuda:0, ..., or auto."""
+
+    seed: Annotated[int, arg(metavar="N")] = 0
+    """Seed of the planner's noise and, unless --start is given, of the start."""
+
+    start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="")] = None
+    """Which of the scene's starts (from 0), or a pose: metres and radians (half a turn is 3.1416)."""
+
+    goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="")] = None
+    """Another goal than the scene's: metres and radians."""
+
+    preset: Literal["best", "paper"] = "best"
+    """Settings to begin with."""
+
+    assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
+    """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
+
+    max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="")] = None
+    """Time limit in simulated seconds, if another than the preset's."""
+
+    record: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """Keep the log and plots in this folder."""
+
+    json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write the metrics to this file."""
+
+    def execute(self) -> int:
+        """Run the episode; returns the exit status."""
+        config = self.settings()
+        start, goal = _start(self.start), None if self.goal is None else _pose("--goal", self.goal)
+        _check_outputs(self.record, self.json)
+
+        import warp as wp
+        from rich.console import Console
+
+        from oimppi_warp import device
+        from oimppi_warp.log import write_whole
+        from oimppi_warp.metrics import summarize
+
+        console = Console(stderr=True, highlight=False)
+        say = partial(console.print, soft_wrap=True)
+        wp.set_logger(device.CompileNotice(say))
+        where = device.pick_device(self.device)
+        with console.status("reading the scene"):
+            scene = self.task(start, goal)
+        with console.status("loading kernels"):
+            if not device.kernels_are_cached():
+                say("First run on this machine: compiling kernels, which takes about half a minute and is done once.")
+            from oimppi_warp.episode import Episode
+
+            episode = Episode(scene, config, method=self.method, engine=self.engine, device=where, seed=self.seed)
+        with _progress(config.episode.max_sim_seconds, console) as on_step:
+            log = episode.run(on_step=on_step)
+        metrics = summarize(log)
+        if self.json is not None:
+            write_whole(self.json, metrics.json().encode())
+        if self.record is not None:
+            log.save(self.record)
+            with console.status("drawing"):
+                from oimppi_warp.report import draw
+
+                draw(log, scene, self.record)
+        _print_summary(metrics, self.record)
+        if metrics.ended == "interrupted":
+            return 130
+        return 0 if metrics.success else 1
+
+    def settings(self) -> Config:
+        """The preset with the options applied, validated.
+
+        Raises:
+            ConfigError: An option is wrong.
+        """
+        if self.seed < 0:
+            raise ConfigError(f"--seed {self.seed}: cannot be used\n  allowed: 0 or more")
+        config = PRESETS[self.preset](self.method)
+        for assignment in (assignment for group in self.assignments for assignment in group):
+            config = set_option(config, assignment)
+        if self.max_sim_seconds is not None:
+            config = replace(config, episode=replace(config.episode, max_sim_seconds=self.max_sim_seconds))
+        return validate(config)
+
+    def task(self, start: PlanarPose | int | None, goal: PlanarPose | None) -> Scene:
+        """The scene with the start and the goal asked for, checked.
+
+        Args:
+            start: A pose, the number of one of the scene's starts, or ``None`` to draw one with the seed.
+            goal: A pose, or ``None`` for the scene's.
+
+        Raises:
+            SceneError: The scene cannot be run so.
+            ConfigError: The scene has fewer starts.
+        """
+        from oimppi_warp.feasibility import check_task, draw_start
+        from oimppi_warp.usd import load_scene
+
+        scene = load_scene(self.scene)
+        if goal is not None:
+            scene = scene.with_goal(goal)
+        if start is None:
+            start = draw_start(scene, self.seed)
+        elif isinstance(start, int):
+            start = _listed_start(scene, start)
+        scene = scene.with_start(start)
+        check_task(scene)
+        return scene
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """List the shipped scenes, one line each."""
+
+    def execute(self) -> int:
+        """Print them; returns the exit status."""
+        from rich.console import Console
+        from rich.table import Table
+
+        from oimppi_warp.usd import shipped_scenes
+
+        table = Table.grid(padding=(0, 3))
+        for scene in shipped_scenes():
+            table.add_row(f"[bold]{scene.name}", scene.title)
+        Console(highlight=False).print(table)
+        return 0
+
+
+Command = (
+    Annotated[Run, subcommand("run", prefix_name=False)] | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
+)
+"""Every command; another one is one more dataclass in this union."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse and execute; returns the exit status."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # threads of NumPy's BLAS slow the planner's kernels down
+    about = "Object-informed MPPI: an xArm6 pushes an object to its goal."
+    command = tyro.cli(Command, prog="oimppi", description=about, args=arguments)
+    try:
+        return command.execute()
+    except OimppiError as error:
+        print(f"oimppi: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("oimppi: stopped before the first step", file=sys.stderr)
+        return 130
+
+
+def _pose(option: str, text: str) -> PlanarPose:
+    """A planar pose from "x,y,yaw"."""
+    try:
+        x, y, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise ConfigError(f"{option} {text}: not a pose\n  allowed: x,y,yaw in metres and radians, like 0.3,-0.45,3.14")
+    return x, y, yaw
+
+
+def _start(text: str | None) -> PlanarPose | int | None:
+    """The number of a start, or a pose."""
+    if text is None:
+        return None
+    return int(text) if text.strip().isdecimal() else _pose("--start", text)
+
+
+def _listed_start(scene: Scene, index: int) -> PlanarPose:
+    """One of the scene's starts by its number."""
+    count = len(scene.starts)
+    if index >= count:
+        raise ConfigError(f"--start {index}: {scene.name} has {count} starts\n  allowed: 0 to {count - 1}, or x,y,yaw")
+    x, y, yaw = map(float, scene.starts[index])
+    return x, y, yaw
+
+
+def _check_outputs(record: Path | None, json: Path | None) -> None:
+    """Raise ConfigError where a result could not be written at the end."""
+    if json is not None and (json.is_dir() or not os.access(json.absolute().parent, os.W_OK)):
+        raise ConfigError(f"--json {json}: cannot be written\n  allowed: a file in a folder that exists")
+    if record is not None:
+        parent = next(folder for folder in (record.absolute(), *record.absolute().parents) if folder.exists())
+        if not parent.is_dir() or not os.access(parent, os.W_OK):
+            raise ConfigError(f"--record {record}: {parent} is no folder that can be written to")
+
+
+@contextmanager
+def _progress(seconds: float, console: Console) -> Iterator[Callable[[EpisodeLog], None]]:
+    """A bar over simulated time with the errors to the goal; yields what to call after each step."""
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    text = TextColumn("{task.completed:.1f} of {task.total:g} s  {task.fields[state]}")
+    with Progress(BarColumn(), text, console=console, refresh_per_second=5, transient=True) as progress:
+        bar = progress.add_task("", total=seconds, state="planning")
+
+        def on_step(log: EpisodeLog) -> None:
+            to_go = f"{log['position_error'][-1]:.3f} m and {log['yaw_error'][-1]:.2f} rad to go"
+            progress.update(bar, completed=float(log["time"][-1]), state=f"{to_go}  {log['plan_ms'][-1]:.0f} ms a plan")
+
+        yield on_step
+
+
+def _print_summary(metrics: Metrics, record: Path | None) -> None:
+    """What came out, for a person."""
+    from rich.console import Console
+    from rich.table import Table
+
+    good, bad = "[bold green]", "[bold red]"
+    result = f"{good}at its goal" if metrics.success else f"{bad}not at its goal"
+    tight = "also within the tight tolerance" if metrics.success_tight else "not within the tight tolerance"
+    rows = {
+        "task": f"{metrics.scene}, {metrics.method.upper()}, preset {metrics.preset}, seed {metrics.seed}, "
+        f"{metrics.engine} on {metrics.device}",
+        "result": f"{result}[/], {tight} ({metrics.ended})",
+        "errors": f"{metrics.position_error_m:.3f} m, {metrics.yaw_error_rad:.3f} rad at the end; "
+        f"{metrics.mean_position_error_m:.3f} m on average",
+        "time": f"{metrics.sim_time_s:.2f} s simulated in {metrics.steps} steps; "
+        f"{metrics.total_time_s:.1f} s with planning, of it {metrics.preplan_time_s:.2f} s ahead",
+        "plans": f"median {metrics.plan_ms_median:.1f} ms, p95 {metrics.plan_ms_p95:.1f} ms, "
+        f"{metrics.control_hz:.0f} Hz; {metrics.mean_effective_samples:.1f} effective samples",
+        "clearance": f"{1000 * metrics.min_clearance_m:.1f} mm at the least",
+        "forces": f"tool {metrics.max_contact_tool_object_n:.1f} N, object on obstacles "
+        f"{metrics.max_contact_object_obstacle_n:.1f} N, robot on obstacles "
+        f"{metrics.max_contact_robot_obstacle_n:.1f} N at the most",
+    }
+    if record is not None:
+        rows["record"] = str(record)
+    table = Table.grid(padding=(0, 2))
+    for name, text in rows.items():
+        table.add_row(f"[dim]{name}", text)
+    Console(highlight=False).print(table)

@@ -1,0 +1,415 @@
+"""Every setting of the planner, in frozen dataclasses; the command line and the presets are made from them.
+
+Two presets: :func:`paper` has the paper's values and options, :func:`best` (the default) the best that we found. Fields
+carry the paper's symbols; where the paper has no such term, the docstring says so.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from oimppi_warp.errors import ConfigError
+
+Method = Literal["mppi", "soi", "cloi"]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Mppi:
+    """One MPPI (the paper's Algorithm 1), at either level.
+
+    Attributes:
+        samples: Number of samples K.
+        horizon: Number of control steps H.
+        temperature: lambda of equation 13, in units of cost.
+        effective_samples: Lower and upper bound of the effective sample size, as fractions of K, between which the
+            temperature is adapted; (0, 0) holds it fixed as the paper does.
+        iterations: Updates per control step.
+        knots: Number of cubic-spline knots of the noise over the horizon; 0 draws every step on its own (the paper).
+        special_samples: Keep one sample on the nominal and one on zero control.
+    """
+
+    samples: int = 1200
+    horizon: int = 25
+    temperature: float = 2.0
+    effective_samples: tuple[float, float] = (0.0, 0.0)
+    iterations: int = 1
+    knots: int = 6
+    special_samples: bool = True
+
+
+@dataclass(frozen=True)
+class RobotLevel:
+    """Robot level: equations 10, 15, 16.
+
+    Attributes:
+        mppi: Sampling and update.
+        noise_space: Where Sigma_u is given: in joint space (the paper) or in the tool's frame of motion, mapped to
+            joints by the damped pseudo-inverse of the Jacobian.
+        joint_noise: Standard deviation of each joint's velocity [rad/s], for ``noise_space="joint"``.
+        tool_noise: Standard deviations of the tip's velocity (x, y, z [m/s], rotation about x, y, z [rad/s]), for
+            ``noise_space="tool"``.
+        joint_velocity_limit: Bound of each joint's velocity [rad/s], if lower than the robot's own.
+        contact_steps: Steps of the contact model in one control step.
+    """
+
+    mppi: Mppi = field(default_factory=Mppi)
+    noise_space: Literal["joint", "tool"] = "tool"
+    joint_noise: float = 0.3
+    tool_noise: tuple[float, float, float, float, float, float] = (0.2, 0.2, 0.06, 0.2, 0.2, 0.5)
+    joint_velocity_limit: float = 1.0
+    contact_steps: int = 2
+
+
+@dataclass(frozen=True)
+class ObjectLevel:
+    """Object level: equations 6, 7, 14.
+
+    Attributes:
+        mppi: Sampling and update.
+        speed_limit: Object speeds that the virtual wrench may reach: (x, y [m/s], yaw [rad/s]).
+        noise: Standard deviation of the wrench as a fraction of the one that gives ``speed_limit``.
+        noise_range: Distance from the goal (turning counted) [m] within which the noise shrinks in proportion, down to
+            a tenth; 0 keeps it as it is. Not in the paper.
+        plan_steps: Control steps that SOI's plan may take before it is given up.
+    """
+
+    mppi: Mppi = field(default_factory=lambda: Mppi(samples=1200, horizon=60, temperature=0.5, knots=5))
+    speed_limit: tuple[float, float, float] = (0.12, 0.12, 1.0)
+    noise: float = 0.6
+    noise_range: float = 0.15
+    plan_steps: int = 600
+
+
+@dataclass(frozen=True)
+class ObjectCost:
+    """Weights of the object's stage cost at the object level (equations 14 and 15).
+
+    Attributes:
+        w_d: Squared distance to the goal [1/m^2].
+        w_theta: Squared yaw error in it [m^2/rad^2].
+        w_f: Squared contact force on obstacles above ``f_0`` [1/N^2].
+        f_0: Contact force that costs nothing [N].
+        w_to_go: Length of the shortest free way to the goal [1/m]; not in the paper.
+        w_margin: Squared lack of clearance below ``margin`` [1/m^2]; not in the paper.
+        margin: [m].
+        w_reach: Squared distance of the object's centre to the ring in which the arm can push well [1/m^2]; not in the
+            paper.
+        reach: Inner and outer radius of that ring [m].
+    """
+
+    w_d: float = 1.0
+    w_theta: float = 0.03
+    w_f: float = 0.05
+    f_0: float = 0.5
+    w_to_go: float = 4.0
+    w_margin: float = 2000.0
+    margin: float = 0.015
+    w_reach: float = 500.0
+    reach: tuple[float, float] = (0.32, 0.60)
+
+
+@dataclass(frozen=True)
+class RobotCost:
+    """Weights of the stage cost at the robot level (equations 14 to 18, summed over the horizon).
+
+    The first group is the paper's, the second ours.
+
+    Attributes:
+        w_d, w_theta, w_f, f_0: As in :class:`ObjectCost`, for the simulated object.
+        w_reference: Squared distance to the object plan, the paper's coupling cost l_c [1/m^2].
+        w_ee: Squared distance between tool and object beyond ``r_0`` [1/m^2].
+        r_0: [m].
+        w_align: Tool not behind the object, seen along the way that the object should go.
+        gamma_0: Cosine above which the tool counts as behind the object.
+        align_ahead: Steps along the reference at which "where the object should go" is read.
+        align_fade: Closer to its target than this the direction loses its meaning, and the term its weight; 0 turns
+            that off [m].
+        w_tilt: Tilt of the tool [1/rad].
+        w_height: Squared distance of the tip from ``height`` above the table [1/m^2].
+        height: [m].
+        w_clearance: Squared lack of room below ``clearance`` between arm and obstacles or table (phi_3) [1/m^2].
+        clearance: [m].
+        w_above: Each step with the tip above the object.
+        w_reach: Squared distance of the object's centre beyond ``reach`` from the base's axis [1/m^2].
+        reach: Smallest and largest distance [m].
+        w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2].
+        w_control: Squared joint velocity [s^2/rad^2].
+    """
+
+    w_d: float = 5.0
+    w_theta: float = 0.03
+    w_f: float = 0.05
+    f_0: float = 0.5
+    w_reference: float = 200.0
+    w_ee: float = 5.0
+    r_0: float = 0.12
+    w_align: float = 2.0
+    gamma_0: float = 0.7
+    align_ahead: int = 10
+    align_fade: float = 0.02
+    w_tilt: float = 3.0
+
+    w_height: float = 1000.0
+    height: float = 0.012
+    w_clearance: float = 1e4
+    clearance: float = 0.01
+    w_above: float = 20.0
+    w_reach: float = 2000.0
+    reach: tuple[float, float] = (0.32, 0.60)
+    w_press: float = 1e4
+    w_control: float = 0.0
+
+
+@dataclass(frozen=True)
+class SoiReference:
+    """How SOI follows its plan by progress; not in the paper, which reads it by time.
+
+    Attributes:
+        look_back, look_ahead: Steps of the plan before and after the present progress in which the point nearest to
+            the object is sought.
+        return_steps: Steps within which the reference leads an object that is a little off the plan back onto it; 0
+            asks for the plan at once.
+        off_plan: Distance from the plan [m] beyond which the reference is the shortest free way to the rest of the
+            plan, read from a cost-to-go that is made once, with the plan; 0 turns that off.
+    """
+
+    look_back: int = 20
+    look_ahead: int = 40
+    return_steps: int = 20
+    off_plan: float = 0.04
+
+
+@dataclass(frozen=True)
+class EpisodeConfig:
+    """The closed loop.
+
+    Attributes:
+        max_sim_seconds: Time limit [s].
+        hold_seconds: How long the object must stay within tolerance [s].
+        tight: Go on until the tight tolerance is held too (or the time is up). Success is having held the tolerance,
+            and both are reported in any case.
+    """
+
+    max_sim_seconds: float = 40.0
+    hold_seconds: float = 0.5
+    tight: bool = True
+
+
+@dataclass(frozen=True)
+class Config:
+    """All settings.
+
+    Attributes:
+        preset: Name of the preset that it began as.
+        control_period: [s].
+        reference: How the robot level reads the object plan: by the time since it was made (the paper) or by progress
+            (from the point of the plan nearest to the object).
+        soi: How SOI follows its plan.
+        robot, object: The two levels.
+        cost: Weights of the robot level.
+        object_cost: Weights of the object level.
+        episode: The closed loop.
+    """
+
+    preset: str = "best"
+    control_period: float = 0.05
+    reference: Literal["time", "progress"] = "progress"
+    soi: SoiReference = field(default_factory=SoiReference)
+    robot: RobotLevel = field(default_factory=RobotLevel)
+    object: ObjectLevel = field(default_factory=ObjectLevel)
+    cost: RobotCost = field(default_factory=RobotCost)
+    object_cost: ObjectCost = field(default_factory=ObjectCost)
+    episode: EpisodeConfig = field(default_factory=EpisodeConfig)
+
+
+def best(method: Method = "cloi") -> Config:
+    """The preset ``best``: the best settings that we found for a method (`docs/design.md` has the ablation)."""
+    base = Config()
+    if method == "mppi":  # nothing to track but the goal
+        return replace(base, cost=replace(base.cost, w_d=30.0, w_reference=0.0))
+    if method == "soi":
+        return replace(base, object=replace(base.object, mppi=replace(base.object.mppi, horizon=90)))
+    return base
+
+
+def paper(method: Method = "cloi") -> Config:
+    """The preset ``paper``: Algorithms 1-3 and equations 10-18 as printed, with the paper's K and horizons.
+
+    The paper prints K, both horizons, white noise in joint space, one update a step and a reference read by time. Where
+    it gives no figure, those of the baseline are taken that its authors built on (tud-airlab/mppi-isaac) and of their
+    own scenes for it: control period 0.05 s, joint velocities within 0.2 rad/s, noise variance 0.1, a temperature that
+    keeps 5 to 10 effective samples, weights 100 and 8 for the goal's position and yaw, 5 for the tool's distance, 45
+    for align, 20 for the tip's height. The coupling cost l_c is printed without a weight; it shares the goal's, whose
+    d^2 it has. Nowhere given, hence ours: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise. The terms that stand
+    for the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_clearance``) stay; our other additions are off.
+    """
+    samples = 1200
+    horizon = {"mppi": 25, "soi": 25, "cloi": 15}[method]
+    object_horizon = {"mppi": 60, "soi": 90, "cloi": 60}[method]
+    mppi = Mppi(
+        samples=samples,
+        horizon=horizon,
+        effective_samples=(5 / samples, 10 / samples),
+        knots=0,
+        special_samples=False,
+    )
+    return Config(
+        preset="paper",
+        reference="time",
+        robot=RobotLevel(mppi=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
+        object=ObjectLevel(mppi=replace(mppi, horizon=object_horizon), noise_range=0.0),
+        cost=RobotCost(
+            w_d=100.0,
+            w_theta=0.08,
+            w_reference=100.0,
+            w_align=45.0,
+            align_ahead=0,
+            align_fade=0.0,
+            w_height=20.0,
+            w_above=0.0,
+            w_reach=0.0,
+        ),
+        object_cost=ObjectCost(w_d=100.0, w_theta=0.08, w_to_go=0.0, w_margin=0.0, w_reach=0.0),
+    )
+
+
+PRESETS = {"best": best, "paper": paper}
+
+
+def options(config: Any) -> dict[str, Any]:
+    """Every setting by its dotted name, e.g. ``{"control_period": 0.05, "robot.mppi.samples": 1200, ...}``."""
+    found: dict[str, Any] = {}
+    for item in fields(config):
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            found |= {f"{item.name}.{name}": inner for name, inner in options(value).items()}
+        elif item.name != "preset":
+            found[item.name] = value
+    return found
+
+
+def set_option(config: T, assignment: str) -> T:
+    """A copy of ``config`` with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.mppi.samples=512"``.
+
+    Tuples are written with commas, ``"cost.reach=0.2,0.6"``. The value is checked on its own; :func:`validate` checks
+    the settings against each other, once all are set.
+
+    Raises:
+        ConfigError: The name is unknown (the message suggests the nearest) or the value has another type or is out of
+            bounds.
+    """
+    name, equals, text = (part.strip() for part in assignment.partition("="))
+    if not equals:
+        raise ConfigError(f"--set {assignment!r}: no value\n  allowed: NAME=VALUE, e.g. cost.w_align=2")
+    known = options(config)
+    if name not in known:
+        raise ConfigError(_unknown(name, list(known)))
+    return _replaced(config, name.split("."), text, name)
+
+
+def validate(config: Config) -> Config:
+    """``config`` itself, if a planner can be made from it.
+
+    Raises:
+        ConfigError: A value is out of bounds, or two of them contradict each other.
+    """
+    known = options(config)
+    for name, value in known.items():
+        _check_bounds(name, value)
+    for level in ("robot", "object"):
+        knots, horizon = known[f"{level}.mppi.knots"], known[f"{level}.mppi.horizon"]
+        if knots == 1 or knots > horizon:
+            raise ConfigError(
+                f"{level}.mppi.knots = {knots}: no such spline over a horizon of {horizon} steps\n"
+                f"  allowed: 0 (noise drawn for every step) or 2 to {horizon}"
+            )
+    for name in ("robot.mppi.effective_samples", "object.mppi.effective_samples", "cost.reach"):
+        low, high = known[name]
+        if low > high:
+            raise ConfigError(f"{name} = {low:g},{high:g}: the lower bound is above the upper one")
+    return config
+
+
+_BOUNDS: dict[str, tuple[float, float]] = {
+    "samples": (2, 1_000_000),
+    "horizon": (1, 10_000),
+    "iterations": (1, 1_000),
+    "contact_steps": (1, 1_000),
+    "plan_steps": (1, 100_000),
+    "temperature": (1e-6, math.inf),
+    "effective_samples": (0, 1),
+    "control_period": (0.001, 1.0),
+    "joint_velocity_limit": (1e-3, math.inf),
+    "speed_limit": (1e-3, math.inf),
+    "max_sim_seconds": (0.001, math.inf),
+    "gamma_0": (-1, 1),
+}
+"""Smallest and largest value by the name of the field; everything else is finite and not negative."""
+
+
+def _check_bounds(name: str, value: Any) -> None:
+    """Raise ConfigError for a number outside its bounds; text passes."""
+    low, high = _BOUNDS.get(name.rpartition(".")[2], (0, math.inf))
+    numbers = value if isinstance(value, tuple) else (value,)
+    for number in numbers:
+        if isinstance(number, float | int) and not (low <= number <= high and math.isfinite(number)):
+            to = f"to {high:g}" if math.isfinite(high) else "or more (finite)"
+            raise ConfigError(f"{name} = {number:g} cannot be used\n  allowed: {low:g} {to}")
+
+
+def _unknown(name: str, known: list[str]) -> str:
+    """What to say about a setting that does not exist: the nearest names, by the whole and by the last part."""
+    leaf = name.rpartition(".")[2]
+    same_leaf = [other for other in known if other.rpartition(".")[2] == leaf]
+    near_leaf = difflib.get_close_matches(leaf, {other.rpartition(".")[2] for other in known}, n=1)
+    near = same_leaf or difflib.get_close_matches(name, known, n=3, cutoff=0.75)
+    near = near or [other for other in known if other.rpartition(".")[2] in near_leaf]
+    hint = f"did you mean {' or '.join(near)}?" if near else f"one of {', '.join(known)}"
+    return f"--set {name}: no such setting\n  to do:   {hint}"
+
+
+def _replaced(config: Any, path: list[str], text: str, name: str) -> Any:
+    """``config`` with the field at ``path`` parsed from ``text``."""
+    head, *rest = path
+    if rest:
+        value = _replaced(getattr(config, head), rest, text, name)
+    else:
+        kind = get_type_hints(type(config))[head]
+        try:
+            value = _parsed(kind, text)
+        except ValueError:
+            raise ConfigError(f"--set {name}={text}: not a value for it\n  allowed: {_described(kind)}") from None
+        _check_bounds(name, value)
+    return replace(config, **{head: value})
+
+
+def _parsed(kind: Any, text: str) -> Any:
+    """``text`` as a value of the type ``kind``; ValueError if it is none."""
+    if get_origin(kind) is Literal:
+        if text not in get_args(kind):
+            raise ValueError(text)
+        return text
+    if get_origin(kind) is tuple:
+        parts = text.strip("()[] ").split(",")
+        return tuple(_parsed(part_kind, part.strip()) for part_kind, part in zip(get_args(kind), parts, strict=True))
+    if kind is bool:
+        if text.lower() not in _TRUTH:
+            raise ValueError(text)
+        return _TRUTH[text.lower()]
+    return kind(text)
+
+
+_TRUTH = {"true": True, "1": True, "false": False, "0": False}
+
+
+def _described(kind: Any) -> str:
+    """The type ``kind`` in words."""
+    if get_origin(kind) is Literal:
+        return " or ".join(get_args(kind))
+    if get_origin(kind) is tuple:
+        return f"{len(get_args(kind))} numbers with commas between them"
+    return {bool: "true or false", int: "a whole number", float: "a number"}[kind]

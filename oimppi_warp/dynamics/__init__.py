@@ -1,0 +1,1 @@
+"""Rollout engines: one state and K control sequences in, K costs out."""

@@ -1,0 +1,143 @@
+"""The closed loop: a planner and a plant that share observations and commands, and the record of what happened."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+
+import numpy as np
+
+from oimppi_warp.clearance import to_center
+from oimppi_warp.config import Config, Method
+from oimppi_warp.footprint import wrap_angle
+from oimppi_warp.kinematics import tip_frame
+from oimppi_warp.log import EpisodeLog, to_json, versions
+from oimppi_warp.planner import Planner, make_planner
+from oimppi_warp.plant import Observation, SimulatedPlant
+from oimppi_warp.scene import Scene, Tolerance
+from oimppi_warp.world import World
+
+_REFERENCE_EVERY = 10
+"""CLOI's object plans are logged every so many steps."""
+
+
+class Episode:
+    """One task, from start to success or time limit, in simulation.
+
+    Args:
+        scene: The task, with the start and the goal to use.
+        config: All settings.
+        method, engine, device, seed: As for :func:`oimppi_warp.planner.make_planner`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        config: Config,
+        *,
+        method: Method = "cloi",
+        engine: str = "quasistatic",
+        device: str = "auto",
+        seed: int = 0,
+    ) -> None:
+        self.scene = scene
+        self.config = config
+        self.planner: Planner = make_planner(scene, config, method=method, engine=engine, device=device, seed=seed)
+        self.planner.warm_up()
+        self.plant = SimulatedPlant(World(scene), start=scene.start, control_period=config.control_period)
+        self.log = EpisodeLog(
+            {
+                "scene": scene.name,
+                "file": str(scene.file),
+                "method": method,
+                "engine": engine,
+                "device": self.planner.device,
+                "preset": config.preset,
+                "seed": seed,
+                "config": to_json(asdict(config)),
+                "start": list(scene.start),
+                "goal": list(scene.goal),
+                "tolerance": to_json(scene.tolerance),
+                "tight_tolerance": to_json(scene.tight_tolerance),
+                "hold_seconds": config.episode.hold_seconds,
+                "control_period": config.control_period,
+                "cost_terms": list(self.planner.dynamics.terms),
+                "preplan_time_s": 0.0,
+                "ended": "interrupted",
+                "versions": versions(),
+            }
+        )
+
+    def run(self, on_step: Callable[[EpisodeLog], None] | None = None) -> EpisodeLog:
+        """Runs until the object has stayed within tolerance for the hold time, or the time is up.
+
+        Ctrl-C ends the episode early; the log is complete all the same.
+
+        Args:
+            on_step: Called after every control step with the log so far.
+        """
+        settings = self.config.episode
+        wanted = self.scene.tight_tolerance if settings.tight else self.scene.tolerance
+        held = 0.0
+        try:
+            observation = self.plant.observe()
+            self.log.header["preplan_time_s"] = self.planner.start(observation)
+            for _ in range(round(settings.max_sim_seconds / self.config.control_period)):
+                observation, arrived = self._step(observation, wanted)
+                if on_step is not None:
+                    on_step(self.log)
+                held = held + self.config.control_period if arrived else 0.0
+                if held >= settings.hold_seconds - 1e-9:
+                    self.log.header["ended"] = "success"
+                    break
+            else:
+                self.log.header["ended"] = "time limit"
+            self.plant.apply(np.zeros(self.scene.robot.dof))
+        except KeyboardInterrupt:
+            self.log.header["ended"] = "interrupted"
+        return self.log
+
+    def _step(self, observation: Observation, wanted: Tolerance) -> tuple[Observation, bool]:
+        """One control step: plan, apply, observe, log; returns whether the object is within tolerance."""
+        began = time.perf_counter()
+        plan = self.planner.plan(observation)
+        plan_seconds = time.perf_counter() - began
+        step = len(self.log)
+        if (self.planner.method == "cloi" and step % _REFERENCE_EVERY == 0) or (
+            self.planner.method == "soi" and step == 0
+        ):
+            self.log.add_reference(plan.reference)
+
+        self.plant.apply(plan.command)
+        after = self.plant.observe()
+        position_error, yaw_error = pose_error(after.object_pose, np.array(self.scene.goal))
+        contacts = self.plant.contacts
+        geometry = self.planner.geometry
+        self.log.append(
+            time=after.time,
+            joint_position=after.joint_position,
+            joint_velocity=after.joint_velocity,
+            command=plan.command,
+            tool_position=tip_frame(self.scene.robot, after.joint_position)[1],
+            object_pose=after.object_pose,
+            position_error=position_error,
+            yaw_error=yaw_error,
+            clearance=geometry.clearance_at(to_center(geometry.surface, after.object_pose)),
+            contact_tool_object=contacts.tool_object,
+            contact_object_obstacle=contacts.object_obstacle,
+            contact_robot_obstacle=contacts.robot_obstacle,
+            plan_ms=1e3 * plan_seconds,
+            object_plan_ms=1e3 * plan.object_seconds if plan.object_update else np.nan,
+            effective_samples=plan.update.effective_samples,
+            object_effective_samples=plan.object_update.effective_samples if plan.object_update else np.nan,
+            min_cost=plan.update.min_cost,
+            cost_terms=plan.terms,
+            lost_samples=plan.update.lost,
+        )
+        return after, position_error <= wanted.position and yaw_error <= wanted.yaw
+
+
+def pose_error(pose: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
+    """Distance [m] and absolute yaw error [rad] of two planar poses."""
+    return float(np.hypot(*(pose[:2] - goal[:2]))), float(abs(wrap_angle(pose[2] - goal[2])))

@@ -1,0 +1,202 @@
+"""Whether a task can be done at all: nothing overlaps at its start and its goal, and the arm reaches both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+
+import numpy as np
+import shapely
+from shapely import affinity
+
+from oimppi_warp.errors import SceneError
+from oimppi_warp.footprint import footprint, height_range, outline
+from oimppi_warp.kinematics import tip_frame, tip_jacobian
+from oimppi_warp.scene import Collider, PlanarPose, Robot, Scene
+
+CLEAR = 0.045
+"""Room that a drawn start leaves around the object [m]."""
+
+DRAWS = 2000
+"""Starts that are drawn before it is given up."""
+
+
+def check_task(scene: Scene) -> None:
+    """Check that the object can stand at the scene's start and goal, and that the arm reaches them.
+
+    Raises:
+        SceneError: At its start or goal the object is off the table, in an obstacle, in the robot's base or out of the
+            arm's reach; or the tool starts inside something.
+    """
+    for name, pose in (("start", scene.start), ("goal", scene.goal)):
+        shape = object_outline(scene, pose)
+        place = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
+        prim = scene.object.path if name == "start" else ""
+        if not np.isfinite(pose).all():
+            raise SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed="x [m], y [m], yaw [rad]")
+        if not shapely.covers(_table(scene), shape):
+            (x0, y0), (x1, y1) = scene.table.lower, scene.table.upper
+            raise SceneError(
+                f"{place} is not wholly on the table",
+                file=scene.file,
+                prim=prim,
+                allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
+                fix=_move(name),
+            )
+        for what, path, other in _surroundings(scene):
+            if shapely.area(shapely.intersection(shape, other)) > 1e-8:
+                raise SceneError(
+                    f"{place} is inside {what} <{path}>",
+                    file=scene.file,
+                    prim=prim,
+                    allowed="anywhere that the object overlaps nothing",
+                    fix=_move(name),
+                )
+        reach, away = reach_of(scene.robot), _distance_to_base(scene, pose)
+        if away > reach:
+            raise SceneError(
+                f"{place} is out of reach: the object's centre would be {away:.2f} m from the arm's base",
+                file=scene.file,
+                prim=prim,
+                allowed=f"up to {reach:.2f} m, as far as the tool reaches when it points down",
+                fix=_move(name),
+            )
+    _check_tool(scene)
+
+
+def draw_start(scene: Scene, seed: int) -> PlanarPose:
+    """A start drawn from the scene's spread around its start; the same for the same seed.
+
+    It leaves :data:`CLEAR` around the object, and the arm reaches behind all of it.
+
+    Args:
+        scene: The task.
+        seed: Any number from zero.
+
+    Raises:
+        SceneError: No such start was found.
+    """
+    position, yaw = scene.spread
+    if position == 0.0 and yaw == 0.0:
+        return scene.start
+    random = np.random.default_rng(seed)
+    reach = reach_of(scene.robot) - 2.0 * scene.robot.tool_radius
+    around = [other for _, _, other in _surroundings(scene)]
+    tool = _tool(scene)
+    if tool is not None:
+        around.append(tool)
+    for _ in range(DRAWS):
+        x, y, angle = np.asarray(scene.start) + random.uniform(-1.0, 1.0, 3) * (position, position, yaw)
+        pose = (round(float(x), 4), round(float(y), 4), round(float(angle), 4))
+        shape = object_outline(scene, pose)
+        far = shapely.hausdorff_distance(shapely.Point(0.0, 0.0), shape)
+        free = all(shapely.distance(shape, other) >= CLEAR for other in around)
+        if free and far <= reach and shapely.covers(_table(scene), shape):
+            return pose
+    raise SceneError(
+        f"none of {DRAWS} starts drawn around ({scene.start[0]:.3g}, {scene.start[1]:.3g}) is free and within reach",
+        file=scene.file,
+        allowed=f"{CLEAR:g} m of room around the object, and all of it within {reach:.2f} m of the arm's base",
+        fix="give a start, or make oimppi:spread smaller",
+    )
+
+
+def object_outline(scene: Scene, pose: PlanarPose) -> shapely.Geometry:
+    """What the object covers of the table at a pose."""
+    shape = affinity.rotate(outline(footprint(scene.object.colliders)), pose[2], origin=(0.0, 0.0), use_radians=True)
+    return affinity.translate(shape, pose[0], pose[1])
+
+
+@lru_cache(maxsize=8)
+def reach_of(robot: Robot) -> float:
+    """How far from the base's axis the tip gets at table height with the tool pointing down [m].
+
+    From its start configuration the tip is led to the table and outwards, until no joint positions within the limits
+    are found any more.
+    """
+    joints = _solve(robot, robot.start, float(np.linalg.norm(tip_frame(robot, robot.start)[1][:2])))
+    step, reach = 0.05, 0.0 if joints is None else float(np.linalg.norm(tip_frame(robot, joints)[1][:2]))
+    while step > 5e-4 and joints is not None:
+        further = _solve(robot, joints, reach + step)
+        if further is None:
+            step /= 2.0
+        else:
+            joints, reach = further, reach + step
+    return reach
+
+
+def _solve(robot: Robot, joints: np.ndarray, radius: float) -> np.ndarray | None:
+    """Joint positions with the tip at a radius [m] on the table and the tool pointing down: damped Gauss-Newton."""
+    lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
+    q = np.array(joints, dtype=float)
+    for _ in range(60):
+        rotation, tip = tip_frame(robot, q)
+        axis, outwards = rotation[:, 2], np.array([tip[0], tip[1], 0.0]) / max(np.hypot(tip[0], tip[1]), 1e-9)
+        error = np.array([outwards @ tip - radius, tip[2], axis[0], axis[1]])
+        if np.abs(error).max() < 1e-5 and axis[2] < 0.0:
+            return q
+        linear, angular = np.split(tip_jacobian(robot, q), 2)
+        turning = np.cross(angular.T, axis).T
+        jacobian = np.vstack([outwards @ linear, linear[2], turning[:2]])
+        q = q - jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-6 * np.eye(4), error)
+        q = np.clip(q, lower, upper)
+    return None
+
+
+def _table(scene: Scene) -> shapely.Geometry:
+    return shapely.box(*scene.table.lower, *scene.table.upper)
+
+
+def _move(name: str) -> str:
+    return "move the object in the file, or give another start" if name == "start" else "change oimppi:goal"
+
+
+def _distance_to_base(scene: Scene, pose: PlanarPose) -> float:
+    (x, y), (c, s) = scene.object.center_of_mass[:2], (np.cos(pose[2]), np.sin(pose[2]))
+    return float(np.hypot(pose[0] + c * x - s * y, pose[1] + s * x + c * y))
+
+
+def _surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
+    """What the object could run into: a word for it, its prim, and what it covers at the object's height."""
+    low, high = (scene.object.rest_height + z for z in height_range(scene.object.colliders))
+
+    def covered(colliders: Iterable[Collider]) -> shapely.Geometry:
+        return outline(footprint(colliders, lower=low + 1e-3, upper=high))
+
+    yield "the robot's base", scene.robot.base.path, covered(scene.robot.base.colliders)
+    for obstacle in scene.obstacles:
+        yield "the obstacle", obstacle.path, covered(obstacle.colliders)
+
+
+def _tool(scene: Scene) -> shapely.Geometry | None:
+    """What the tool covers at the start of an episode; ``None`` when it is above the object."""
+    tip = tip_frame(scene.robot, scene.robot.start)[1]
+    if tip[2] > scene.object.rest_height + height_range(scene.object.colliders)[1]:
+        return None
+    return shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
+
+
+def _check_tool(scene: Scene) -> None:
+    tip = tip_frame(scene.robot, scene.robot.start)[1]
+    disc = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
+    things = [("the object", scene.object.path, object_outline(scene, scene.start))] if _tool(scene) is not None else []
+    for obstacle in scene.obstacles:
+        if height_range(obstacle.colliders)[1] > tip[2]:
+            things.append(("the obstacle", obstacle.path, outline(footprint(obstacle.colliders, lower=tip[2]))))
+    for what, path, shape in things:
+        if disc.intersects(shape):
+            raise SceneError(
+                f"the tool starts inside {what} <{path}>, with its tip at {np.round(tip, 3).tolist()}",
+                file=scene.file,
+                prim=scene.robot.path,
+                allowed="a start of the arm in which the tool touches nothing",
+                fix="change oimppi:startJoints, or start the object elsewhere",
+            )
+    if tip[2] < 0.0:
+        raise SceneError(
+            f"the tool starts {-tip[2]:.3f} m below the table",
+            file=scene.file,
+            prim=scene.robot.path,
+            allowed="a tip above z = 0",
+            fix="change oimppi:startJoints",
+        )

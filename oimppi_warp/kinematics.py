@@ -1,0 +1,88 @@
+"""The arm on the host: forward kinematics and Jacobian in float64, and its packing for the kernels."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.footprint import core_points, rotation_matrix
+from oimppi_warp.kernels.kinematics import Arm
+from oimppi_warp.scene import Collider, Robot
+
+SPHERE_SPACING = 0.03
+"""Smallest spacing of the spheres that stand for a link [m]."""
+
+
+def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of all links.
+
+    Args:
+        robot: The arm.
+        joints: Joint positions, shape [dof] [rad].
+
+    Returns:
+        Rotations [dof, 3, 3] and positions [dof, 3] in the world frame [m].
+    """
+    rotations, positions = [], []
+    r, p = np.eye(3), np.zeros(3)
+    for joint, angle in zip(robot.joints, joints, strict=True):
+        p = p + r @ joint.parent_transform[:3]
+        c, s = np.cos(angle), np.sin(angle)
+        r = r @ rotation_matrix(joint.parent_transform[3:]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        rotations.append(r)
+        positions.append(p)
+    return np.array(rotations), np.array(positions)
+
+
+def tip_frame(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation [3, 3] and position [3] of the tool's tip in the world frame [m]."""
+    rotations, positions = link_frames(robot, joints)
+    return rotations[-1] @ rotation_matrix(robot.tip[3:]), positions[-1] + rotations[-1] @ robot.tip[:3]
+
+
+def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
+    """Jacobian of the tip's velocity (linear, angular; world frame) by the joint velocities, shape [6, dof]."""
+    rotations, positions = link_frames(robot, joints)
+    tip = positions[-1] + rotations[-1] @ robot.tip[:3]
+    axes = rotations[:, :, 2]
+    return np.concatenate([np.cross(axes, tip - positions), axes], axis=1).T
+
+
+def collider_spheres(collider: Collider) -> np.ndarray:
+    """Spheres [n, 4] (centre, radius) that cover a long shape along its longest axis, in its body's frame [m]."""
+    points, radius = core_points(collider)
+    middle = points.mean(axis=0)
+    _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
+    along = (points - middle) @ axes[0]
+    across = np.linalg.norm(points - middle - np.outer(along, axes[0]), axis=1)
+    radius = radius + float(across.max())
+    ends = (along.min(), along.max()) if collider.kind == "capsule" else (along.min() + radius, along.max() - radius)
+    if ends[1] <= ends[0]:
+        return np.array([[*middle, max(radius, float(np.abs(along).max()))]])
+    count = int(np.ceil((ends[1] - ends[0]) / max(radius, SPHERE_SPACING))) + 1
+    centers = middle + np.outer(np.linspace(*ends, count), axes[0])
+    return np.column_stack([centers, np.full(count, radius)])
+
+
+def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
+    """The arm as the kernels read it.
+
+    Args:
+        robot: The arm.
+        speed: Joint velocity limits to plan with, shape [dof] [rad/s].
+        device: Warp device.
+    """
+    spheres = [np.concatenate([np.zeros((0, 4)), *map(collider_spheres, link.colliders)]) for link in robot.links]
+    arm = Arm()
+    rotations = np.array([rotation_matrix(joint.parent_transform[3:]) for joint in robot.joints])
+    arm.rotation = wp.array(rotations, dtype=wp.mat33, device=device)
+    positions = np.array([joint.parent_transform[:3] for joint in robot.joints])
+    arm.position = wp.array(positions, dtype=wp.vec3, device=device)
+    arm.lower = wp.array([joint.lower for joint in robot.joints], dtype=float, device=device)
+    arm.upper = wp.array([joint.upper for joint in robot.joints], dtype=float, device=device)
+    arm.speed = wp.array(np.asarray(speed, dtype=np.float32), dtype=float, device=device)
+    arm.tip_position = wp.vec3(*robot.tip[:3])
+    arm.tip_rotation = wp.mat33(*rotation_matrix(robot.tip[3:]).ravel())
+    arm.sphere = wp.array(np.concatenate(spheres), dtype=wp.vec4, device=device)
+    arm.first_sphere = wp.array(np.cumsum([0, *map(len, spheres)]), dtype=int, device=device)
+    return arm

@@ -1,0 +1,192 @@
+"""What is moved: the seam between a planner and an arm, and the simulated arm behind it.
+
+A planner and a plant share observations and joint velocities, nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import dataclass
+from itertools import product
+from typing import Protocol
+
+import numpy as np
+
+from oimppi_warp.scene import PlanarPose
+from oimppi_warp.world import ROLES, World, planar_pose, planar_transform
+
+UPRIGHT = math.cos(0.35)
+"""Upward part of the object's own z axis below which it counts as tipped."""
+
+_TOUCHES = (
+    (("tool",), ("object",)),
+    (("object",), ("obstacle", "base")),
+    (("arm", "tool"), ("obstacle", "table")),
+    (("object",), ("table",)),
+)
+"""The pairs of roles that each field of :class:`Contacts` counts, in its order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a plant knows of itself at one instant.
+
+    Attributes:
+        time: Since the start of the episode [s].
+        joint_position: Shape [dof] [rad].
+        joint_velocity: Shape [dof] [rad/s].
+        object_pose: The object from above: (x [m], y [m], yaw [rad]), shape [3].
+        object_transform: The object's pose (position, quaternion xyzw), shape [7].
+    """
+
+    time: float
+    joint_position: np.ndarray
+    joint_velocity: np.ndarray
+    object_pose: np.ndarray
+    object_transform: np.ndarray
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Largest normal forces within the last control step, each summed over the points of contact [N].
+
+    Attributes:
+        tool_object: Tool on object.
+        object_obstacle: Object on obstacles and on the robot's base.
+        robot_obstacle: Arm and tool on obstacles and table.
+        object_table: Object on table; its weight, when nothing else touches it.
+    """
+
+    tool_object: float
+    object_obstacle: float
+    robot_obstacle: float
+    object_table: float
+
+
+class Plant(Protocol):
+    """Something with an arm that takes joint velocities.
+
+    Attributes:
+        control_period: Time that one command lasts [s].
+    """
+
+    control_period: float
+
+    def observe(self) -> Observation:
+        """The present state."""
+        ...
+
+    def apply(self, joint_velocity: np.ndarray) -> None:
+        """Move with joint velocities [rad/s], shape [dof], for one control period."""
+        ...
+
+
+class SimulatedPlant:
+    """The scene in MuJoCo's C engine: rigid bodies, friction, a velocity drive at each joint, gravity compensated.
+
+    A flat object slides as it should only under some settings, and ``tests/test_plant.py`` measures it: the object on
+    a free joint, implicit integration, elliptic friction cones, contacts that set in softly, steps of 2.5 ms.
+
+    Args:
+        world: The scene; many plants can share it.
+        start: Where the object starts; default: the scene's start.
+        control_period: [s].
+        substeps: Steps of the physics in one control period.
+
+    Attributes:
+        model, data: MuJoCo's own, for tests and pictures; :attr:`World.mujoco` says where everything is in them.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        start: PlanarPose | None = None,
+        control_period: float = 0.05,
+        substeps: int = 20,
+    ) -> None:
+        import mujoco
+
+        self.control_period = control_period
+        self._mj_step = mujoco.mj_step
+        self._fatal = tuple(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}") for name in ("QPOS", "QVEL", "QACC"))
+        self._map = world.mujoco
+        self.model = copy(self._map.model)
+        self.model.opt.timestep = control_period / substeps
+        self.data = mujoco.MjData(self.model)
+        self._bursts = [int(burst) for burst in np.diff(np.linspace(0, substeps, 5).astype(int)) if burst > 0]
+        self._touch = _touch_table()
+        self._contacts = Contacts(0.0, 0.0, 0.0, 0.0)
+        joints = world.scene.robot.joints
+        self._limits = np.array([(joint.lower, joint.upper, joint.velocity_limit) for joint in joints]).T
+
+        transform = planar_transform(world.scene.start if start is None else start, world.scene.object.rest_height)
+        self.data.qpos[self._map.joint_qpos] = world.scene.robot.start
+        self.data.qpos[self._map.object_qpos] = transform[[0, 1, 2, 6, 3, 4, 5]]
+        mujoco.mj_forward(self.model, self.data)
+
+    def observe(self) -> Observation:
+        """The present state, exactly."""
+        qpos, qvel = self.data.qpos, self.data.qvel
+        transform = qpos[self._map.object_qpos][[0, 1, 2, 4, 5, 6, 3]]
+        return Observation(
+            time=float(self.data.time),
+            joint_position=qpos[self._map.joint_qpos],
+            joint_velocity=qvel[self._map.joint_qvel],
+            object_pose=planar_pose(transform),
+            object_transform=transform,
+        )
+
+    def apply(self, joint_velocity: np.ndarray) -> None:
+        """Drive the joints for one control period, no faster than they may and no further than their limits.
+
+        Args:
+            joint_velocity: Shape [dof] [rad/s].
+
+        Raises:
+            ValueError: The command is not finite.
+            FloatingPointError: The simulation diverged.
+        """
+        command = np.asarray(joint_velocity, dtype=float)
+        if not np.isfinite(command).all():
+            raise ValueError(f"a joint velocity must be finite, got {command}")
+        lower, upper, speed = self._limits
+        position = self.data.qpos[self._map.joint_qpos]
+        command = np.clip(command, (lower - position) / self.control_period, (upper - position) / self.control_period)
+        self.data.ctrl[self._map.joint_drive] = np.clip(command, -speed, speed)
+        forces = np.zeros(len(_TOUCHES))
+        for burst in self._bursts:
+            self._mj_step(self.model, self.data, burst)
+            forces = np.maximum(forces, self._normal_forces())
+        if any(self.data.warning[warning].number for warning in self._fatal):
+            raise FloatingPointError(f"the simulation diverged before {self.data.time:.3f} s")
+        self._contacts = Contacts(*forces.tolist())
+
+    @property
+    def contacts(self) -> Contacts:
+        """Contact forces within the last control step, read four times."""
+        return self._contacts
+
+    @property
+    def tipped(self) -> bool:
+        """Whether the object no longer lies flat."""
+        _, x, y, _ = self.data.qpos[self._map.object_qpos[3:]]
+        return bool(1 - 2 * (x * x + y * y) < UPRIGHT)
+
+    def _normal_forces(self) -> np.ndarray:
+        """Sum of the normal forces of each pair in :data:`_TOUCHES`, shape [pair] [N]."""
+        contact = self.data.contact
+        active = contact.efc_address >= 0
+        pair = self._touch[tuple(self._map.roles[contact.geom[active]].T)]
+        normal = self.data.efc_force[contact.efc_address[active]]
+        return np.bincount(pair, weights=normal, minlength=len(_TOUCHES) + 1)[:-1]
+
+
+def _touch_table() -> np.ndarray:
+    """Which entry of :data:`_TOUCHES` a pair of roles belongs to, or one past the last; shape [role, role]."""
+    table = np.full((len(ROLES), len(ROLES)), len(_TOUCHES))
+    for index, (some, others) in enumerate(_TOUCHES):
+        for a, b in product(some, others):
+            table[ROLES.index(a), ROLES.index(b)] = table[ROLES.index(b), ROLES.index(a)] = index
+    return table

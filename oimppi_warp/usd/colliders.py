@@ -1,0 +1,127 @@
+"""Collision shapes of USD as :class:`oimppi_warp.scene.Collider`, and what they weigh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from pxr import Gf, Usd, UsdGeom, UsdPhysics
+
+from oimppi_warp.scene import Collider
+from oimppi_warp.usd.stage import SceneStage, scales, transform
+
+ALLOWED = "Cube, Sphere, Cylinder, Capsule, or Mesh with physics:approximation = convexHull"
+
+_TO_Z = {
+    UsdGeom.Tokens.x: Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0, 1, 0), 90.0)),
+    UsdGeom.Tokens.y: Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), -90.0)),
+    UsdGeom.Tokens.z: Gf.Matrix4d(1.0),
+}
+
+
+def collider_prims(root: Usd.Prim) -> Iterator[Usd.Prim]:
+    """Prims below ``root`` that collide; bodies nested in it are left out."""
+    prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    for prim in prims:
+        if prim != root and prim.HasAPI(UsdPhysics.RigidBodyAPI):
+            prims.PruneChildren()
+        elif prim.HasAPI(UsdPhysics.CollisionAPI) and UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get():
+            yield prim
+
+
+def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tuple[Collider, ...]:
+    """Collision shapes below ``root``.
+
+    Args:
+        scene: The stage.
+        root: A body, or an obstacle.
+        body: Frame that the shapes are given in.
+    """
+    return tuple(_read(scene, prim, scene.frame(prim) * body.GetInverse()) for prim in collider_prims(root))
+
+
+def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
+    path, scale = str(prim.GetPath()), scales(frame)
+    if scale.min() < 1e-9 or frame.GetDeterminant() <= 0.0:
+        raise scene.error("a shape with a scale that is zero or negative", prim, allowed="a positive scale")
+    if not _orthogonal(frame):
+        raise scene.error("a sheared shape", prim, allowed="turned, moved and scaled along its own axes")
+
+    if prim.IsA(UsdGeom.Cube):
+        side = _positive(scene, prim, "size")
+        return Collider(path, "box", transform(frame), tuple(float(s) * side / 2 for s in scale))
+    if prim.IsA(UsdGeom.Sphere):
+        factor = _uniform(scene, prim, scale)
+        return Collider(path, "sphere", transform(frame), (_positive(scene, prim, "radius") * factor,))
+    if prim.IsA(UsdGeom.Cylinder) or prim.IsA(UsdGeom.Capsule):
+        kind = "cylinder" if prim.IsA(UsdGeom.Cylinder) else "capsule"
+        frame = _TO_Z[prim.GetAttribute("axis").Get()] * frame
+        x, y, z = scales(frame)
+        across = _uniform(scene, prim, np.array([x, y, z] if kind == "capsule" else [x, y]))
+        radius, height = _positive(scene, prim, "radius"), _positive(scene, prim, "height")
+        return Collider(path, kind, transform(frame), (radius * across, height * float(z) / 2))
+    if prim.IsA(UsdGeom.Mesh):
+        return Collider(path, "mesh", transform(frame), (), _mesh_points(scene, prim) * scale)
+    raise scene.error(f"a collider of type {prim.GetTypeName() or 'nothing'}", prim, allowed=ALLOWED)
+
+
+def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
+    value = scene.number(prim, name, 0.0)
+    if not (math.isfinite(value) and value > 0.0):
+        raise scene.error(f"{name} is {value:g}", prim, allowed="more than zero [m]")
+    return value
+
+
+def _uniform(scene: SceneStage, prim: Usd.Prim, scale: np.ndarray) -> float:
+    if np.ptp(scale) > 1e-5 * scale.max():
+        raise scene.error("a round shape that is scaled unevenly", prim, allowed="one scale for all of its radii")
+    return float(scale.mean())
+
+
+def _orthogonal(frame: Gf.Matrix4d) -> bool:
+    rows = np.array([frame.GetRow3(i).GetNormalized() for i in range(3)])
+    return bool(np.allclose(rows @ rows.T, np.eye(3), atol=1e-5))
+
+
+def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
+    api = UsdPhysics.MeshCollisionAPI(prim)
+    approximation = api.GetApproximationAttr().Get() if prim.HasAPI(UsdPhysics.MeshCollisionAPI) else "none"
+    if approximation != UsdPhysics.Tokens.convexHull:
+        raise scene.error(
+            f"a mesh collider with physics:approximation = {approximation}",
+            prim,
+            allowed="convexHull",
+            fix="apply PhysicsMeshCollisionAPI and set it; cut a hollow shape into convex meshes first",
+        )
+    points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
+    if spread[-1] < 1e-6 or not np.isfinite(points).all():
+        raise scene.error(f"a mesh collider without volume ({len(points)} points)", prim, allowed="a solid shape")
+    return points
+
+
+def volume_and_center(scene: SceneStage, collider: Collider) -> tuple[float, np.ndarray]:
+    """Volume [m^3] and its centre in the body's frame [m]; of a mesh, from its faces."""
+    size, position = collider.size, collider.transform[:3]
+    if collider.kind == "box":
+        return 8 * math.prod(size), position
+    if collider.kind == "sphere":
+        return 4 / 3 * math.pi * size[0] ** 3, position
+    if collider.kind in ("cylinder", "capsule"):
+        radius, half = size
+        ends = 4 / 3 * math.pi * radius**3 if collider.kind == "capsule" else 0.0
+        return 2 * math.pi * radius**2 * half + ends, position
+    assert collider.vertices is not None
+    mesh = UsdGeom.Mesh(scene.stage.GetPrimAtPath(collider.path))
+    corners, triangles = np.array(mesh.GetFaceVertexIndicesAttr().Get()), []
+    first = 0
+    for count in mesh.GetFaceVertexCountsAttr().Get():
+        triangles += [(corners[first], corners[first + i], corners[first + i + 1]) for i in range(1, count - 1)]
+        first += count
+    a, b, c = np.moveaxis(collider.vertices[np.array(triangles)], 1, 0)
+    volumes = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6
+    center = (volumes[:, None] * (a + b + c) / 4).sum(axis=0) / volumes.sum()
+    x, y, z, w = collider.transform[3:]
+    turned = Gf.Rotation(Gf.Quatd(w, x, y, z)).TransformDir(Gf.Vec3d(*center))
+    return abs(float(volumes.sum())), position + np.array(turned)

@@ -1,0 +1,220 @@
+"""The arm: a chain of revolute joints from a base that is fixed at the origin to a stick."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdPhysics
+
+from oimppi_warp.scene import Collider, Joint, Link, Robot
+from oimppi_warp.usd.colliders import read_colliders
+from oimppi_warp.usd.stage import SceneStage, matrix, scales, transform
+
+
+def read_robot(scene: SceneStage) -> Robot:
+    """The scene's robot.
+
+    Raises:
+        SceneError: There is none or more than one, it is not a serial arm of revolute joints about their local z axes
+            with its base fixed at the origin, or its tool or start is wrong.
+    """
+    root = scene.the("OimppiRobotAPI", "robot", "the root prim of the articulation")
+    if not any(prim.HasAPI(UsdPhysics.ArticulationRootAPI) for prim in scene.prims(root)):
+        raise scene.error("a robot without an articulation", root, fix="apply PhysicsArticulationRootAPI to it")
+    chain = _Chain(scene, root)
+    joints, links = chain.walk()
+    tip_prim = _tip(scene, root)
+    tip = chain.in_last_link(tip_prim)
+    radius = float(scene.numbers(tip_prim, "oimppi:radius", (), "the stick's radius [m]"))
+    if not 0.0 < radius < math.inf:
+        raise scene.error(f"oimppi:radius is {radius:g}", tip_prim, allowed="more than zero [m]")
+    return Robot(
+        path=str(root.GetPath()),
+        base=chain.base,
+        joints=joints,
+        links=links,
+        tip=tip,
+        tool_path=str(tip_prim.GetPath()),
+        tool_radius=radius,
+        start=_start(scene, root, joints),
+    )
+
+
+def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
+    tip = scene.the("OimppiToolAPI", "tool", "the Xform at the tip of the robot's stick")
+    if not tip.GetPath().HasPrefix(root.GetPath()):
+        raise scene.error("a tool that is not part of the robot", tip, allowed=f"a prim below <{root.GetPath()}>")
+    return tip
+
+
+def _start(scene: SceneStage, root: Usd.Prim, joints: tuple[Joint, ...]) -> np.ndarray:
+    meaning = f"one position for each of the {len(joints)} joints [rad]"
+    start = scene.numbers(root, "oimppi:startJoints", (len(joints),), meaning)
+    for joint, position in zip(joints, start, strict=True):
+        if not joint.lower <= position <= joint.upper:
+            limits = f"{joint.lower:.4g} to {joint.upper:.4g} rad"
+            raise scene.error(
+                f"oimppi:startJoints puts <{joint.path}> at {position:.4g} rad, beyond its limits", root, allowed=limits
+            )
+    return start
+
+
+class _Chain:
+    """The bodies and joints of the robot, followed from its base."""
+
+    def __init__(self, scene: SceneStage, root: Usd.Prim) -> None:
+        self.scene = scene
+        self.bodies = {p.GetPath(): p for p in scene.prims(root) if p.HasAPI(UsdPhysics.RigidBodyAPI)}
+        joints = [UsdPhysics.Joint(prim) for prim in scene.prims(root) if prim.IsA(UsdPhysics.Joint)]
+        self.joints = [joint for joint in joints if joint.GetJointEnabledAttr().Get()]
+        mounts = [joint for joint in self.joints if self.ends(joint)[0] is None]
+        if len(mounts) != 1 or not mounts[0].GetPrim().IsA(UsdPhysics.FixedJoint):
+            raise scene.error(
+                "the robot's base is not fixed to the world", root, fix="one PhysicsFixedJoint with only physics:body1"
+            )
+        base = self.ends(mounts[0])[1]
+        assert base is not None
+        frame = np.array(scene.body_frame(base))
+        if not np.allclose(frame, np.eye(4), atol=1e-6):
+            raise scene.error(
+                f"the robot's base is at {np.round(frame[3, :3], 4).tolist()}",
+                base,
+                allowed="at the world's origin, turned by nothing",
+                fix="move everything else instead",
+            )
+        self.base = self.link([(base, Gf.Matrix4d(1.0))])
+        self.base_prim = base
+        self.welded: list[tuple[Usd.Prim, Gf.Matrix4d]] = []
+        self.reached: set[Sdf.Path] = set()
+
+    def ends(self, joint: UsdPhysics.Joint) -> tuple[Usd.Prim | None, Usd.Prim | None]:
+        """The bodies that a joint holds together; ``None`` for the world."""
+        found = []
+        for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
+            targets = relation.GetTargets()
+            if targets and targets[0] not in self.bodies:
+                raise self.scene.error(
+                    f"a joint to <{targets[0]}>, which is no rigid body of the robot", joint.GetPrim()
+                )
+            found.append(self.bodies[targets[0]] if targets else None)
+        if found[1] is None:
+            raise self.scene.error("a joint that moves nothing", joint.GetPrim(), allowed="physics:body1 names a link")
+        return found[0], found[1]
+
+    def walk(self) -> tuple[tuple[Joint, ...], tuple[Link, ...]]:
+        """Moving joints and their links, from base to flange."""
+        joints, links = [], []
+        body: Usd.Prim | None = self.base_prim
+        while body is not None:
+            group, moving = self.weld(body)
+            if joints:
+                links.append(self.link(group))
+            elif len(group) > 1:
+                raise self.scene.error("something is welded to the robot's base", group[1][0], allowed="a base alone")
+            if len(moving) > 1:
+                names = " and ".join(f"<{joint.GetPath()}>" for joint in moving)
+                raise self.scene.error(f"the arm branches: {names}", body, allowed="a serial arm")
+            self.welded = group
+            body = None
+            if moving:
+                if self.ends(moving[0])[0] != group[0][0]:
+                    prim = moving[0].GetPrim()
+                    raise self.scene.error("a joint on a welded part", prim, allowed="only the tool is welded")
+                joints.append(self.joint(moving[0]))
+                body = self.ends(moving[0])[1]
+        if not joints:
+            raise self.scene.error("a robot without moving joints", self.base_prim)
+        return tuple(joints), tuple(links)
+
+    def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:
+        """A body with all that is welded to it (and where on it), and the joints that move on from there."""
+        group, moving = [(body, Gf.Matrix4d(1.0))], []
+        self.reach(body)
+        for part, placed in group:  # grows while it is read
+            for joint in self.joints:
+                parent, child = self.ends(joint)
+                if parent != part or child is None:
+                    continue
+                if joint.GetPrim().IsA(UsdPhysics.FixedJoint):
+                    self.reach(child)
+                    before, after = joint_frames(joint)
+                    group.append((child, after.GetInverse() * before * placed))
+                else:
+                    moving.append(joint)
+        return group, moving
+
+    def reach(self, body: Usd.Prim) -> None:
+        """Come to a body of the chain, for the first time."""
+        if body.GetPath() in self.reached:
+            raise self.scene.error("a link with two joints before it", body, allowed="a serial arm")
+        self.reached.add(body.GetPath())
+
+    def link(self, group: list[tuple[Usd.Prim, Gf.Matrix4d]]) -> Link:
+        """Bodies welded together as one link, in the frame of the first."""
+        colliders: list[Collider] = []
+        mass = 0.0
+        for body, placed in group:
+            # The frame that shapes are measured from is the body's own, seen from the link's.
+            colliders += read_colliders(self.scene, body, placed.GetInverse() * self.scene.body_frame(body))
+            mass += read_mass(self.scene, body)
+        return Link(str(group[0][0].GetPath()), mass, tuple(colliders))
+
+    def joint(self, joint: UsdPhysics.Joint) -> Joint:
+        """A moving joint."""
+        scene, prim = self.scene, joint.GetPrim()
+        revolute = UsdPhysics.RevoluteJoint(prim)
+        if not revolute:
+            raise scene.error(f"a joint of type {prim.GetTypeName()}", prim, allowed="PhysicsRevoluteJoint")
+        if revolute.GetAxisAttr().Get() != UsdPhysics.Tokens.z:
+            axis = revolute.GetAxisAttr().Get()
+            raise scene.error(f"a joint about its {axis} axis", prim, allowed="physics:axis = Z")
+        before, after = joint_frames(joint)
+        if not np.allclose(np.array(after), np.eye(4), atol=1e-6):
+            raise scene.error(
+                "a joint whose frame is not that of the link it moves",
+                prim,
+                allowed="physics:localPos1 = 0 and physics:localRot1 = 1",
+            )
+        lower = math.radians(scene.number(prim, "physics:lowerLimit", -math.inf))
+        upper = math.radians(scene.number(prim, "physics:upperLimit", math.inf))
+        if not lower < upper:
+            raise scene.error(f"limits of {lower:.4g} and {upper:.4g} rad", prim, allowed="lower below upper")
+        driven = prim.HasAPI(UsdPhysics.DriveAPI, "angular")
+        effort = scene.number(prim, "drive:angular:physics:maxForce", math.inf) if driven else math.inf
+        velocity = math.radians(scene.number(prim, "newton:velocityLimit", math.inf))
+        if effort <= 0.0 or velocity <= 0.0:
+            raise scene.error(f"limits of {effort:g} N m and {velocity:g} rad/s", prim, allowed="more than zero")
+        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort)
+
+    def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
+        """A prim's transform in the frame of the last link, shape [7]."""
+        for body, placed in self.welded:
+            if prim.GetPath().HasPrefix(body.GetPath()):
+                local = self.scene.frame(prim) * self.scene.body_frame(body).GetInverse()
+                if not np.allclose(scales(local), 1.0, atol=1e-5):
+                    break
+                return transform(local * placed)
+        raise self.scene.error(
+            "a tool that is not on the robot's last link", prim, allowed=f"on {self.welded[0][0].GetPath()}, unscaled"
+        )
+
+
+def joint_frames(joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
+    """A joint's frame in the body it stands on and in the body it moves."""
+    before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
+    after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
+    return before, after
+
+
+def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
+    """Mass of a rigid body [kg].
+
+    Raises:
+        SceneError: It is not given, or not positive.
+    """
+    mass = scene.number(body, "physics:mass", 0.0) if body.HasAPI(UsdPhysics.MassAPI) else 0.0
+    if not (math.isfinite(mass) and mass > 0.0):
+        what = f"a mass of {mass:g} kg" if mass else "a body without a mass"
+        raise scene.error(what, body, allowed="more than zero", fix="apply PhysicsMassAPI and give physics:mass")
+    return mass

@@ -1,0 +1,192 @@
+"""An open scene file: which prim plays which role, what its attributes say, and where it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
+
+from oimppi_warp.errors import SceneError
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+SCHEMA = SCENES / "schema"
+
+# A codeless schema must be known before USD builds its registry, which the first stage does.
+Plug.Registry().RegisterPlugins(str(SCHEMA))
+
+
+class SceneStage:
+    """A composed USD stage in metres, kilograms and z up, and where its task, robot, object and table are.
+
+    Args:
+        file: The USD file.
+
+    Raises:
+        SceneError: There is no such file, it is not USD, something that it refers to is missing, or it has other units.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        if not file.is_file():
+            raise self.error("there is no such file")
+        delegate = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
+        try:
+            self.stage = Usd.Stage.Open(str(file))
+        except Exception as error:  # Tf.ErrorException: its text is a list of places in USD's own source
+            reason = str(error).partition(" : ")[2].split("\n")[0].strip(" '")
+            formats = ".usda, .usd, .usdc, .usdz"
+            raise self.error(f"not a USD file that can be read ({reason})", allowed=formats) from None
+        finally:
+            del delegate
+        broken = self.stage.GetCompositionErrors()
+        if broken:
+            fix = "correct it; the paths of references count from the file that they stand in"
+            raise self.error(str(broken[0]), fix=fix)
+        self._check_units()
+
+    def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
+        """A :class:`SceneError` at a prim of this file."""
+        place = prim if isinstance(prim, str) else prim.GetPath()
+        return SceneError(what, file=self.file, prim=place, allowed=allowed, fix=fix)
+
+    def _check_units(self) -> None:
+        convert = "export the scene again with this setting; the physics in it is not converted on reading"
+        metres = UsdGeom.GetStageMetersPerUnit(self.stage)
+        if abs(metres - 1.0) > 1e-9:
+            given = "given" if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage) else "not given, which means 0.01"
+            what = f"lengths are not in metres (metersPerUnit is {metres:g}, {given})"
+            raise self.error(what, allowed="1", fix=convert)
+        if UsdGeom.GetStageUpAxis(self.stage) != UsdGeom.Tokens.z:
+            raise self.error("Y is up (upAxis)", allowed="Z", fix=convert)
+        kilograms = UsdPhysics.GetStageKilogramsPerUnit(self.stage)
+        if abs(kilograms - 1.0) > 1e-9:
+            what = f"masses are not in kilograms (kilogramsPerUnit is {kilograms:g})"
+            raise self.error(what, allowed="1", fix=convert)
+
+    def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
+        """All active prims below ``root`` (itself included), those in instances too, in the order of the file."""
+        yield from Usd.PrimRange(root or self.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+
+    def role(self, schema: str) -> list[Usd.Prim]:
+        """The prims that one of our API schemas is applied to."""
+        return [prim for prim in self.prims() if schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
+
+    def the(self, schema: str, noun: str, where: str) -> Usd.Prim:
+        """The one prim of a role.
+
+        Args:
+            schema: Name of the API schema.
+            noun: What to call it in an error.
+            where: Which prim the schema belongs on, for the error.
+        """
+        found = self.role(schema)
+        if not found:
+            raise self.error(f"no {noun}", allowed=f"exactly one prim with {schema}", fix=f"apply {schema} to {where}")
+        if len(found) > 1:
+            paths = ", ".join(f"<{prim.GetPath()}>" for prim in found)
+            what = f"{len(found)} {noun}s: {paths}"
+            raise self.error(what, allowed=f"exactly one prim with {schema}", fix="keep one")
+        return found[0]
+
+    def numbers(self, prim: Usd.Prim, name: str, shape: tuple[int, ...], meaning: str) -> np.ndarray:
+        """An attribute of numbers.
+
+        Args:
+            prim: Where it is.
+            name: Its name; where it is not authored, the schema's default counts.
+            shape: What it must hold; -1 stands for any number of rows.
+            meaning: What it must be, for the error.
+        """
+        attribute = prim.GetAttribute(name)
+        value = attribute.Get() if attribute and attribute.HasAuthoredValue() else schema_default(name)
+        if value is None:
+            raise self.error(f"{name} is missing", prim, allowed=meaning, fix="give it; docs/schema.md says how")
+        try:
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError):
+            array = np.empty(())
+        if array.size == 0 and -1 in shape:
+            array = np.empty([0 if n == -1 else n for n in shape])
+        fits = array.ndim == len(shape) and all(n in (-1, got) for n, got in zip(shape, array.shape, strict=True))
+        if not fits or np.isnan(array).any():
+            raise self.error(f"{name} is {value}", prim, allowed=meaning, fix="docs/schema.md has an example")
+        return array
+
+    def text(self, prim: Usd.Prim, name: str) -> str:
+        """An attribute that holds a line of text."""
+        attribute = prim.GetAttribute(name)
+        return str((attribute.Get() if attribute else None) or schema_default(name))
+
+    @staticmethod
+    def number(prim: Usd.Prim, name: str, fallback: float) -> float:
+        """An attribute of a schema of USD's own, or what it falls back to where it has no value."""
+        attribute = prim.GetAttribute(name)
+        value = attribute.Get() if attribute else None
+        return fallback if value is None else single(value)
+
+    def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
+        """A prim's frame in the world, as USD has it (row vectors, scale included)."""
+        return UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+
+    def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
+        """A rigid body's frame in the world; it must not be scaled."""
+        frame = self.frame(prim)
+        if not np.allclose(scales(frame), 1.0, atol=1e-5) or frame.GetDeterminant() < 0:
+            raise self.error(
+                f"a body with a scale {_readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
+            )
+        return frame.GetOrthonormalized()
+
+    def friction(self, prim: Usd.Prim) -> float | None:
+        """Dynamic friction of the physics material bound to a prim; ``None`` without one."""
+        material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+        if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
+            return None
+        value = self.number(material.GetPrim(), "physics:dynamicFriction", 0.0)
+        if not (np.isfinite(value) and value >= 0.0):
+            raise self.error(f"physics:dynamicFriction is {value:g}", material.GetPrim(), allowed="zero or more")
+        return value
+
+
+@cache
+def _schema_layer() -> Any:
+    return Sdf.Layer.FindOrOpen(str(SCHEMA / "generatedSchema.usda"))
+
+
+@cache
+def schema_default(name: str) -> Any:
+    """The default that our schema gives an attribute; ``None`` where the attribute must be given."""
+    for prim in _schema_layer().rootPrims:
+        if name in prim.attributes:
+            return prim.attributes[name].default
+    raise KeyError(name)
+
+
+def scales(frame: Gf.Matrix4d) -> np.ndarray:
+    """Lengths of a frame's axes, shape [3]."""
+    return np.array([frame.GetRow3(i).GetLength() for i in range(3)])
+
+
+def transform(frame: Gf.Matrix4d) -> np.ndarray:
+    """A frame without its scale, as (position, quaternion xyzw), shape [7]."""
+    q = frame.GetOrthonormalized().ExtractRotationQuat().GetNormalized()
+    return np.array([*frame.ExtractTranslation(), *q.GetImaginary(), q.GetReal()])
+
+
+def matrix(position: Any, orientation: Any) -> Gf.Matrix4d:
+    """The frame at a position with an orientation (quaternion of any precision)."""
+    q = Gf.Quatd(float(orientation.GetReal()), Gf.Vec3d(orientation.GetImaginary())).GetNormalized()
+    return Gf.Matrix4d().SetTransform(Gf.Rotation(q), Gf.Vec3d(*map(single, position)))
+
+
+def single(value: float) -> float:
+    """The decimal that was written where USD keeps single precision: 0.4 and not 0.4000000059604645."""
+    return float(str(np.float32(value)))
+
+
+def _readable(values: np.ndarray) -> str:
+    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

@@ -1,0 +1,315 @@
+"""Every mistake in a scene gets one clear error: what, where, what is allowed, what to do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
+from variants import variant
+
+from oimppi_warp.errors import SceneError
+from oimppi_warp.feasibility import check_task, draw_start
+from oimppi_warp.usd import load_scene
+
+ROBOT, TIP, START = "/World/Robot", "/World/Robot/tool/tip", "oimppi:startJoints"
+
+
+def prim(stage: Usd.Stage, path: str) -> Usd.Prim:
+    return stage.GetPrimAtPath(path)
+
+
+def put(path: str, name: str, value: object) -> Callable[[Usd.Stage], object]:
+    """Set an attribute that is there."""
+    return lambda stage: prim(stage, path).GetAttribute(name).Set(value)
+
+
+def drop(path: str, schema: str) -> Callable[[Usd.Stage], object]:
+    """Take an API schema away."""
+    return lambda stage: prim(stage, path).RemoveAppliedSchema(schema)
+
+
+def add(path: str, schema: str) -> Callable[[Usd.Stage], object]:
+    """Apply an API schema."""
+    return lambda stage: prim(stage, path).AddAppliedSchema(schema)
+
+
+def without(path: str) -> Callable[[Usd.Stage], object]:
+    """Switch a prim off."""
+    return lambda stage: prim(stage, path).SetActive(False)
+
+
+def block(path: str, name: str) -> Callable[[Usd.Stage], object]:
+    """Take the value of an attribute away."""
+    return lambda stage: prim(stage, path).GetAttribute(name).Block()
+
+
+def second_robot(stage: Usd.Stage) -> None:
+    other = stage.DefinePrim("/World/Robot2")
+    other.GetReferences().AddInternalReference("/World/Robot")
+
+
+def collider(define: Callable[[Usd.Stage, str], UsdGeom.Gprim]) -> Callable[[Usd.Stage], object]:
+    """One more obstacle, made by ``define``."""
+
+    def change(stage: Usd.Stage) -> None:
+        gprim = define(stage, "/World/Obstacles/Extra")
+        UsdPhysics.CollisionAPI.Apply(gprim.GetPrim())
+        gprim.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+
+    return change
+
+
+def triangle_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr([Gf.Vec3f(0, 0, 0), Gf.Vec3f(1, 0, 0), Gf.Vec3f(0, 1, 0), Gf.Vec3f(0, 0, 1)])
+    return mesh
+
+
+def flat_hull(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr([Gf.Vec3f(0, 0, 0), Gf.Vec3f(1, 0, 0), Gf.Vec3f(0, 1, 0), Gf.Vec3f(1, 1, 0)])
+    UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
+    return mesh
+
+
+def uneven_sphere(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    sphere = UsdGeom.Sphere.Define(stage, path)
+    sphere.AddScaleOp().Set(Gf.Vec3f(0.1, 0.1, 0.2))
+    return sphere
+
+
+def mirrored_box(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    cube = UsdGeom.Cube.Define(stage, path)
+    cube.AddScaleOp().Set(Gf.Vec3f(0.1, 0.1, -0.1))
+    return cube
+
+
+def sheared_box(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    cube = UsdGeom.Cube.Define(stage, path)
+    matrix = Gf.Matrix4d(1.0)
+    matrix.SetRow3(1, Gf.Vec3d(0.5, 1.0, 0.0))
+    cube.AddTransformOp().Set(matrix)
+    return cube
+
+
+def object_to(x: float, y: float, z: float = 0.025) -> Callable[[Usd.Stage], object]:
+    return put("/World/Object", "xformOp:translate", Gf.Vec3d(x, y, z))
+
+
+def goal_to(x: float, y: float, yaw: float) -> Callable[[Usd.Stage], object]:
+    return put("/World", "oimppi:goal", Gf.Vec3d(x, y, yaw))
+
+
+def tilt_object(stage: Usd.Stage) -> None:
+    UsdGeom.Xformable(prim(stage, "/World/Object")).AddRotateXOp().Set(10.0)
+
+
+def scale_object(stage: Usd.Stage) -> None:
+    UsdGeom.Xformable(prim(stage, "/World/Object")).AddScaleOp().Set(Gf.Vec3f(2.0))
+
+
+def move_robot(stage: Usd.Stage) -> None:
+    xform = UsdGeom.Xformable(prim(stage, ROBOT))
+    xform.AddTranslateOp().Set(Gf.Vec3d(0.1, 0.0, 0.0))
+
+
+def prismatic(stage: Usd.Stage) -> None:
+    prim(stage, f"{ROBOT}/joints/joint3").SetTypeName("PhysicsPrismaticJoint")
+
+
+def starts_as_pairs(stage: Usd.Stage) -> None:
+    world = Sdf.CreatePrimInLayer(stage.GetRootLayer(), "/World")
+    Sdf.AttributeSpec(world, "oimppi:starts", Sdf.ValueTypeNames.Double2Array).default = [Gf.Vec2d(0.3, -0.4)]
+
+
+def no_friction(stage: Usd.Stage) -> None:
+    for path in ("/World/Object/Material", "/World/Materials/Table"):
+        UsdPhysics.MaterialAPI(prim(stage, path)).GetDynamicFrictionAttr().Set(0.0)
+
+
+def loose_ball(stage: Usd.Stage) -> None:
+    ball = UsdGeom.Sphere.Define(stage, "/World/Ball").GetPrim()
+    UsdPhysics.RigidBodyAPI.Apply(ball)
+    UsdPhysics.CollisionAPI.Apply(ball)
+
+
+def branch(stage: Usd.Stage) -> None:
+    joint = UsdPhysics.RevoluteJoint.Define(stage, f"{ROBOT}/joints/extra")
+    joint.CreateBody0Rel().SetTargets([f"{ROBOT}/link2"])
+    joint.CreateBody1Rel().SetTargets([f"{ROBOT}/tool"])
+
+
+def loop(stage: Usd.Stage) -> None:
+    joint = UsdPhysics.FixedJoint.Define(stage, f"{ROBOT}/joints/extra")
+    joint.CreateBody0Rel().SetTargets([f"{ROBOT}/tool"])
+    joint.CreateBody1Rel().SetTargets([f"{ROBOT}/link6"])
+
+
+def far_reference(stage: Usd.Stage) -> None:
+    prim(stage, "/World/Obstacles").GetReferences().AddReference("./nowhere.usda")
+
+
+MISTAKES = {
+    "centimetres": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 0.01), "not in metres", "metersPerUnit is 0.01, given"),
+    "no unit": (lambda s: s.ClearMetadata("metersPerUnit"), "not in metres", "not given, which means 0.01"),
+    "y up": (lambda s: UsdGeom.SetStageUpAxis(s, "Y"), "Y is up", "allowed: Z"),
+    "grams": (lambda s: UsdPhysics.SetStageKilogramsPerUnit(s, 0.001), "not in kilograms", "kilogramsPerUnit"),
+    "a missing reference": (far_reference, "nowhere.usda", "to do:"),
+    "no task": (drop("/World", "OimppiTaskAPI"), "no task", "apply OimppiTaskAPI"),
+    "no robot": (without(ROBOT), "no robot", "OimppiRobotAPI"),
+    "two robots": (second_robot, "2 robots", "</World/Robot2>"),
+    "no object": (drop("/World/Object", "OimppiObjectAPI"), "no object", "OimppiObjectAPI"),
+    "two objects": (add("/World/Obstacles/Cube", "OimppiObjectAPI"), "2 objects", "keep one"),
+    "no table": (without("/World/Table"), "no table", "OimppiTableAPI"),
+    "no tool": (drop(TIP, "OimppiToolAPI"), "no tool", "tip of the robot's stick"),
+    "no goal": (block("/World", "oimppi:goal"), "oimppi:goal is missing", "(x [m], y [m], yaw [rad])"),
+    "an infinite goal": (goal_to(math.inf, 0, 0), "not finite", "</World>"),
+    "a goal that is not a number": (goal_to(math.nan, 0, 0), "oimppi:goal", "nan"),
+    "starts of two numbers": (starts_as_pairs, "oimppi:starts is", "a list of (x [m], y [m], yaw [rad])"),
+    "a negative spread": (put("/World", "oimppi:spread", Gf.Vec2d(-0.1, 0)), "oimppi:spread", "zero or more"),
+    "no tolerance": (put("/World", "oimppi:tolerance", Gf.Vec2d(0, 0.5)), "oimppi:tolerance is (0, 0.5)", "above zero"),
+    "no start of the arm": (block(ROBOT, START), "oimppi:startJoints is missing", "each of the 6 joints"),
+    "five joint positions": (put(ROBOT, START, [0.0] * 5), "oimppi:startJoints is", "each of the 6 joints"),
+    "a start beyond a limit": (
+        put(ROBOT, START, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
+        "joint3> at 1 rad, beyond its limits",
+        "-3.927 to 0.192 rad",
+    ),
+    "a stick without a radius": (put(TIP, "oimppi:radius", 0.0), "oimppi:radius is 0", "more than zero"),
+    "no articulation": (drop(ROBOT, "PhysicsArticulationRootAPI"), "without an articulation", "apply"),
+    "a loose base": (without(f"{ROBOT}/joints/mount"), "not fixed to the world", "PhysicsFixedJoint"),
+    "a base elsewhere": (move_robot, "base is at [0.1, 0.0, 0.0]", "world's origin"),
+    "a sliding joint": (prismatic, "PhysicsPrismaticJoint", "allowed: PhysicsRevoluteJoint"),
+    "a joint about x": (put(f"{ROBOT}/joints/joint2", "physics:axis", "X"), "about its X axis", "physics:axis = Z"),
+    "a shifted joint": (
+        put(f"{ROBOT}/joints/joint2", "physics:localPos1", Gf.Vec3f(0, 0, 0.1)),
+        "not that of the link it moves",
+        "physics:localPos1 = 0",
+    ),
+    "crossed limits": (put(f"{ROBOT}/joints/joint2", "physics:lowerLimit", 200.0), "limits of", "below upper"),
+    "a branching arm": (branch, "the arm branches", "a serial arm"),
+    "an arm that closes a loop": (loop, "two joints before it", "</World/Robot/link6>"),
+    "a link without mass": (drop(f"{ROBOT}/link3", "PhysicsMassAPI"), "without a mass", "physics:mass"),
+    "an object without mass": (drop("/World/Object", "PhysicsMassAPI"), "without a mass", "physics:mass"),
+    "a negative mass": (put("/World/Object", "physics:mass", -1.0), "a mass of -1 kg", "more than zero"),
+    "an object without collider": (without("/World/Object/shape"), "without a collider", "PhysicsCollisionAPI"),
+    "an object that cannot move": (drop("/World/Object", "PhysicsRigidBodyAPI"), "cannot move", "PhysicsRigidBodyAPI"),
+    "an object without friction": (no_friction, "without friction", "physics:dynamicFriction"),
+    "negative friction": (
+        lambda s: UsdPhysics.MaterialAPI(prim(s, "/World/Object/Material")).GetDynamicFrictionAttr().Set(-0.5),
+        "physics:dynamicFriction is -0.5",
+        "zero or more",
+    ),
+    "a negative size": (put("/World/Obstacles/Cube", "size", -1.0), "size is -1", "more than zero"),
+    "a floating object": (object_to(0.3, -0.45, 0.055), "30.0 mm above the table", "set its z to 0.025 m"),
+    "a sunken object": (object_to(0.3, -0.45, 0.02), "5.0 mm inside the table", "set its z to 0.025 m"),
+    "a tilted object": (tilt_object, "does not lie flat", "about z only"),
+    "a scaled object": (scale_object, "a scale (2, 2, 2)", "scale its shapes"),
+    "an empty obstacle": (drop("/World/Obstacles/Cube", "PhysicsCollisionAPI"), "obstacle without a collider", "Cube"),
+    "a moving obstacle": (add("/World/Obstacles/Cube", "PhysicsRigidBodyAPI"), "rigid body in the obstacle", "static"),
+    "something without a role": (loose_ball, "no role in the task", "</World/Ball>"),
+    "a triangle mesh": (collider(triangle_mesh), "physics:approximation = none", "allowed: convexHull"),
+    "a flat mesh": (collider(flat_hull), "without volume (4 points)", "a solid shape"),
+    "a cone": (collider(UsdGeom.Cone.Define), "collider of type Cone", "allowed: Cube, Sphere"),
+    "an ellipsoid": (collider(uneven_sphere), "scaled unevenly", "one scale"),
+    "a mirrored box": (collider(mirrored_box), "zero or negative", "a positive scale"),
+    "a sheared box": (collider(sheared_box), "sheared", "along its own axes"),
+    "a table that is not flat": (
+        put("/World/Table", "xformOp:translate", Gf.Vec3d(0.375, 0, 0)),
+        "without a flat top at z = 0",
+        "aligned with the world's axes",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_named_where_it_is(tmp_path, mistake):
+    change, what, more = MISTAKES[mistake]
+    file = variant(tmp_path, change)
+    with pytest.raises(SceneError) as error:
+        load_scene(file)
+    message = str(error.value)
+    assert what in message
+    assert more in message
+    assert message.startswith(str(file.resolve()))
+    assert "allowed:" in message or "to do:" in message
+
+
+IMPOSSIBLE = {
+    "a goal in an obstacle": (goal_to(0.5, 0.1, 0), "goal (0.5, 0.1, 0)", "obstacle </World/Obstacles/Cube>"),
+    "a goal in the base": (goal_to(0.1, 0.1, 0), "goal (0.1, 0.1, 0)", "inside the robot's base"),
+    "a goal off the table": (goal_to(0.05, 0.68, 3), "goal (0.05, 0.68, 3)", "not wholly on the table"),
+    "a goal out of reach": (goal_to(0.8, 0.3, 0), "out of reach", "up to 0.72 m"),
+    "a start in an obstacle": (object_to(0.5, 0.0), "start (0.5, 0, 0)", "obstacle </World/Obstacles/Cube>"),
+    "a start in the base": (object_to(0.1, 0.05), "start (0.1, 0.05, 0)", "inside the robot's base"),
+    "a start off the table": (object_to(0.3, -0.7), "start (0.3, -0.7, 0)", "not wholly on the table"),
+    "a start out of reach": (object_to(0.75, -0.4), "out of reach", "0.86 m from the arm's base"),
+    "a tool in the object": (object_to(0.3, -0.22), "the tool starts inside the object", "oimppi:startJoints"),
+    "a tool below the table": (put(ROBOT, START, [0.0] * 6), "below the table", "above z = 0"),
+}
+
+
+@pytest.mark.parametrize("task", IMPOSSIBLE)
+def test_a_task_that_cannot_be_done_is_refused(tmp_path, task):
+    change, what, more = IMPOSSIBLE[task]
+    scene = load_scene(variant(tmp_path, change))
+    with pytest.raises(SceneError) as error:
+        check_task(scene)
+    assert what in str(error.value)
+    assert more in str(error.value)
+
+
+def test_a_start_cannot_be_drawn_where_there_is_no_room(tmp_path):
+    def walls(stage: Usd.Stage) -> None:
+        for i, y in enumerate((-0.35, -0.60)):
+            cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/Wall{i}")
+            cube.CreateSizeAttr(1.0)
+            cube.AddTranslateOp().Set(Gf.Vec3d(0.3, y, 0.05))
+            cube.AddScaleOp().Set(Gf.Vec3f(1.0, 0.02, 0.1))
+            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+            cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+
+    scene = load_scene(variant(tmp_path, walls))
+    with pytest.raises(SceneError, match="none of 2000 starts"):
+        draw_start(scene, 0)
+
+
+def test_a_missing_scene_is_answered_with_the_nearest_name():
+    with pytest.raises(SceneError) as error:
+        load_scene("tsk02")
+    assert "there is no such file" in str(error.value)
+    assert "did you mean task02?" in str(error.value)
+    assert "task03_wide" in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["not a scene at all", "#usda 1.0\n(\n    nonsense here", ""])
+@pytest.mark.parametrize("name", ["scene.usda", "scene.txt", "scene.usdc"])
+def test_what_is_not_usd_is_refused(tmp_path, text, name):
+    file = tmp_path / name
+    file.write_text(text)
+    with pytest.raises(SceneError, match="not a USD file"):
+        load_scene(file)
+
+
+def test_a_folder_is_no_scene(tmp_path):
+    with pytest.raises(SceneError, match="there is no such file"):
+        load_scene(tmp_path)
+
+
+def test_usd_itself_stays_silent_about_what_is_wrong(tmp_path, capfd):
+    file = variant(tmp_path, far_reference)
+    capfd.readouterr()
+    with pytest.raises(SceneError):
+        load_scene(file)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_material_without_physics_is_no_friction(tmp_path):
+    def plain(stage: Usd.Stage) -> None:
+        for path in ("/World/Object/Material", "/World/Materials/Table"):
+            UsdShade.Material(prim(stage, path)).GetPrim().RemoveAppliedSchema("PhysicsMaterialAPI")
+
+    with pytest.raises(SceneError, match="without friction"):
+        load_scene(variant(tmp_path, plain))

@@ -1,0 +1,56 @@
+"""Every kernel compiles for the GPUs that we support, on a machine that has none."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Iterator
+from importlib import import_module
+
+import pytest
+import warp as wp
+
+import oimppi_warp.kernels
+
+ARCHITECTURES = (80, 90, 120)
+"""Ampere, Hopper and Blackwell."""
+SIZES = {"make_robot_rollout": (6,)}
+"""Numbers of joints, or lengths of controls, that a factory is asked for; 3 and 6 where nothing is said."""
+
+
+def kernel_modules() -> Iterator[wp.Module]:
+    """The Warp modules of all kernels, also of those that are made for a size."""
+    found: dict[str, wp.Module] = {}
+    for info in pkgutil.iter_modules(oimppi_warp.kernels.__path__, "oimppi_warp.kernels."):
+        module = import_module(info.name)
+        for name, value in vars(module).items():
+            if isinstance(value, wp.Kernel):
+                found[value.module.name] = value.module
+            elif name.startswith("make_") and value.__module__ == info.name:
+                for size in SIZES.get(name, (3, 6)):
+                    made = value(size).module
+                    found[made.name] = made
+    yield from found.values()
+
+
+MODULES = list(kernel_modules())
+
+
+def test_all_kernel_files_are_found():
+    stems = {module.name.rpartition(".")[2].rstrip("_0123456789") for module in MODULES}
+    wanted = {"clearance", "navigation", "object", "robot_rollout", "sample_controls", "update", "update_nominal"}
+    assert wanted <= stems
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name.rpartition(".")[2])
+def test_a_kernel_module_compiles_without_a_gpu(module, tmp_path):
+    files = wp.compile_aot_module(module, arch=ARCHITECTURES, module_dir=tmp_path, use_ptx=False)
+    assert len(files) == len(ARCHITECTURES)
+    for arch, file in zip(ARCHITECTURES, files, strict=True):
+        assert f"sm{arch}" in file.name
+        assert file.read_bytes()[:4] == b"\x7fELF"
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name.rpartition(".")[2])
+def test_no_kernel_has_a_gradient_that_nobody_needs(module):
+    assert all(not kernel.options.get("enable_backward", module.options["enable_backward"])
+               for kernel in module.kernels.values())  # fmt: skip

@@ -1,0 +1,135 @@
+"""The cost-to-go against Dijkstra's, and the ways that it leads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import reference
+import warp as wp
+from reference import pose_grid
+from tasks import block, box, task
+
+from oimppi_warp.clearance import build_geometry, pose_field_at
+from oimppi_warp.kernels import navigation as kernels
+from oimppi_warp.kernels.geometry import PoseField
+from oimppi_warp.navigation import build_to_go, descend, path_lengths
+
+YAW_LENGTH = 0.1
+"""Length that turning by one radian counts as [m]."""
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of its own for every test."""
+    monkeypatch.setenv("OIMPPI_CACHE", str(tmp_path))
+    return tmp_path
+
+
+def field_of(clearance: np.ndarray) -> PoseField:
+    """A pose field with nodes a centimetre apart, the first at zero."""
+    field = PoseField()
+    field.values = wp.array(clearance.astype(np.float32), dtype=float, device="cpu")
+    field.origin, field.inv_step = wp.vec2(0.0, 0.0), 100.0
+    field.inv_yaw_step = clearance.shape[0] / (2.0 * np.pi)
+    return field
+
+
+def walled() -> np.ndarray:
+    """phi_2 [yaw, x, y] with a wall to go around and a narrow place beside it, for some yaws."""
+    clearance = np.full((8, 14, 11), 0.05)
+    clearance[:, 6:8, :8] = -0.01
+    clearance[2:5, 6:8, 8:] = 0.012
+    return clearance
+
+
+REACH = (0.03, 0.13)
+"""Distances from the base between which the arm pushes well [m]."""
+
+
+def toll(gap: float, distance: float) -> float:
+    """What a metre costs at a clearance and a distance from the base."""
+    crowded = 1.0 + 3.0 * np.clip((0.02 - gap) / 0.02, 0.0, 1.0) ** 2
+    if gap < 0.0:
+        return 40.0
+    return crowded if REACH[0] <= distance <= REACH[1] else max(crowded, 10.0)
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        np.array([[0.121, 0.033, 1.0]]),
+        np.array([[0.02, 0.09, 3.0], [0.05, 0.09, 3.4], [0.09, 0.085, 3.9], [0.121, 0.033, 5.0]]),
+    ],
+    ids=["goal", "way to a goal"],
+)
+def test_the_cost_to_go_is_dijkstras(way):
+    found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, reach=REACH, device="cpu").values.numpy()
+    expected = reference.to_go(walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, toll=toll)
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+def test_the_cost_to_go_leads_around_a_wall():
+    goal = np.array([0.121, 0.033, 1.0])
+    pose = np.array([0.02, 0.02, 1.0])
+    around, free = (
+        pose_field_at(build_to_go(field_of(clearance), goal, yaw_length=YAW_LENGTH, device="cpu"), pose)
+        for clearance in (walled(), np.full((8, 14, 11), 0.05))
+    )
+    assert around > free + 0.05
+
+
+def test_a_goal_where_the_arm_pushes_badly_is_far_away():
+    goal, pose = np.array([0.121, 0.093, 1.0]), np.array([0.05, 0.093, 1.0])
+    field = field_of(np.full((8, 14, 11), 0.05))
+    near, far = (
+        pose_field_at(build_to_go(field, goal, yaw_length=YAW_LENGTH, reach=reach, device="cpu"), pose)
+        for reach in ((0.0, np.inf), (0.0, 0.10))
+    )
+    assert far > 2.0 * near
+
+
+def test_sweeping_no_further_changes_a_cost_to_go_that_is_done():
+    field = field_of(walled())
+    to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device="cpu")
+    tolls = kernels.Tolls()
+    tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
+    tolls.reach_lower, tolls.reach_upper, tolls.far = 0.0, 1e3, 10.0
+    change = wp.zeros(1, dtype=float, device="cpu")
+    for direction in range(8):
+        inputs = [field, tolls, direction]
+        wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go.values, change], device="cpu")
+        assert change.numpy()[0] < 1e-3
+
+
+def test_a_cost_to_go_belongs_to_its_goal(cache):
+    field = field_of(walled())
+    first, second = (
+        build_to_go(field, np.array([x, 0.03, 0.0]), yaw_length=YAW_LENGTH, device="cpu") for x in (0.02, 0.12)
+    )
+    assert len(list(cache.glob("togo-*.npy"))) == 2
+    assert pose_field_at(first, np.array([0.02, 0.03, 0.0])) < 0.005
+    assert pose_field_at(second, np.array([0.02, 0.03, 0.0])) > 0.1
+    again = build_to_go(field, np.array([0.02, 0.03, 0.0]), yaw_length=YAW_LENGTH, device="cpu")
+    np.testing.assert_array_equal(again.values.numpy(), first.values.numpy())
+    assert len(list(cache.glob("togo-*.npy"))) == 2
+
+
+def test_the_length_of_a_path_counts_its_turns_the_short_way():
+    path = np.array([[0.0, 0.0, 3.0], [0.03, 0.04, 3.0], [0.03, 0.04, -3.0]])
+    turn = YAW_LENGTH * (2.0 * np.pi - 6.0)
+    np.testing.assert_allclose(path_lengths(path, YAW_LENGTH), [0.05, turn])
+
+
+def test_following_the_cost_to_go_brings_the_object_around_an_obstacle_to_its_goal():
+    clearance = build_geometry(task(box(0.40, 0.0, (0.14, 0.06, 0.1)), pushed=block()), "cpu").clearance
+    goal = np.array([0.42, 0.2, 0.5])
+    to_go = build_to_go(clearance, goal, yaw_length=YAW_LENGTH, device="cpu")
+    way = descend(to_go, np.array([0.40, -0.2, 0.0]), yaw_length=YAW_LENGTH, step=0.006, steps=150)
+    np.testing.assert_allclose(way[0], [0.40, -0.2, 0.0])
+    assert np.linalg.norm(way[-1, :2] - goal[:2]) < 0.02
+    assert abs(reference.wrap_angle(way[-1, 2] - goal[2])) < 0.15
+    grid = pose_grid(clearance)
+    assert min(grid.at(pose)[0] for pose in way) > 0.0
+    assert (path_lengths(way, YAW_LENGTH) < 0.006 + 1e-9).all()

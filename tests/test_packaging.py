@@ -1,0 +1,94 @@
+"""What a user gets: light imports, public names, pinned packages, every file in its place."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import oimppi_warp
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+LOCK = (ROOT / "requirements.lock").read_text()
+HEAVY = {"pxr", "viser", "newton", "mujoco", "warp", "matplotlib", "trimesh", "shapely", "scipy"}
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules that a fresh Python has loaded after ``code``."""
+    script = f"{code}\nimport sys; print(*sorted({{name.partition('.')[0] for name in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "code", ["import oimppi_warp", "import oimppi_warp.cli", "from oimppi_warp import best, paper"]
+)
+def test_importing_stays_light(code: str):
+    assert not modules_after(code) & HEAVY
+
+
+def test_importing_takes_less_than_two_seconds():
+    script = "import time; t = time.perf_counter(); import oimppi_warp.cli; print(time.perf_counter() - t)"
+    runs = [
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+        for _ in "ab"
+    ]
+    assert min(float(run.stdout) for run in runs) < 2.0
+
+
+@pytest.mark.parametrize("name", oimppi_warp.__all__)
+def test_every_public_name_is_there_and_documented(name: str):
+    assert getattr(oimppi_warp, name).__doc__
+
+
+def test_an_unknown_name_says_which_there_are():
+    with pytest.raises(AttributeError, match="make_planner"):
+        oimppi_warp.plan  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_the_version_is_the_same_everywhere():
+    assert oimppi_warp.__version__ == PROJECT["project"]["version"]
+
+
+def test_the_lock_names_no_index():
+    assert not re.search(r"https?://|file:|--(extra-)?index-url|--find-links|--trusted-host", LOCK)
+
+
+def test_every_locked_package_is_pinned_and_hashed():
+    entries = re.split(r"\n(?=\S)", "\n".join(line for line in LOCK.splitlines() if not line.startswith("#")))
+    assert len(entries) > 30
+    for entry in entries:
+        assert re.match(r"[a-z0-9-]+==[\w.]+", entry), entry
+        assert re.search(r"--hash=sha256:[0-9a-f]{64}", entry), entry
+
+
+def test_every_dependency_is_locked():
+    locked = set(re.findall(r"^([a-z0-9-]+)==", LOCK, flags=re.MULTILINE))
+    wanted = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["dev"]
+    assert {re.split(r"[\[<>=~ ]", requirement)[0] for requirement in wanted} <= locked
+
+
+@pytest.mark.parametrize("name", ["kernels", "scenes"])
+def test_the_package_reaches_the_folders_at_the_top_through_relative_links(name: str):
+    link = ROOT / "oimppi_warp" / name
+    assert link.is_symlink()
+    assert link.readlink() == Path("..") / name
+
+
+def test_every_kind_of_scene_file_is_package_data():
+    patterns = {pattern.removeprefix("*") for pattern in PROJECT["tool"]["setuptools"]["package-data"]["*"]}
+    assert {path.suffix for path in (ROOT / "scenes").rglob("*") if path.is_file()} - {".pyc", ".py"} <= patterns
+
+
+def test_every_folder_of_scene_files_is_a_package_that_the_wheel_takes():
+    from setuptools import find_namespace_packages
+
+    found = set(find_namespace_packages(str(ROOT), include=["oimppi_warp*"]))
+    for folder in {path.parent for path in (ROOT / "scenes").rglob("*.usda")}:
+        parts = folder.relative_to(ROOT).parts
+        assert ".".join(("oimppi_warp", *parts)) in found

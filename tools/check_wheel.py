@@ -1,0 +1,89 @@
+"""Try the wheel: build it through the source distribution, install it elsewhere, load a scene and launch a kernel.
+
+The new environment sees the packages of this one (from `requirements.lock`) but not the checkout. Run it as
+``python tools/check_wheel.py``; it exits with an error at the first step that fails.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tempfile
+import venv
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+TRIAL = """
+from pathlib import Path
+
+import warp
+import oimppi_warp
+from oimppi_warp.clearance import build_geometry
+from oimppi_warp.usd import shipped_scenes
+
+warp.config.log_level = warp.LOG_WARNING
+home = Path(oimppi_warp.__file__).parent
+assert home.is_relative_to({prefix!r}), home
+names = [scene.name for scene in shipped_scenes()]
+assert len(names) >= 8, names
+geometry = build_geometry(oimppi_warp.load_scene("task02"), device="cpu")
+print(f"installed in {{home}}: {{len(names)}} scenes, phi_2 of task02 computed by a kernel")
+"""
+
+
+IGNORED = shutil.ignore_patterns(".*", "build", "dist", "runs", "*.egg-info", "__pycache__")
+"""What a clean checkout has not: environments, caches and what was built before."""
+
+
+def run(*command: object, cwd: Path, env: dict[str, str] | None = None) -> str:
+    """Run a command and return what it printed; its failure ends this script."""
+    done = subprocess.run([str(part) for part in command], cwd=cwd, env=env, capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"{done.stdout}{done.stderr}\nfailed: {command[0]} {command[1]}")
+    return done.stdout
+
+
+def build(source: Path, out: Path, kind: str) -> Path:
+    """Call the build backend (``sdist`` or ``wheel``) in ``source``; returns the file it made."""
+    code = f"import setuptools.build_meta as backend; backend.build_{kind}({str(out)!r})"
+    run(sys.executable, "-c", code, cwd=source)
+    (made,) = out.glob("*.tar.gz" if kind == "sdist" else "*.whl")
+    return made
+
+
+def main() -> None:
+    """Build, install, try."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        checkout, out, unpacked = folder / "checkout", folder / "out", folder / "unpacked"
+        out.mkdir()
+        shutil.copytree(ROOT, checkout, symlinks=True, ignore=IGNORED)
+        with tarfile.open(build(checkout, out, "sdist")) as archive:
+            archive.extractall(unpacked, filter="data")
+        (source,) = unpacked.iterdir()
+        wheel = build(source, out, "wheel")
+        packed = [Path(member).suffix for member in zipfile.ZipFile(wheel).namelist()]
+        size = wheel.stat().st_size // 1024
+        print(f"built {wheel.name}: {size} KiB, {packed.count('.py')} modules, {packed.count('.usda')} USD files")
+
+        elsewhere = folder / "elsewhere"
+        venv.create(elsewhere, with_pip=False)
+        python = elsewhere / "bin" / "python"
+        site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip())
+        pip = ("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", site, wheel)
+        run(sys.executable, *pip, cwd=folder)
+        (site / "locked.pth").write_text(sysconfig.get_path("purelib") + "\n")
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        environment["OIMPPI_CACHE"] = str(folder / "cache")  # an empty one: the kernel is launched, not looked up
+        print(run(python, "-c", TRIAL.format(prefix=str(site)), cwd=folder, env=environment), end="")
+        print(run(python, "-m", "oimppi_warp", "scenes", cwd=folder, env=environment), end="")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,223 @@
+"""The few kinds of prims that the shipped scenes are made of, and how they are written.
+
+Every function takes the stage and a path and returns the prim. Metres, kilograms and radians in, the units of
+UsdPhysics (degrees) out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+
+Vector = Sequence[float] | np.ndarray
+Points = Sequence[Vector] | np.ndarray
+Color = tuple[float, float, float]
+
+
+def new_stage(file: Path, root: str, doc: str) -> Usd.Stage:
+    """An empty stage in metres and kilograms, z up, with one component ``/root`` as its default prim."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.unlink(missing_ok=True)
+    stage = Usd.Stage.CreateNew(str(file))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    stage.SetMetadata("documentation", doc)
+    prim = UsdGeom.Xform.Define(stage, f"/{root}").GetPrim()
+    Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+    stage.SetDefaultPrim(prim)
+    return stage
+
+
+def rounded(values: Vector, digits: int = 12) -> list[float]:
+    """Plain floats without the dust of arithmetic, so that files read well and are the same everywhere."""
+    return [round(float(v), digits) + 0.0 for v in values]
+
+
+def vec3(v: Vector) -> Gf.Vec3f:
+    """A single-precision vector."""
+    return Gf.Vec3f(*rounded(v, 9))
+
+
+def quat(q: Vector) -> Gf.Quatf:
+    """A quaternion xyzw as USD's (w, x, y, z)."""
+    x, y, z, w = rounded(q, 9)
+    return Gf.Quatf(w, x, y, z)
+
+
+def place(prim: Usd.Prim, position: Vector, orientation: Vector | None = None) -> None:
+    """Put a prim at a position [m] and, if given, an orientation (quaternion xyzw) in its parent's frame."""
+    xform = UsdGeom.Xformable(prim)
+    xform.ClearXformOpOrder()
+    xform.AddTranslateOp().Set(Gf.Vec3d(*rounded(position)))
+    if orientation is not None:
+        xform.AddOrientOp().Set(quat(orientation))
+
+
+def place_planar(prim: Usd.Prim, pose: Vector, height: float) -> None:
+    """Put a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m]."""
+    xform = UsdGeom.Xformable(prim)
+    xform.ClearXformOpOrder()
+    xform.AddTranslateOp().Set(Gf.Vec3d(*rounded((pose[0], pose[1], height))))
+    xform.AddRotateZOp(UsdGeom.XformOp.PrecisionDouble).Set(round(math.degrees(pose[2]), 9))
+
+
+def apply_api(prim: Usd.Prim, *names: str) -> None:
+    """Apply API schemas by name: ours, and Newton's, need not be registered to be written."""
+    for name in names:
+        prim.AddAppliedSchema(name)
+
+
+def attribute(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: object) -> None:
+    """Author an attribute of an API schema."""
+    prim.CreateAttribute(name, type_name, custom=False).Set(value)
+
+
+def _finish(gprim: UsdGeom.Gprim, color: Color | None, collide: bool, opacity: float = 1.0) -> Usd.Prim:
+    """Colour, extent and collision of a piece of geometry; without a colour it is a guide, which is not drawn."""
+    prim = gprim.GetPrim()
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), Usd.TimeCode.Default())
+    gprim.CreateExtentAttr(extent)
+    if color is None:
+        gprim.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    else:
+        gprim.CreateDisplayColorAttr([Gf.Vec3f(*color)])
+    if opacity < 1.0:
+        gprim.CreateDisplayOpacityAttr([opacity])
+    if collide:
+        UsdPhysics.CollisionAPI.Apply(prim)
+    return prim
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a piece of geometry shows: its colour (none: not at all), its opacity, and whether it collides."""
+
+    color: Color | None = None
+    collide: bool = False
+    opacity: float = 1.0
+
+
+COLLIDER = Look(collide=True)
+
+
+def box(stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look) -> Usd.Prim:
+    """A box with its full side lengths [m]."""
+    cube = UsdGeom.Cube.Define(stage, path)
+    cube.CreateSizeAttr(1.0)
+    place(cube.GetPrim(), center)
+    cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*rounded(extents)))
+    return _finish(cube, look.color, look.collide, look.opacity)
+
+
+def cylinder(stage: Usd.Stage, path: str, center: Vector, radius: float, height: float, look: Look) -> Usd.Prim:
+    """An upright cylinder."""
+    gprim = UsdGeom.Cylinder.Define(stage, path)
+    gprim.CreateRadiusAttr(radius)
+    gprim.CreateHeightAttr(height)
+    gprim.CreateAxisAttr(UsdGeom.Tokens.z)
+    place(gprim.GetPrim(), center)
+    return _finish(gprim, look.color, look.collide, look.opacity)
+
+
+def capsule(stage: Usd.Stage, path: str, a: Vector, b: Vector, radius: float, look: Look) -> Usd.Prim:
+    """A capsule between two points [m]."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    gprim = UsdGeom.Capsule.Define(stage, path)
+    gprim.CreateRadiusAttr(radius)
+    gprim.CreateHeightAttr(round(float(np.linalg.norm(b - a)), 9))
+    gprim.CreateAxisAttr(UsdGeom.Tokens.z)
+    place(gprim.GetPrim(), (a + b) / 2, z_to(b - a))
+    return _finish(gprim, look.color, look.collide, look.opacity)
+
+
+def mesh(
+    stage: Usd.Stage, path: str, points: np.ndarray, faces: Sequence[Sequence[int]], look: Look, normals: Points = ()
+) -> Usd.Prim:
+    """A polygon mesh with flat faces or, if ``normals`` (one a point) are given, smooth ones; a collider is convex."""
+    gprim = UsdGeom.Mesh.Define(stage, path)
+    gprim.CreatePointsAttr(Vt.Vec3fArray([vec3(np.round(p, 5)) for p in points]))
+    gprim.CreateFaceVertexCountsAttr([len(face) for face in faces])
+    gprim.CreateFaceVertexIndicesAttr([i for face in faces for i in face])
+    gprim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    if len(normals):
+        gprim.CreateNormalsAttr(Vt.Vec3fArray([vec3(np.round(n, 2)) for n in normals]))
+        gprim.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    prim = _finish(gprim, look.color, look.collide, look.opacity)
+    if look.collide:
+        UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+    return prim
+
+
+def prism(stage: Usd.Stage, path: str, polygon: np.ndarray, height: float, look: Look) -> Usd.Prim:
+    """A convex polygon (counter-clockwise, [n, 2]) extruded upwards and downwards by half its height."""
+    n = len(polygon)
+    points = np.vstack([np.c_[polygon, np.full(n, z)] for z in (-height / 2, height / 2)])
+    sides = [[i, (i + 1) % n, n + (i + 1) % n, n + i] for i in range(n)]
+    return mesh(stage, path, points, [list(range(n))[::-1], list(range(n, 2 * n)), *sides], look)
+
+
+def z_to(direction: Vector) -> np.ndarray:
+    """The shortest rotation that turns z into ``direction``, as a quaternion xyzw."""
+    d = np.asarray(direction, float) / np.linalg.norm(direction)
+    if d[2] < -1.0 + 1e-9:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    q = np.array([-d[1], d[0], 0.0, 1.0 + d[2]])
+    return q / np.linalg.norm(q)
+
+
+def physics_material(stage: Usd.Stage, path: str, friction: float) -> UsdShade.Material:
+    """A material with the same static and dynamic friction, and no bounce."""
+    material = UsdShade.Material.Define(stage, path)
+    api = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+    api.CreateStaticFrictionAttr(friction)
+    api.CreateDynamicFrictionAttr(friction)
+    api.CreateRestitutionAttr(0.0)
+    return material
+
+
+def bind_physics(root: Usd.Prim, material: UsdShade.Material) -> None:
+    """Give the colliders at and below a prim a physics material; on each of them, as not every reader inherits it."""
+    for prim in Usd.PrimRange(root):
+        if prim.HasAPI(UsdPhysics.CollisionAPI):
+            binding = UsdShade.MaterialBindingAPI.Apply(prim)
+            binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+
+
+def mass_properties(prim: Usd.Prim, mass: float, center: Vector, inertia: np.ndarray) -> None:
+    """Mass [kg], centre of mass [m] and inertia about it (3 x 3 matrix in the prim's axes) [kg m^2]."""
+    moments, axes = np.linalg.eigh(inertia)
+    axes = axes[:, np.argsort(np.abs(axes).argmax(axis=0), kind="stable")] if _is_diagonal(inertia) else axes
+    moments = np.diag(axes.T @ inertia @ axes)
+    axes *= np.where(axes[np.abs(axes).argmax(axis=0), range(3)] < 0, -1.0, 1.0)
+    if np.linalg.det(axes) < 0:
+        axes[:, 2] *= -1.0
+    api = UsdPhysics.MassAPI.Apply(prim)
+    api.CreateMassAttr(mass)
+    api.CreateCenterOfMassAttr(vec3(center))
+    api.CreateDiagonalInertiaAttr(vec3(np.round(moments, 9)))
+    api.CreatePrincipalAxesAttr(quat(matrix_quat(axes)))
+
+
+def _is_diagonal(matrix: np.ndarray) -> bool:
+    return bool(np.allclose(matrix, np.diag(np.diag(matrix)), atol=1e-12))
+
+
+def matrix_quat(matrix: np.ndarray) -> np.ndarray:
+    """The quaternion (xyzw, w >= 0) of a rotation matrix: the eigenvector of Bar-Itzhack's symmetric form."""
+    m = matrix
+    k = np.array(
+        [
+            [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
+            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
+            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
+        ]
+    )
+    q = np.linalg.eigh(k)[1][:, -1]
+    return q if q[3] >= 0 else -q
