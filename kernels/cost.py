@@ -19,7 +19,11 @@ CostTerms = wp.types.vector(length=len(TERMS), dtype=float)
 
 @wp.struct
 class RobotWeights:
-    """Weights of the robot level; see ``oimppi_warp.config.RobotCost`` for each."""
+    """Weights of the robot level; see ``oimppi_warp.config.RobotCost`` for each.
+
+    ``edge_lower`` and ``edge_upper`` are the corners of the rectangle within which the object's centre keeps all of it
+    on the table [m].
+    """
 
     w_d: float
     w_theta: float
@@ -40,6 +44,8 @@ class RobotWeights:
     w_reach: float
     reach_lower: float
     reach_upper: float
+    edge_lower: wp.vec2
+    edge_upper: wp.vec2
     w_press: float
     w_control: float
 
@@ -119,10 +125,18 @@ def shortfall(value: float, wanted: float) -> float:
 
 
 @wp.func
-def reach_cost(pose: wp.vec3, lower: float, upper: float) -> float:
-    """Squared distance of the object's centre to the ring around the base in which the arm can push well [m^2]."""
+def out_of_reach(pose: wp.vec3, lower: float, upper: float) -> float:
+    """Distance of the object's centre to the ring around the base in which the arm can push well [m]."""
     distance = wp.sqrt(pose[0] * pose[0] + pose[1] * pose[1])
-    return shortfall(distance, lower) + squared(wp.max(distance - upper, 0.0))
+    return wp.max(lower - distance, 0.0) + wp.max(distance - upper, 0.0)
+
+
+@wp.func
+def over_edge(pose: wp.vec3, lower: wp.vec2, upper: wp.vec2) -> float:
+    """How far the object's centre is outside of the rectangle in which all of it is on the table [m]."""
+    along = wp.max(lower[0] - pose[0], 0.0) + wp.max(pose[0] - upper[0], 0.0)
+    across = wp.max(lower[1] - pose[1], 0.0) + wp.max(pose[1] - upper[1], 0.0)
+    return along + across
 
 
 @wp.func
@@ -133,7 +147,7 @@ def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, cl
         + w.w_f * contact_cost(force, w.f_0)
         + w.w_margin * shortfall(clearance, w.margin)
         + w.w_to_go * to_go
-        + w.w_reach * reach_cost(pose, w.reach_lower, w.reach_upper)
+        + w.w_reach * out_of_reach(pose, w.reach_lower, w.reach_upper)
     )
 
 
@@ -182,7 +196,8 @@ def robot_cost(
     terms[6] = w.w_height * squared(tip[2] - w.height)
     terms[7] = w.w_clearance * shortfall(room, w.clearance)
     terms[8] = w.w_above * above
-    terms[9] = w.w_reach * reach_cost(pose, w.reach_lower, w.reach_upper)
+    outside = out_of_reach(pose, w.reach_lower, w.reach_upper) + over_edge(pose, w.edge_lower, w.edge_upper)
+    terms[9] = w.w_reach * outside
     terms[10] = w.w_press * pressed * pressed
     terms[11] = w.w_control * speed_squared
     return terms

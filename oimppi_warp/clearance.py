@@ -16,7 +16,6 @@ import numpy as np
 import shapely
 import trimesh
 import warp as wp
-from shapely.geometry.base import BaseGeometry
 
 from oimppi_warp.cache import cached, content_of
 from oimppi_warp.footprint import LimitSurface, Piece, core_points, footprint, height_range, limit_surface, outline
@@ -44,18 +43,20 @@ class Geometry:
 
     Attributes:
         surface: Limit surface of the object; planning poses are those of its ``center``.
-        outline: The object from above, around its friction centre.
         top: Height of the object's top above the table [m].
-        clearance: phi_2 over poses of the friction centre [m].
+        size: Largest distance of the outline from the friction centre [m].
+        clearance: phi_2 over poses of the friction centre, to obstacles, the robot's base and the table's edge [m].
+        obstruction: The same without the table's edge: what stops a pushed object [m].
         body: Signed distance to the object's outline around its friction centre [m].
         space: Distance to the obstacles [m].
         space_top: Height above which no obstacle is nearer than ``NEAR`` [m].
     """
 
     surface: LimitSurface
-    outline: BaseGeometry
     top: float
+    size: float
     clearance: PoseField
+    obstruction: PoseField
     body: PlanarField
     space: SpaceField
     space_top: float
@@ -90,9 +91,11 @@ def build_geometry(scene: Scene, device: str) -> Geometry:
     obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
     pieces = footprint((*obstacles, *scene.robot.base.colliders), lower=lower + 1e-3, upper=top)
 
-    clearance = _clearance_field(body, pieces, scene, device)
+    clearance = _clearance_field(body, pieces, scene, device, edge=True)
+    obstruction = _clearance_field(body, pieces, scene, device, edge=False)
+    size = max(float(np.linalg.norm(piece.vertices, axis=1).max()) + piece.radius for piece in body)
     space, space_top = _space_field(obstacles, scene, device)
-    return Geometry(surface, outline(body), top, clearance, _body_field(body, device), space, space_top)
+    return Geometry(surface, top, size, clearance, obstruction, _body_field(body, device), space, space_top)
 
 
 def to_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
@@ -135,11 +138,15 @@ def _shifted(piece: Piece, offset: np.ndarray) -> Piece:
     return Piece(piece.vertices + offset, piece.radius)
 
 
-def _clearance_field(body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str) -> PoseField:
+def _clearance_field(
+    body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str, *, edge: bool
+) -> PoseField:
     lower, upper = np.array(scene.table.lower), np.array(scene.table.upper)
     reach = arm_reach_bound(scene)
     first = np.maximum(lower, -reach)
     count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
+    if not edge:
+        lower, upper = lower - 10.0, upper + 10.0
 
     def compute() -> np.ndarray:
         values = wp.zeros((YAW_NODES, *count), dtype=float, device=device)
@@ -163,7 +170,7 @@ def _clearance_field(body: list[Piece], obstacles: tuple[Piece, ...], scene: Sce
     shapes = [x for piece in (*body, *obstacles) for x in (piece.vertices, piece.radius)]
     content = content_of(*shapes, len(body), lower, upper, first, count, STEP, YAW_NODES, FURTHEST)
     field = PoseField()
-    field.values = wp.array(cached("phi2", content, compute), dtype=float, device=device)
+    field.values = wp.array(cached("phi2" if edge else "obstruction", content, compute), dtype=float, device=device)
     field.origin = wp.vec2(*first)
     field.inv_step = 1.0 / STEP
     field.inv_yaw_step = YAW_NODES / (2.0 * np.pi)

@@ -83,6 +83,11 @@ class ObjectLevel:
     noise_range: float = 0.15
     plan_steps: int = 600
 
+    @property
+    def yaw_length(self) -> float:
+        """Length that turning by one radian counts as: how far the object could be moved in the same time [m]."""
+        return self.speed_limit[0] / self.speed_limit[2]
+
 
 @dataclass(frozen=True)
 class ObjectCost:
@@ -96,8 +101,7 @@ class ObjectCost:
         w_to_go: Length of the shortest free way to the goal [1/m]; not in the paper.
         w_margin: Squared lack of clearance below ``margin`` [1/m^2]; not in the paper.
         margin: [m].
-        w_reach: Squared distance of the object's centre to the ring in which the arm can push well [1/m^2]; not in the
-            paper.
+        w_reach: Distance of the object's centre to the ring in which the arm can push well [1/m]; not in the paper.
         reach: Inner and outer radius of that ring [m].
     """
 
@@ -108,7 +112,7 @@ class ObjectCost:
     w_to_go: float = 4.0
     w_margin: float = 2000.0
     margin: float = 0.015
-    w_reach: float = 500.0
+    w_reach: float = 20.0
     reach: tuple[float, float] = (0.32, 0.60)
 
 
@@ -134,17 +138,18 @@ class RobotCost:
         w_clearance: Squared lack of room below ``clearance`` between arm and obstacles or table (phi_3) [1/m^2].
         clearance: [m].
         w_above: Each step with the tip above the object.
-        w_reach: Squared distance of the object's centre beyond ``reach`` from the base's axis [1/m^2].
-        reach: Smallest and largest distance [m].
+        w_reach: Distance of the object's centre to the ring in which the arm can push well, and to where all of the
+            object is on the table for sure [1/m].
+        reach: Inner and outer radius of that ring [m].
         w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2].
         w_control: Squared joint velocity [s^2/rad^2].
     """
 
     w_d: float = 5.0
-    w_theta: float = 0.03
+    w_theta: float = 0.1
     w_f: float = 0.05
     f_0: float = 0.5
-    w_reference: float = 200.0
+    w_reference: float = 300.0
     w_ee: float = 5.0
     r_0: float = 0.12
     w_align: float = 2.0
@@ -158,7 +163,7 @@ class RobotCost:
     w_clearance: float = 1e4
     clearance: float = 0.01
     w_above: float = 20.0
-    w_reach: float = 2000.0
+    w_reach: float = 40.0
     reach: tuple[float, float] = (0.32, 0.60)
     w_press: float = 1e4
     w_control: float = 0.0

@@ -93,9 +93,9 @@ class Episode:
                     break
             else:
                 self.log.header["ended"] = "time limit"
-            self.plant.apply(np.zeros(self.scene.robot.dof))
         except KeyboardInterrupt:
             self.log.header["ended"] = "interrupted"
+        self.plant.apply(np.zeros(self.scene.robot.dof))
         return self.log
 
     def _step(self, observation: Observation, wanted: Tolerance) -> tuple[Observation, bool]:

@@ -44,7 +44,7 @@ class Plan:
         terms: Weighted cost terms of the robot's nominal, summed over the horizon.
         tips: Tool tip along the nominal, shape [horizon + 1, 3] [m].
         object_poses: The object along it, shape [horizon + 1, 3].
-        reference: The object poses that were tracked, shape [n, 3].
+        reference: The object plan that was tracked, from the object's present pose on, shape [n, 3].
     """
 
     command: np.ndarray
@@ -70,7 +70,7 @@ class ObjectLevel:
 
     def improve(self, pose: np.ndarray) -> tuple[Update, np.ndarray]:
         """One update from a pose [3], and the path [horizon + 1, 3] that the nominal then takes."""
-        left = _difference(self._goal, pose) * [1.0, 1.0, self._level.speed_limit[0] / self._level.speed_limit[2]]
+        left = _difference(self._goal, pose) * [1.0, 1.0, self._level.yaw_length]
         share = 1.0
         if self._level.noise_range > 0.0:
             share = float(np.clip(np.linalg.norm(left) / self._level.noise_range, 0.1, 1.0))
@@ -129,8 +129,7 @@ class Planner:
         object_seconds = time.perf_counter() - began
 
         joints = observation.joint_position
-        reference = _fitted(reference, self.dynamics.reference_length)
-        self.dynamics.set_state(joints, pose, self.goal, reference)
+        self.dynamics.set_state(joints, pose, self.goal, _fitted(reference, self.dynamics.reference_length))
         self.mppi.set_noise(self._noise(joints))
         update = self.mppi.step()
         command = self.mppi.nominal.numpy()[0].astype(float)
@@ -175,7 +174,6 @@ class SequentialPlanner(Planner):
         self._object = ObjectLevel(self.geometry, self.goal, config, device=device, seed=2 * seed + 2)
         self._path = self.goal[None]
         self._progress = 0
-        self._yaw_length = config.object.speed_limit[0] / config.object.speed_limit[2]
         self._to_go: PoseField | None = None
 
     def warm_up(self) -> None:
@@ -190,11 +188,11 @@ class SequentialPlanner(Planner):
         self._object.reset()
         self._progress = 0
         self._path = self._whole_way(to_center(self.geometry.surface, observation.object_pose))
-        if self.config.soi.off_plan > 0.0:
+        if self.config.reference == "progress" and self.config.soi.off_plan > 0.0:
             self._to_go = build_to_go(
                 self.geometry.clearance,
                 self._path[::-3][::-1],
-                yaw_length=self._yaw_length,
+                yaw_length=self.config.object.yaw_length,
                 reach=self.config.object_cost.reach,
                 device=self.device,
             )
@@ -220,7 +218,7 @@ class SequentialPlanner(Planner):
         first = max(self._progress - soi.look_back, 0)
         window = self._path[first : self._progress + soi.look_ahead]
         error = _difference(window, pose)
-        distance = np.linalg.norm(error * [1.0, 1.0, self._yaw_length], axis=1)
+        distance = np.linalg.norm(error * [1.0, 1.0, self.config.object.yaw_length], axis=1)
         nearest = int(np.argmin(distance))
         self._progress = first + nearest
         if self._to_go is not None and distance[nearest] > soi.off_plan:
@@ -232,9 +230,12 @@ class SequentialPlanner(Planner):
         return None, reference
 
     def _way_back(self, pose: np.ndarray) -> np.ndarray:
-        """A free way onto the plan, and the plan from where it is met."""
+        """A free way to the rest of the plan, shape [n, 3]: down the cost-to-go that was made with the plan."""
+        assert self._to_go is not None
         step = self.config.object.speed_limit[0] * self.config.control_period
-        way = descend(self._to_go, pose, yaw_length=self._yaw_length, step=step, steps=self.dynamics.reference_length)
+        way = descend(
+            self._to_go, pose, yaw_length=self.config.object.yaw_length, step=step, steps=self.dynamics.reference_length
+        )
         way[:, 2] = pose[2] + wrap_angle(way[:, 2] - pose[2])
         return way
 

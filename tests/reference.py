@@ -216,6 +216,11 @@ def out_of_reach(pose: np.ndarray, reach: tuple[float, float]) -> float:
     return max(reach[0] - distance, 0.0) + max(distance - reach[1], 0.0)
 
 
+def over_edge(pose: np.ndarray, edge: tuple[np.ndarray, np.ndarray]) -> float:
+    """How far a centre lies outside of the rectangle ``edge``, summed over its axes [m]."""
+    return float(np.maximum(edge[0] - pose[:2], 0.0).sum() + np.maximum(pose[:2] - edge[1], 0.0).sum())
+
+
 def object_cost(w: ObjectCost, pose: np.ndarray, goal: np.ndarray, force: float, clearance: float, way: float) -> float:
     """Equation 14 and the terms of our own."""
     return (
@@ -223,7 +228,7 @@ def object_cost(w: ObjectCost, pose: np.ndarray, goal: np.ndarray, force: float,
         + w.w_f * max(force - w.f_0, 0.0) ** 2
         + w.w_margin * max(w.margin - clearance, 0.0) ** 2
         + w.w_to_go * way
-        + w.w_reach * out_of_reach(pose, w.reach) ** 2
+        + w.w_reach * out_of_reach(pose, w.reach)
     )
 
 
@@ -256,6 +261,7 @@ def robot_cost(
     above: float,
     pressed: float,
     speed_squared: float,
+    edge: tuple[np.ndarray, np.ndarray] = (np.full(2, -np.inf), np.full(2, np.inf)),
 ) -> dict[str, float]:
     """Equations 14 to 18 and the terms of our own, weighted, by the names in ``kernels.cost.TERMS``."""
     center = np.array([pose[0], pose[1], mid_height])
@@ -269,7 +275,7 @@ def robot_cost(
         "height": w.w_height * (tip[2] - w.height) ** 2,
         "clearance": w.w_clearance * max(w.clearance - room, 0.0) ** 2,
         "above": w.w_above * above,
-        "reach": w.w_reach * out_of_reach(pose, w.reach) ** 2,
+        "reach": w.w_reach * (out_of_reach(pose, w.reach) + over_edge(pose, edge)),
         "press": w.w_press * pressed**2,
         "control": w.w_control * speed_squared,
     }

@@ -216,11 +216,12 @@ def test_the_robots_stage_cost_is_equations_14_to_18_term_by_term(fade):
     for case, rotation in zip(cases, rotations, strict=True):
         case["up"] = rotation[2]
         case["speed_squared"] = abs(case["speed_squared"])
-    inputs = [_robot_weights(weights), packed_cases(cases, probes.RobotCase)]
+    edge = (np.array([-0.2, -0.3]), np.array([0.4, 0.1]))
+    inputs = [_robot_weights(weights, edge), packed_cases(cases, probes.RobotCase)]
     (found,) = launch(probes.robot_cost_probe, inputs, 100, CostTerms)
     for terms, case, rotation in zip(found, cases, rotations, strict=True):
         known = {name: value for name, value in case.items() if name != "up"}
-        expected = reference.robot_cost(weights, rotation=rotation, **known)
+        expected = reference.robot_cost(weights, rotation=rotation, edge=edge, **known)
         np.testing.assert_allclose(
             terms, [expected[name] for name in TERMS], rtol=RELATIVE_TOLERANCE, atol=1e-5, err_msg=str(TERMS)
         )

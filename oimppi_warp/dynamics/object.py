@@ -56,9 +56,9 @@ class ObjectDynamics:
                 setattr(self._weights, name, value)
         self._weights.reach_lower, self._weights.reach_upper = cost.reach
         if cost.w_to_go > 0.0:
-            # Turning counts as the way that the object could be moved in the same time.
-            yaw_length = level.speed_limit[0] / level.speed_limit[2]
-            self._to_go = build_to_go(geometry.clearance, goal, yaw_length=yaw_length, reach=cost.reach, device=device)
+            self._to_go = build_to_go(
+                geometry.clearance, goal, yaw_length=level.yaw_length, reach=cost.reach, device=device
+            )
         else:
             self._to_go = PoseField()
             self._to_go.values = wp.zeros((0, 0, 0), dtype=float, device=device)

@@ -58,11 +58,14 @@ class QuasistaticDynamics:
         self._align_ahead = cost.align_ahead
         self._arm = pack_arm(scene.robot, self.bound, device)
         self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
+        self._model.clearance = geometry.obstruction  # the table's edge stops nothing
         self._surroundings = Surroundings()
         self._surroundings.obstacles = geometry.space
         self._surroundings.top = geometry.space_top
         self._surroundings.tool_radius = scene.robot.tool_radius
-        self._weights = _robot_weights(cost)
+        size = geometry.size
+        edge = (np.array(scene.table.lower) + size, np.array(scene.table.upper) - size)
+        self._weights = _robot_weights(cost, edge)
 
         horizon = level.mppi.horizon
         self._kernel = make_robot_rollout(self.size)
@@ -126,10 +129,11 @@ class QuasistaticDynamics:
         wp.launch(self._kernel, dim=controls.shape[0], inputs=inputs, outputs=outputs, device=self.device)
 
 
-def _robot_weights(cost: RobotCost) -> RobotWeights:
+def _robot_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> RobotWeights:
     weights = RobotWeights()
     for name, value in vars(cost).items():
         if name not in ("reach", "align_ahead"):
             setattr(weights, name, value)
     weights.reach_lower, weights.reach_upper = cost.reach
+    weights.edge_lower, weights.edge_upper = wp.vec2(*edge[0]), wp.vec2(*edge[1])
     return weights
