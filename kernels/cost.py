@@ -1,4 +1,4 @@
-"""The terms of the stage costs (equations 14 to 18 of the paper), the single source for every engine.
+"""The terms of the stage costs (equations 15 to 19 of the paper), the single source for every engine.
 
 Poses are planar (x, y, yaw) of the object's friction centre.
 """
@@ -44,6 +44,7 @@ class RobotWeights:
     w_reach: float
     reach_lower: float
     reach_upper: float
+    w_edge: float
     edge_lower: wp.vec2
     edge_upper: wp.vec2
     w_press: float
@@ -74,25 +75,25 @@ def squared(x: float) -> float:
 
 @wp.func
 def pose_distance_squared(a: wp.vec3, b: wp.vec3, w_theta: float) -> float:
-    """Squared distance of two planar poses (equation 15) [m^2]; for planar poses its arc cosine is the yaw error."""
+    """Squared distance of two planar poses (equation 16) [m^2]; for planar poses its arc cosine is the yaw error."""
     return squared(a[0] - b[0]) + squared(a[1] - b[1]) + w_theta * squared(wrap_angle(a[2] - b[2]))
 
 
 @wp.func
 def contact_cost(force: float, f_0: float) -> float:
-    """Hinge on the contact force of object and environment (second term of equation 14) [N^2]."""
+    """Hinge on the contact force of object and environment (second term of equation 15) [N^2]."""
     return squared(wp.max(force - f_0, 0.0))
 
 
 @wp.func
 def approach_cost(tip: wp.vec3, center: wp.vec3, r_0: float) -> float:
-    """Squared distance of tool and object beyond ``r_0`` (first term of equation 16) [m^2]."""
+    """Squared distance of tool and object beyond ``r_0`` (first term of equation 17) [m^2]."""
     return wp.max(wp.length_sq(tip - center) - r_0 * r_0, 0.0)
 
 
 @wp.func
 def align_cost(tip: wp.vec2, center: wp.vec2, target: wp.vec2, gamma_0: float, fade: float) -> float:
-    """How far the tool is from being behind the object on its way to ``target`` (equation 17).
+    """How far the tool is from being behind the object on its way to ``target`` (equation 18).
 
     Closer than ``fade`` to the target the direction loses its meaning, and the cost its weight; 0 turns that off.
     """
@@ -108,7 +109,7 @@ def align_cost(tip: wp.vec2, center: wp.vec2, target: wp.vec2, gamma_0: float, f
 
 @wp.func
 def tilt_cost(up: wp.vec3) -> float:
-    """Tilt of the tool from vertical (equation 18), the root of squared roll and pitch [rad].
+    """Tilt of the tool from vertical (equation 19), the root of squared roll and pitch [rad].
 
     ``up`` is the world's z axis in the tip's frame, the third row of its rotation. The tip's z axis points out of the
     tool, so the paper's upright frame is the tip's turned by pi about x, which changes the sign of R32 and R33.
@@ -141,7 +142,7 @@ def over_edge(pose: wp.vec3, lower: wp.vec2, upper: wp.vec2) -> float:
 
 @wp.func
 def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, clearance: float, to_go: float) -> float:
-    """Stage cost of the object level (equation 14 and our additions)."""
+    """Stage cost of the object level (equation 15 and our additions)."""
     return (
         w.w_d * pose_distance_squared(pose, goal, w.w_theta)
         + w.w_f * contact_cost(force, w.f_0)
@@ -167,7 +168,7 @@ def robot_cost(
     pressed: float,
     speed_squared: float,
 ) -> CostTerms:
-    """Stage cost of the robot level (equations 14 to 18 and our additions), term by term and weighted.
+    """Stage cost of the robot level (equations 15 to 19 and our additions), term by term and weighted.
 
     Args:
         w: Weights.
@@ -196,8 +197,8 @@ def robot_cost(
     terms[6] = w.w_height * squared(tip[2] - w.height)
     terms[7] = w.w_clearance * shortfall(room, w.clearance)
     terms[8] = w.w_above * above
-    outside = out_of_reach(pose, w.reach_lower, w.reach_upper) + over_edge(pose, w.edge_lower, w.edge_upper)
-    terms[9] = w.w_reach * outside
+    reach = w.w_reach * out_of_reach(pose, w.reach_lower, w.reach_upper)
+    terms[9] = reach + w.w_edge * over_edge(pose, w.edge_lower, w.edge_upper)
     terms[10] = w.w_press * pressed * pressed
     terms[11] = w.w_control * speed_squared
     return terms

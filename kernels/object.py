@@ -1,4 +1,4 @@
-"""Rollouts of the object level: the object moved by a virtual wrench (equations 6 and 7)."""
+"""Rollouts of the object level: the object moved by a virtual wrench (equations 5 and 6)."""
 
 import warp as wp
 

@@ -97,7 +97,7 @@ def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_r
 def settle(model: ObjectModel, pose: wp.vec3, dt: float) -> Settled:
     """Moves an object that entered an obstacle back to its surface, the shortest way by the mobility ``D``.
 
-    This is the complementarity of phi_2 and lambda_2 (equation 4) by projection: with ``x' = D w`` (equation 6) the
+    This is the complementarity of phi_2 and lambda_2 (equation 4) by projection: with ``x' = D w`` (equation 5) the
     force that moves the object by phi_2 within ``dt`` is ``phi_2 / (dt g^T D g)``, ``g`` the gradient of phi_2.
     """
     out = Settled()

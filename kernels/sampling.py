@@ -1,4 +1,4 @@
-"""Drawing perturbed control sequences around a nominal one (equation 11)."""
+"""Drawing perturbed control sequences around a nominal one (equation 9)."""
 
 from functools import lru_cache
 
@@ -50,8 +50,11 @@ def make_sample_controls(size: int) -> wp.Kernel:
                 for i in range(size):
                     z[i] = wp.randn(state)
                 shift = noise_map[0] * z
-                for h in range(horizon):
-                    controls[k, h] = controls[k, h] + basis[h, j] * shift
+                if basis.shape[1] == horizon:  # white noise: a knot a step
+                    controls[k, j] = controls[k, j] + shift
+                else:
+                    for h in range(horizon):
+                        controls[k, h] = controls[k, h] + basis[h, j] * shift
             for h in range(horizon):
                 u = controls[k, h]
                 for i in range(size):

@@ -1,4 +1,4 @@
-"""Weights of the samples and the update of the nominal controls (equations 12 and 13)."""
+"""Weights of the samples and the update of the nominal controls (equations 11 and 12)."""
 
 from functools import lru_cache
 
@@ -79,6 +79,7 @@ def weigh_samples(
                 heat /= 1.3
             else:
                 break
+        heat = wp.clamp(heat, 1.0e-4, 1.0e6)  # equal costs would wind it to nothing
 
     total = float(0.0)
     squares = float(0.0)
@@ -119,7 +120,7 @@ def make_update_nominal(size: int) -> wp.Kernel:
     ):
         """The weighted mean of the samples' controls; zero where every sample was lost.
 
-        Since weights sum to one, this is the nominal plus the weighted perturbations of equation 12.
+        Since weights sum to one, this is the nominal plus the weighted perturbations of equation 11.
         Shapes: ``controls`` [sample, horizon], ``weights`` [sample], ``nominal`` [horizon].
         """
         h = wp.tid()

@@ -5,17 +5,26 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-_VERSION = b"1"
-"""Changed when what is computed from the same content changes."""
+_KERNELS = Path(__file__).parent / "kernels"
+
+
+@cache
+def _version() -> bytes:
+    """Hash of the kernels that fields are computed with: what others computed is not read again."""
+    digest = hashlib.sha256()
+    for name in ("geometry", "clearance", "navigation"):
+        digest.update((_KERNELS / f"{name}.py").read_bytes())
+    return digest.digest()
 
 
 def content_of(*parts: object) -> str:
     """Hash of arrays and numbers."""
-    digest = hashlib.sha256(_VERSION)
+    digest = hashlib.sha256(_version())
     for part in parts:
         digest.update(np.ascontiguousarray(np.asarray(part, dtype=np.float64).round(9) + 0.0).tobytes())
         digest.update(b"|")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -63,14 +64,19 @@ class Geometry:
 
     def clearance_at(self, pose: np.ndarray) -> float:
         """phi_2 at a pose [3] of the friction centre, on the host [m]."""
-        return pose_field_at(self.clearance, pose)
+        return pose_field_at(self.clearance, pose, self._clearance_values)
+
+    @cached_property
+    def _clearance_values(self) -> np.ndarray:
+        """phi_2's nodes on the host."""
+        return self.clearance.values.numpy()
 
 
-def pose_field_at(field: PoseField, pose: np.ndarray) -> float:
+def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None = None) -> float:
     """Value of a pose field, trilinear, on the host: the same as the kernels' look-up; NaN at a pose that is none."""
     if not np.isfinite(pose).all():
         return float("nan")
-    values = field.values.numpy()
+    values = field.values.numpy() if values is None else values
     nyaw, nx, ny = values.shape
     x = np.clip((pose[0] - field.origin[0]) * field.inv_step, 0.0, nx - 1 - 1e-3)
     y = np.clip((pose[1] - field.origin[1]) * field.inv_step, 0.0, ny - 1 - 1e-3)
@@ -95,7 +101,9 @@ def build_geometry(scene: Scene, device: str) -> Geometry:
     obstruction = _clearance_field(body, pieces, scene, device, edge=False)
     size = max(float(np.linalg.norm(piece.vertices, axis=1).max()) + piece.radius for piece in body)
     space, space_top = _space_field(obstacles, scene, device)
-    return Geometry(surface, top, size, clearance, obstruction, _body_field(body, device), space, space_top)
+    return Geometry(
+        surface, top, size, clearance, obstruction, _body_field(body, scene.robot.tool_radius, device), space, space_top
+    )
 
 
 def to_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
@@ -149,13 +157,13 @@ def _clearance_field(
         lower, upper = lower - 10.0, upper + 10.0
 
     def compute() -> np.ndarray:
-        values = wp.zeros((YAW_NODES, *count), dtype=float, device=device)
+        values = wp.zeros((YAW_NODES, *count), dtype=float, device="cpu")
         wp.launch(
             kernels.object_clearance,
             dim=values.shape,
             inputs=[
-                pack_pieces(body, device),
-                pack_pieces(obstacles, device),
+                pack_pieces(body, "cpu"),
+                pack_pieces(obstacles, "cpu"),
                 wp.vec2(*lower),
                 wp.vec2(*upper),
                 wp.vec2(*first),
@@ -163,7 +171,7 @@ def _clearance_field(
                 FURTHEST,
             ],
             outputs=[values],
-            device=device,
+            device="cpu",
         )
         return values.numpy()
 
@@ -183,9 +191,9 @@ def arm_reach_bound(scene: Scene) -> float:
     return float(sum(links) + np.linalg.norm(scene.robot.tip[:3]))
 
 
-def _body_field(pieces: list[Piece], device: str) -> PlanarField:
+def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:
     shape = outline(pieces)
-    margin = 0.02
+    margin = max(2.0 * tool_radius, 0.02)  # beyond it the field is cut off, which must not look like contact
     x0, y0, x1, y1 = shape.bounds
     xs = np.arange(x0 - margin, x1 + margin + BODY_STEP, BODY_STEP)
     ys = np.arange(y0 - margin, y1 + margin + BODY_STEP, BODY_STEP)
@@ -225,14 +233,14 @@ def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[
     count = np.maximum(np.ceil((upper - lower) / SPACE_STEP).astype(int) + 1, 2)
 
     def compute() -> np.ndarray:
-        values = wp.zeros(tuple(count), dtype=float, device=device)
+        values = wp.zeros(tuple(count), dtype=float, device="cpu")
         closed = wp.Mesh(
-            points=wp.array(mesh.vertices, dtype=wp.vec3, device=device),
-            indices=wp.array(mesh.faces.ravel(), dtype=int, device=device),
+            points=wp.array(mesh.vertices, dtype=wp.vec3, device="cpu"),
+            indices=wp.array(mesh.faces.ravel(), dtype=int, device="cpu"),
             support_winding_number=True,
         )
         inputs = [closed.id, wp.vec3(*lower), SPACE_STEP, FURTHEST]
-        wp.launch(kernels.space_distance, dim=values.shape, inputs=inputs, outputs=[values], device=device)
+        wp.launch(kernels.space_distance, dim=values.shape, inputs=inputs, outputs=[values], device="cpu")
         return values.numpy()
 
     content = content_of(mesh.vertices, mesh.faces, lower, count, SPACE_STEP, FURTHEST)

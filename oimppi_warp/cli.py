@@ -106,6 +106,7 @@ class Run:
             log = episode.run(on_step=on_step)
         metrics = summarize(log)
         if self.json is not None:
+            self.json.absolute().parent.mkdir(parents=True, exist_ok=True)
             write_whole(self.json, metrics.json().encode())
         if self.record is not None:
             log.save(self.record)
@@ -194,6 +195,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OimppiError as error:
         print(f"oimppi: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        print(f"oimppi: a result could not be written: {error}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("oimppi: stopped before the first step", file=sys.stderr)
         return 130
@@ -228,12 +232,13 @@ def _listed_start(scene: Scene, index: int) -> PlanarPose:
 
 def _check_outputs(record: Path | None, json: Path | None) -> None:
     """Raise ConfigError where a result could not be written at the end."""
-    if json is not None and (json.is_dir() or not os.access(json.absolute().parent, os.W_OK)):
-        raise ConfigError(f"--json {json}: cannot be written\n  allowed: a file in a folder that exists")
-    if record is not None:
-        parent = next(folder for folder in (record.absolute(), *record.absolute().parents) if folder.exists())
-        if not parent.is_dir() or not os.access(parent, os.W_OK):
-            raise ConfigError(f"--record {record}: {parent} is no folder that can be written to")
+    if json is not None and json.is_dir():
+        raise ConfigError(f"--json {json}: that is a folder\n  allowed: the name of a file")
+    for option, folder in (("--json", json and json.absolute().parent), ("--record", record and record.absolute())):
+        if folder is not None:
+            parent = next(place for place in (folder, *folder.parents) if place.exists())
+            if not parent.is_dir() or not os.access(parent, os.W_OK):
+                raise ConfigError(f"{option}: {parent} is no folder that can be written to")
 
 
 @contextmanager
@@ -258,7 +263,7 @@ def _print_summary(metrics: Metrics, record: Path | None) -> None:
     from rich.table import Table
 
     good, bad = "[bold green]", "[bold red]"
-    result = f"{good}at its goal" if metrics.success else f"{bad}not at its goal"
+    result = f"{good}reached its goal" if metrics.success else f"{bad}did not reach its goal"
     tight = "also within the tight tolerance" if metrics.success_tight else "not within the tight tolerance"
     rows = {
         "task": f"{metrics.scene}, {metrics.method.upper()}, preset {metrics.preset}, seed {metrics.seed}, "

@@ -24,7 +24,7 @@ class Mppi:
     Attributes:
         samples: Number of samples K.
         horizon: Number of control steps H.
-        temperature: lambda of equation 13, in units of cost.
+        temperature: lambda of equation 12, in units of cost.
         effective_samples: Lower and upper bound of the effective sample size, as fractions of K, between which the
             temperature is adapted; (0, 0) holds it fixed as the paper does.
         iterations: Updates per control step.
@@ -43,7 +43,7 @@ class Mppi:
 
 @dataclass(frozen=True)
 class RobotLevel:
-    """Robot level: equations 10, 15, 16.
+    """Robot level: equations 14 and 17.
 
     Attributes:
         mppi: Sampling and update.
@@ -66,7 +66,7 @@ class RobotLevel:
 
 @dataclass(frozen=True)
 class ObjectLevel:
-    """Object level: equations 6, 7, 14.
+    """Object level: equations 5, 6, 15.
 
     Attributes:
         mppi: Sampling and update.
@@ -91,7 +91,7 @@ class ObjectLevel:
 
 @dataclass(frozen=True)
 class ObjectCost:
-    """Weights of the object's stage cost at the object level (equations 14 and 15).
+    """Weights of the object's stage cost at the object level (equations 15 and 16).
 
     Attributes:
         w_d: Squared distance to the goal [1/m^2].
@@ -118,7 +118,7 @@ class ObjectCost:
 
 @dataclass(frozen=True)
 class RobotCost:
-    """Weights of the stage cost at the robot level (equations 14 to 18, summed over the horizon).
+    """Weights of the stage cost at the robot level (equations 15 to 19, summed over the horizon).
 
     The first group is the paper's, the second ours.
 
@@ -138,9 +138,9 @@ class RobotCost:
         w_clearance: Squared lack of room below ``clearance`` between arm and obstacles or table (phi_3) [1/m^2].
         clearance: [m].
         w_above: Each step with the tip above the object.
-        w_reach: Distance of the object's centre to the ring in which the arm can push well, and to where all of the
-            object is on the table for sure [1/m].
+        w_reach: Distance of the object's centre to the ring in which the arm can push well [1/m].
         reach: Inner and outer radius of that ring [m].
+        w_edge: Distance of the object's centre to where all of it is on the table for sure [1/m].
         w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2].
         w_control: Squared joint velocity [s^2/rad^2].
     """
@@ -165,6 +165,7 @@ class RobotCost:
     w_above: float = 20.0
     w_reach: float = 40.0
     reach: tuple[float, float] = (0.32, 0.60)
+    w_edge: float = 40.0
     w_press: float = 1e4
     w_control: float = 0.0
 
@@ -242,7 +243,7 @@ def best(method: Method = "cloi") -> Config:
 
 
 def paper(method: Method = "cloi") -> Config:
-    """The preset ``paper``: Algorithms 1-3 and equations 10-18 as printed, with the paper's K and horizons.
+    """The preset ``paper``: Algorithms 1-3 and equations 9-19 as printed, with the paper's K and horizons.
 
     The paper prints K, both horizons, white noise in joint space, one update a step and a reference read by time. Where
     it gives no figure, those of the baseline are taken that its authors built on (tud-airlab/mppi-isaac) and of their
@@ -270,7 +271,7 @@ def paper(method: Method = "cloi") -> Config:
         cost=RobotCost(
             w_d=100.0,
             w_theta=0.08,
-            w_reference=100.0,
+            w_reference=0.0 if method == "mppi" else 100.0,
             w_align=45.0,
             align_ahead=0,
             align_fade=0.0,
@@ -278,6 +279,7 @@ def paper(method: Method = "cloi") -> Config:
             w_above=0.0,
             w_reach=0.0,
         ),
+        episode=EpisodeConfig(tight=False),
         object_cost=ObjectCost(w_d=100.0, w_theta=0.08, w_to_go=0.0, w_margin=0.0, w_reach=0.0),
     )
 
@@ -332,7 +334,7 @@ def validate(config: Config) -> Config:
                 f"{level}.mppi.knots = {knots}: no such spline over a horizon of {horizon} steps\n"
                 f"  allowed: 0 (noise drawn for every step) or 2 to {horizon}"
             )
-    for name in ("robot.mppi.effective_samples", "object.mppi.effective_samples", "cost.reach"):
+    for name in ("robot.mppi.effective_samples", "object.mppi.effective_samples", "cost.reach", "object_cost.reach"):
         low, high = known[name]
         if low > high:
             raise ConfigError(f"{name} = {low:g},{high:g}: the lower bound is above the upper one")
@@ -352,6 +354,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "speed_limit": (1e-3, math.inf),
     "max_sim_seconds": (0.001, math.inf),
     "gamma_0": (-1, 1),
+    "look_ahead": (1, 100_000),
 }
 """Smallest and largest value by the name of the field; everything else is finite and not negative."""
 

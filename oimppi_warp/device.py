@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sys
+import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -12,12 +15,30 @@ import warp as wp
 from oimppi_warp.errors import DeviceError
 
 
+def start_warp() -> None:
+    """Initialise Warp without its warning that there is no CUDA driver: a machine without a GPU is none to warn of."""
+    with tempfile.TemporaryFile() as caught:
+        sys.stderr.flush()
+        stderr = os.dup(2)
+        os.dup2(caught.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        caught.seek(0)
+        for line in caught.read().decode(errors="replace").splitlines():
+            if "Could not find or load the NVIDIA CUDA driver" not in line:
+                print(line, file=sys.stderr)
+
+
 def pick_device(name: str = "auto") -> str:
     """The device to compute on: ``auto`` is the first CUDA device, or the CPU where there is none.
 
     Raises:
         DeviceError: There is no such device here; the message lists those that are.
     """
+    start_warp()
     present = [device.alias for device in wp.get_devices()]
     if name == "auto":
         return "cuda:0" if "cuda:0" in present else "cpu"
@@ -28,7 +49,7 @@ def pick_device(name: str = "auto") -> str:
 
 def kernels_are_cached() -> bool:
     """Whether an earlier run left compiled kernels of ours in Warp's cache."""
-    wp.init()
+    start_warp()
     folder = wp.config.kernel_cache_dir
     return folder is not None and any(Path(folder).glob("wp_oimppi_warp.kernels.*"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -10,9 +11,10 @@ import numpy as np
 
 from oimppi_warp.clearance import to_center
 from oimppi_warp.config import Config, Method
-from oimppi_warp.footprint import wrap_angle
+from oimppi_warp.feasibility import check_task
 from oimppi_warp.kinematics import tip_frame
 from oimppi_warp.log import EpisodeLog, to_json, versions
+from oimppi_warp.metrics import hold_steps, pose_error
 from oimppi_warp.planner import Planner, make_planner
 from oimppi_warp.plant import Observation, SimulatedPlant
 from oimppi_warp.scene import Scene, Tolerance
@@ -20,6 +22,8 @@ from oimppi_warp.world import World
 
 _REFERENCE_EVERY = 10
 """CLOI's object plans are logged every so many steps."""
+_SUBSTEP = 0.0025
+"""Longest step of the plant's physics [s]; longer ones make a sliding object gain energy."""
 
 
 class Episode:
@@ -29,6 +33,9 @@ class Episode:
         scene: The task, with the start and the goal to use.
         config: All settings.
         method, engine, device, seed: As for :func:`oimppi_warp.planner.make_planner`.
+
+    Raises:
+        SceneError: The task cannot be done: its start or goal is in an obstacle, off the table or out of reach.
     """
 
     def __init__(
@@ -41,11 +48,14 @@ class Episode:
         device: str = "auto",
         seed: int = 0,
     ) -> None:
+        check_task(scene)
         self.scene = scene
         self.config = config
         self.planner: Planner = make_planner(scene, config, method=method, engine=engine, device=device, seed=seed)
         self.planner.warm_up()
-        self.plant = SimulatedPlant(World(scene), start=scene.start, control_period=config.control_period)
+        period = config.control_period
+        substeps = math.ceil(period / _SUBSTEP - 1e-6)
+        self.plant = SimulatedPlant(World(scene), start=scene.start, control_period=period, substeps=substeps)
         self.log = EpisodeLog(
             {
                 "scene": scene.name,
@@ -72,14 +82,20 @@ class Episode:
     def run(self, on_step: Callable[[EpisodeLog], None] | None = None) -> EpisodeLog:
         """Runs until the object has stayed within tolerance for the hold time, or the time is up.
 
-        Ctrl-C ends the episode early; the log is complete all the same.
+        Ctrl-C ends the episode early, and so does a plant that diverges; the log is complete all the same.
 
         Args:
             on_step: Called after every control step with the log so far.
+
+        Raises:
+            RuntimeError: The episode was run before.
         """
+        if len(self.log):
+            raise RuntimeError("an episode runs once; make another one")
         settings = self.config.episode
         wanted = self.scene.tight_tolerance if settings.tight else self.scene.tolerance
-        held = 0.0
+        wanted_steps = hold_steps(settings.hold_seconds, self.config.control_period)
+        held = 0
         try:
             observation = self.plant.observe()
             self.log.header["preplan_time_s"] = self.planner.start(observation)
@@ -87,15 +103,18 @@ class Episode:
                 observation, arrived = self._step(observation, wanted)
                 if on_step is not None:
                     on_step(self.log)
-                held = held + self.config.control_period if arrived else 0.0
-                if held >= settings.hold_seconds - 1e-9:
+                held = held + 1 if arrived else 0
+                if held == wanted_steps:
                     self.log.header["ended"] = "success"
                     break
             else:
                 self.log.header["ended"] = "time limit"
+            self.plant.apply(np.zeros(self.scene.robot.dof))
         except KeyboardInterrupt:
             self.log.header["ended"] = "interrupted"
-        self.plant.apply(np.zeros(self.scene.robot.dof))
+            self.plant.apply(np.zeros(self.scene.robot.dof))
+        except FloatingPointError:
+            self.log.header["ended"] = "diverged"
         return self.log
 
     def _step(self, observation: Observation, wanted: Tolerance) -> tuple[Observation, bool]:
@@ -111,7 +130,7 @@ class Episode:
 
         self.plant.apply(plan.command)
         after = self.plant.observe()
-        position_error, yaw_error = pose_error(after.object_pose, np.array(self.scene.goal))
+        position_error, yaw_error = pose_error(after.object_pose, self.scene.goal)
         contacts = self.plant.contacts
         geometry = self.planner.geometry
         self.log.append(
@@ -136,8 +155,3 @@ class Episode:
             lost_samples=plan.update.lost,
         )
         return after, position_error <= wanted.position and yaw_error <= wanted.yaw
-
-
-def pose_error(pose: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
-    """Distance [m] and absolute yaw error [rad] of two planar poses."""
-    return float(np.hypot(*(pose[:2] - goal[:2]))), float(abs(wrap_angle(pose[2] - goal[2])))

@@ -47,7 +47,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class LimitSurface:
-    """Ellipsoidal limit surface of an object on the table (the paper's equation 6).
+    """Ellipsoidal limit surface of an object on the table (the paper's equation 5).
 
     Under quasi-static motion a wrench ``w`` (at ``center``, object frame) moves the object with twist ``D w``,
     ``D = diag(1, 1, 1 / (c r))  / (mu m g)`` in the paper's symbols. The ellipsoid's axes are the friction force

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ class Update:
     """What one update found.
 
     Attributes:
-        min_cost: Smallest cost of all samples.
+        min_cost: Smallest cost of all samples; NaN where all were lost.
         temperature: lambda that was used.
         effective_samples: Effective sample size, 1 / sum of squared weights.
         lost: Samples whose cost was not finite.
@@ -70,7 +71,7 @@ class Mppi:
         self._noise_map.assign(np.asarray(root, dtype=np.float32)[None])
 
     def step(self) -> Update:
-        """Improves the nominal from the dynamics' present state (equations 11 to 13)."""
+        """Improves the nominal from the dynamics' present state (equations 9 to 12)."""
         settings, device = self._settings, self._dynamics.device
         few, many = (share * settings.samples for share in settings.effective_samples)
         for i in range(settings.iterations):
@@ -95,7 +96,10 @@ class Mppi:
             inputs = [self.controls, self.weights]
             wp.launch(self._update, dim=settings.horizon, inputs=inputs, outputs=[self.nominal], device=device)
         found = self._stats.numpy()[0]
-        return Update(*(found[name].item() for name in ("min_cost", "temperature", "effective_samples", "lost")))
+        least, temperature, effective, lost = (
+            found[name].item() for name in ("min_cost", "temperature", "effective_samples", "lost")
+        )
+        return Update(least if lost < settings.samples else math.nan, temperature, effective, lost)
 
     def shift(self) -> None:
         """Moves the nominal on by one step; the new last control repeats the one before."""

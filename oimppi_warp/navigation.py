@@ -96,6 +96,7 @@ def descend(to_go: PoseField, pose: np.ndarray, *, yaw_length: float, step: floa
     Returns:
         Poses [steps + 1, 3], from ``pose`` on; close to the goal they stay within about a step of it.
     """
+    values = to_go.values.numpy()
     way = [np.asarray(pose, dtype=float)]
     scale = np.array([1.0, 1.0, 1.0 / yaw_length])
     spacing = np.array([STEP, STEP, STEP / yaw_length])
@@ -103,7 +104,10 @@ def descend(to_go: PoseField, pose: np.ndarray, *, yaw_length: float, step: floa
         here = way[-1]
         # Central differences over two cells look past the kinks of the 26-neighbour metric.
         slope = np.array(
-            [pose_field_at(to_go, here + d) - pose_field_at(to_go, here - d) for d in np.diag(2.0 * spacing)]
+            [
+                pose_field_at(to_go, here + d, values) - pose_field_at(to_go, here - d, values)
+                for d in np.diag(2.0 * spacing)
+            ]
         )
         size = np.linalg.norm(slope)
         way.append(here - step * scale * slope / size if size > 1e-9 else here)

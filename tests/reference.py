@@ -204,7 +204,7 @@ def arm_spheres(robot: Robot, joints: np.ndarray) -> np.ndarray:
 
 
 def pose_distance_squared(a: np.ndarray, b: np.ndarray, w_theta: float) -> float:
-    """Equation 15, with the angle from the trace of the rotation as printed."""
+    """Equation 16, with the angle from the trace of the rotation as printed."""
     between = Rotation.from_euler("z", a[2]).inv() * Rotation.from_euler("z", b[2])
     angle = np.arccos(np.clip((np.trace(between.as_matrix()) - 1.0) / 2.0, -1.0, 1.0))
     return float(np.sum((a[:2] - b[:2]) ** 2) + w_theta * angle**2)
@@ -222,7 +222,7 @@ def over_edge(pose: np.ndarray, edge: tuple[np.ndarray, np.ndarray]) -> float:
 
 
 def object_cost(w: ObjectCost, pose: np.ndarray, goal: np.ndarray, force: float, clearance: float, way: float) -> float:
-    """Equation 14 and the terms of our own."""
+    """Equation 15 and the terms of our own."""
     return (
         w.w_d * pose_distance_squared(pose, goal, w.w_theta)
         + w.w_f * max(force - w.f_0, 0.0) ** 2
@@ -233,7 +233,7 @@ def object_cost(w: ObjectCost, pose: np.ndarray, goal: np.ndarray, force: float,
 
 
 def align_cost(tip: np.ndarray, center: np.ndarray, target: np.ndarray, gamma_0: float, fade: float) -> float:
-    """Equation 17, faded out close to the target."""
+    """Equation 18, faded out close to the target."""
     push, way = center - tip, target - center
     cosine = push @ way / max(np.linalg.norm(push) * np.linalg.norm(way), 1e-6)
     share = min(np.linalg.norm(way) / fade, 1.0) if fade > 0.0 else 1.0
@@ -241,7 +241,7 @@ def align_cost(tip: np.ndarray, center: np.ndarray, target: np.ndarray, gamma_0:
 
 
 def tilt_cost(rotation: np.ndarray) -> float:
-    """Equation 18 for the rotation of a tip whose z axis points out of the tool (down, when upright)."""
+    """Equation 19 for the rotation of a tip whose z axis points out of the tool (down, when upright)."""
     r = rotation @ Rotation.from_euler("x", np.pi).as_matrix()
     return float(np.hypot(np.arctan2(r[2, 1], r[2, 2]), np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))))
 
@@ -263,7 +263,7 @@ def robot_cost(
     speed_squared: float,
     edge: tuple[np.ndarray, np.ndarray] = (np.full(2, -np.inf), np.full(2, np.inf)),
 ) -> dict[str, float]:
-    """Equations 14 to 18 and the terms of our own, weighted, by the names in ``kernels.cost.TERMS``."""
+    """Equations 15 to 19 and the terms of our own, weighted, by the names in ``kernels.cost.TERMS``."""
     center = np.array([pose[0], pose[1], mid_height])
     return {
         "goal": w.w_d * pose_distance_squared(pose, goal, w.w_theta),
@@ -275,7 +275,7 @@ def robot_cost(
         "height": w.w_height * (tip[2] - w.height) ** 2,
         "clearance": w.w_clearance * max(w.clearance - room, 0.0) ** 2,
         "above": w.w_above * above,
-        "reach": w.w_reach * (out_of_reach(pose, w.reach) + over_edge(pose, edge)),
+        "reach": w.w_reach * out_of_reach(pose, w.reach) + w.w_edge * over_edge(pose, edge),
         "press": w.w_press * pressed**2,
         "control": w.w_control * speed_squared,
     }
@@ -363,7 +363,7 @@ def object_rollout(
     body: Body, w: ObjectCost, pose: np.ndarray, goal: np.ndarray, wrenches: np.ndarray, dt: float,
     way: Callable[[np.ndarray], float] = lambda pose: 0.0,
 ) -> tuple[float, np.ndarray]:  # fmt: skip
-    """Equations 6, 7 and 14: the cost of wrenches [horizon, 3] and the poses [horizon + 1, 3]."""
+    """Equations 5, 6 and 15: the cost of wrenches [horizon, 3] and the poses [horizon + 1, 3]."""
     poses, cost = [pose], 0.0
     for wrench in wrenches:
         pose, force, clearance = settle(body, pose + dt / body.force * body.mobility @ wrench, dt)

@@ -70,7 +70,7 @@ def status(*arguments: object) -> int | str | None:
 def test_success_is_status_0_and_a_summary(stage: Stage, capsys: pytest.CaptureFixture[str]):
     assert status("run", "synthetic", "--device", "cpu") == 0
     out = capsys.readouterr().out
-    assert "at its goal" in out
+    assert "reached its goal" in out
     assert "not at its goal" not in out
     assert "median 13.0 ms" in out
 
@@ -78,7 +78,7 @@ def test_success_is_status_0_and_a_summary(stage: Stage, capsys: pytest.CaptureF
 def test_a_goal_that_was_not_reached_is_status_1(stage: Stage, capsys: pytest.CaptureFixture[str]):
     stage.log = make_log(arrive=0.5)
     assert status("run", "synthetic") == 1
-    assert "not at its goal" in capsys.readouterr().out
+    assert "did not reach its goal" in capsys.readouterr().out
 
 
 def test_an_interrupted_episode_is_status_130_and_leaves_its_record(stage: Stage, tmp_path: Path):
@@ -152,7 +152,7 @@ BAD_INPUT = {
     "start that the scene has not": (["run", "t", "--start", "10"], "0 to 1"),
     "start off the table": (["run", "t", "--start", "2,0,0"], "off the table"),
     "device that is not there": (["run", "t", "--device", "cuda:99"], "auto, cpu"),
-    "folder that is not there": (["run", "t", "--json", "/nowhere/m.json"], "/nowhere/m.json"),
+    "folder that cannot be made": (["run", "t", "--json", "/dev/null/m.json"], "/dev/null is no folder"),
     "record into a file": (["run", "t", "--record", __file__], "no folder"),
 }
 

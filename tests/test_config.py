@@ -28,7 +28,7 @@ def test_paper_has_the_papers_samples_and_horizons():
         assert object_horizon is None or config.object.mppi.horizon == object_horizon
 
 
-def test_paper_samples_as_equation_10_prints_it():
+def test_paper_samples_as_equation_9_prints_it():
     config = paper("cloi")
     assert config.robot.noise_space == "joint"
     assert config.robot.joint_noise**2 == pytest.approx(0.1, rel=0.01)

@@ -197,7 +197,7 @@ def different_weights(kind: type[T]) -> T:
     return kind(**(numbers | {name: value for name, value in small.items() if name in numbers}))
 
 
-def test_the_objects_stage_cost_is_equation_14():
+def test_the_objects_stage_cost_is_equation_15():
     weights = different_weights(ObjectCost)
     packed = object_level(task(), **vars(weights))[0]._weights
     cases = [random_case(probes.ObjectCase) for _ in range(100)]
@@ -209,7 +209,7 @@ def test_the_objects_stage_cost_is_equation_14():
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.5])
-def test_the_robots_stage_cost_is_equations_14_to_18_term_by_term(fade):
+def test_the_robots_stage_cost_is_equations_15_to_19_term_by_term(fade):
     weights = replace(different_weights(RobotCost), align_fade=fade)
     cases = [random_case(probes.RobotCase) for _ in range(100)]
     rotations = Rotation.random(100, rng=np.random.default_rng(5)).as_matrix()

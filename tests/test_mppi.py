@@ -1,4 +1,4 @@
-"""MPPI on its own: what it draws, how it weighs, how it updates (equations 11 to 13)."""
+"""MPPI on its own: what it draws, how it weighs, how it updates (equations 9 to 12)."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def drawn(
     return mppi.controls.numpy().astype(float)
 
 
-# Sampling (equation 11)
+# Sampling (equation 9)
 
 
 def within_five_sigma(found: np.ndarray, covariance: np.ndarray, samples: int) -> None:
@@ -138,7 +138,7 @@ def test_without_knots_the_noise_is_white():
     np.testing.assert_array_equal(noise_basis(7, 0), np.eye(7))
 
 
-# Weights (equation 13)
+# Weights (equation 12)
 
 
 def weigh(
@@ -155,7 +155,7 @@ def weigh(
 
 
 def softmin(costs: np.ndarray, temperature: float) -> np.ndarray:
-    """Equation 13; costs that are not finite weigh nothing."""
+    """Equation 12; costs that are not finite weigh nothing."""
     weights = np.where(np.isfinite(costs), np.exp((np.min(costs[np.isfinite(costs)]) - costs) / temperature), 0.0)
     return weights / weights.sum()
 
@@ -245,7 +245,7 @@ def test_an_adaptive_temperature_outlives_a_plan_that_lost_all_samples():
     assert found[1:] == pytest.approx([found[0], found[0]])
 
 
-# Update and shift (equation 12)
+# Update and shift (equation 11)
 
 
 def test_the_update_is_the_nominal_plus_the_weighted_perturbations():

@@ -1,6 +1,7 @@
 """Success of the methods on the shipped tasks, one episode a seed, as ``oimppi run TASK --seed N`` runs them.
 
 python tools/success_table.py --tasks task01 task02 --methods mppi soi cloi --seeds 10 [--json FILE]
+python tools/success_table.py --tasks task02 --methods cloi --set cost.w_reach=0
 """
 
 from __future__ import annotations
@@ -24,18 +25,22 @@ from oimppi_warp.planner import METHODS
 TASKS = ("task01", "task02", "task03", "task03_wide", "task04", "task05", "lab01", "lab02")
 
 
-def run(task: str, method: Method, seed: int) -> dict[str, Any]:
+def run(task: str, method: Method, seed: int, options: list[str]) -> dict[str, Any]:
     """The metrics of one episode."""
     import warp as wp
 
     from oimppi_warp import Episode, best, load_scene, summarize
+    from oimppi_warp.config import set_option
     from oimppi_warp.feasibility import draw_start
 
     warnings.filterwarnings("ignore")
     wp.config.log_level = wp.LOG_ERROR
     scene = load_scene(task)
     scene = scene.with_start(draw_start(scene, seed))
-    log = Episode(scene, best(method), method=method, device="cpu", seed=seed).run()
+    config = best(method)
+    for option in options:
+        config = set_option(config, option)
+    log = Episode(scene, config, method=method, device="cpu", seed=seed).run()
     return to_json(summarize(log))
 
 
@@ -64,13 +69,14 @@ def main() -> int:
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--set", nargs="+", default=[], help="settings, as for oimppi run")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
 
     jobs = [
         (task, method, seed) for task in options.tasks for method in options.methods for seed in range(options.seeds)
     ]
-    found = Parallel(n_jobs=options.jobs, return_as="generator")(delayed(run)(*job) for job in jobs)
+    found = Parallel(n_jobs=options.jobs, return_as="generator")(delayed(run)(*job, options.set) for job in jobs)
     print(
         "| task | method | success | tight | median time to success [s] | least clearance [mm] | plan [ms] | failed |"
     )

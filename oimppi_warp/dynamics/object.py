@@ -1,6 +1,8 @@
-"""Object level: the object moved by a virtual wrench, kept out of obstacles by projection (equations 6 and 7)."""
+"""Object level: the object moved by a virtual wrench, kept out of obstacles by projection (equations 5 and 6)."""
 
 from __future__ import annotations
+
+import time
 
 import numpy as np
 import warp as wp
@@ -37,6 +39,9 @@ class ObjectDynamics:
         goal: Where the object should go: pose [3] of its friction centre.
         dt: Control period [s].
         device: Warp device.
+
+    Attributes:
+        setup_seconds: Wall time of making or reading the cost-to-go [s].
     """
 
     size = 3
@@ -55,6 +60,7 @@ class ObjectDynamics:
             if name != "reach":
                 setattr(self._weights, name, value)
         self._weights.reach_lower, self._weights.reach_upper = cost.reach
+        began = time.perf_counter()
         if cost.w_to_go > 0.0:
             self._to_go = build_to_go(
                 geometry.clearance, goal, yaw_length=level.yaw_length, reach=cost.reach, device=device
@@ -62,6 +68,7 @@ class ObjectDynamics:
         else:
             self._to_go = PoseField()
             self._to_go.values = wp.zeros((0, 0, 0), dtype=float, device=device)
+        self.setup_seconds = time.perf_counter() - began
         self._start = wp.zeros(1, dtype=wp.vec3, device=device)
         self._goal = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=device)
         self._unused = wp.zeros((0, 0), dtype=wp.vec3, device=device)

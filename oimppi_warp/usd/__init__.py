@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,7 +95,7 @@ def _find(scene: str | Path) -> Path:
     names = [path.stem for path in sorted(SCENES.glob("*.usda"))]
     if str(scene) in names:
         return SCENES / f"{scene}.usda"
-    file = Path(scene).expanduser()
+    file = Path(os.path.expanduser(scene))
     if file.is_file():
         return file.resolve()
     near = difflib.get_close_matches(file.stem, names, n=1, cutoff=0.5)

@@ -56,7 +56,10 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         return Collider(path, "sphere", transform(frame), (_positive(scene, prim, "radius") * factor,))
     if prim.IsA(UsdGeom.Cylinder) or prim.IsA(UsdGeom.Capsule):
         kind = "cylinder" if prim.IsA(UsdGeom.Cylinder) else "capsule"
-        frame = _TO_Z[prim.GetAttribute("axis").Get()] * frame
+        axis = prim.GetAttribute("axis").Get()
+        if axis not in _TO_Z:
+            raise scene.error(f"axis is {axis}", prim, allowed=", ".join(_TO_Z))
+        frame = _TO_Z[axis] * frame
         x, y, z = scales(frame)
         across = _uniform(scene, prim, np.array([x, y, z] if kind == "capsule" else [x, y]))
         radius, height = _positive(scene, prim, "radius"), _positive(scene, prim, "height")
@@ -98,6 +101,8 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
     if spread[-1] < 1e-6 or not np.isfinite(points).all():
         raise scene.error(f"a mesh collider without volume ({len(points)} points)", prim, allowed="a solid shape")
+    if not UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get():
+        raise scene.error("a mesh collider without faces", prim, allowed="a closed surface of faces")
     return points
 
 
