@@ -75,6 +75,7 @@ class ObjectLevel:
         noise_range: Distance from the goal (turning counted) [m] within which the noise shrinks in proportion, down to
             a tenth; 0 keeps it as it is. Not in the paper.
         plan_steps: Control steps that SOI's plan may take before it is given up.
+        turn: Whether the object's yaw counts; planners turn it off for tasks whose tolerance allows every yaw.
     """
 
     mppi: Mppi = field(default_factory=lambda: Mppi(samples=1200, horizon=60, temperature=0.5, knots=5))
@@ -82,11 +83,12 @@ class ObjectLevel:
     noise: float = 0.6
     noise_range: float = 0.15
     plan_steps: int = 600
+    turn: bool = True
 
     @property
     def yaw_length(self) -> float:
         """Length that turning by one radian counts as: how far the object could be moved in the same time [m]."""
-        return self.speed_limit[0] / self.speed_limit[2]
+        return self.speed_limit[0] / self.speed_limit[2] if self.turn else 1e-4
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from. MPPI's is the goal itself, SOI's a plan made once before the robot moves, 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -30,6 +30,8 @@ from oimppi_warp.scene import Scene
 METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
 ENGINES = ("quasistatic",)
 
+_ARRIVED = 0.01
+"""Distance from the goal, turning counted, at which SOI's object plan is complete [m]."""
 _DAMPING = 0.05
 """Damping of the Jacobian's pseudo-inverse: singular values below it are not inverted [m/rad]."""
 
@@ -102,6 +104,7 @@ class Planner:
     method: Method = "mppi"
 
     def __init__(self, scene: Scene, config: Config, *, device: str, seed: int) -> None:
+        config = _for_task(config, scene)
         self.scene = scene
         self.config = config
         self.device = device
@@ -174,7 +177,7 @@ class SequentialPlanner(Planner):
 
     def __init__(self, scene: Scene, config: Config, *, device: str, seed: int) -> None:
         super().__init__(scene, config, device=device, seed=seed)
-        self._object = ObjectLevel(self.geometry, self.goal, config, device=device, seed=2 * seed + 2)
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, device=device, seed=2 * seed + 2)
         self._path = self.goal[None]
         self._progress = 0
         self._to_go: PoseField | None = None
@@ -208,8 +211,8 @@ class SequentialPlanner(Planner):
         for _ in range(self.config.object.plan_steps):
             _, path = self._object.improve(way[-1])
             way.append(path[1])
-            error = self.goal - way[-1]
-            if np.hypot(error[0], error[1]) < 0.01 and abs(wrap_angle(error[2])) < 0.05:
+            left = _difference(self.goal, way[-1]) * [1.0, 1.0, self.config.object.yaw_length]
+            if np.linalg.norm(left) < _ARRIVED:
                 break
         return np.array([*way, self.goal])
 
@@ -251,7 +254,7 @@ class ClosedLoopPlanner(Planner):
 
     def __init__(self, scene: Scene, config: Config, *, device: str, seed: int) -> None:
         super().__init__(scene, config, device=device, seed=seed)
-        self._object = ObjectLevel(self.geometry, self.goal, config, device=device, seed=2 * seed + 2)
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, device=device, seed=2 * seed + 2)
 
     def start(self, observation: Observation) -> float:
         """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""
@@ -292,6 +295,18 @@ def make_planner(
     if engine not in ENGINES:
         raise ConfigError(f"engine {engine!r} does not exist\n  allowed: {', '.join(ENGINES)}")
     return planners[method](scene, config, device=pick_device(device), seed=seed)
+
+
+def _for_task(config: Config, scene: Scene) -> Config:
+    """The settings for a task: where every yaw is allowed, none is asked for."""
+    if np.isfinite(scene.tolerance.yaw):
+        return config
+    return replace(
+        config,
+        object=replace(config.object, turn=False),
+        cost=replace(config.cost, w_theta=0.0),
+        object_cost=replace(config.object_cost, w_theta=0.0),
+    )
 
 
 def _difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ class ObjectDynamics:
         self._model = object_model(geometry, tool_friction=0.0)
         # The wrench that moves the object at the speed limit, by x' = D w.
         resistance = geometry.surface.force * np.array([1.0, 1.0, geometry.surface.radius**2])
-        self.bound = resistance * np.asarray(level.speed_limit)
+        self.bound = resistance * np.asarray(level.speed_limit) * [1.0, 1.0, float(level.turn)]
         self._weights = ObjectWeights()
         for name, value in vars(cost).items():
             if name != "reach":
