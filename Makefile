@@ -25,7 +25,7 @@ $(LOCK_ENV): requirements.lock pyproject.toml
 	@touch $@
 
 demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
-	$(BIN)/oimppi run task02 --start 0 --record runs/demo
+	$(BIN)/oimppi run task02 --start 1 --record runs/demo
 
 test: $(LOCK_ENV) ## the tests, under ten minutes on two cores
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
