@@ -9,13 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from oimppi_warp.config import Config, best, paper
+    from oimppi_warp.config import Config
     from oimppi_warp.episode import Episode
     from oimppi_warp.errors import ConfigError, DeviceError, OimppiError, SceneError
     from oimppi_warp.log import EpisodeLog
     from oimppi_warp.metrics import Metrics, summarize
     from oimppi_warp.planner import make_planner
     from oimppi_warp.plant import SimulatedPlant
+    from oimppi_warp.presets import best, paper
     from oimppi_warp.scene import Scene
     from oimppi_warp.usd import load_scene
     from oimppi_warp.world import World
@@ -34,10 +35,10 @@ _MODULES = {
     "SceneError": "errors",
     "SimulatedPlant": "plant",
     "World": "world",
-    "best": "config",
+    "best": "presets",
     "load_scene": "usd",
     "make_planner": "planner",
-    "paper": "config",
+    "paper": "presets",
     "summarize": "metrics",
 }
 

@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
-from oimppi_warp.config import PRESETS, Config, Method, set_option, validate
+from oimppi_warp.config import Config, Method, set_option, validate
 from oimppi_warp.errors import ConfigError, OimppiError
+from oimppi_warp.presets import PRESETS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -272,12 +273,13 @@ def _print_summary(metrics: Metrics, record: Path | None) -> None:
         "errors": f"{metrics.position_error_m:.3f} m, {metrics.yaw_error_rad:.3f} rad at the end; "
         f"{metrics.mean_position_error_m:.3f} m on average",
         "time": f"{metrics.sim_time_s:.2f} s simulated in {metrics.steps} steps; "
-        f"{metrics.total_time_s:.1f} s with planning, of it {metrics.preplan_time_s:.2f} s ahead",
+        f"{metrics.total_time_s:.1f} s to the goal with planning (the paper's T), of it "
+        f"{metrics.preplan_time_s:.2f} s before the first step",
         "plans": f"median {metrics.plan_ms_median:.1f} ms, p95 {metrics.plan_ms_p95:.1f} ms, "
         f"{metrics.control_hz:.0f} Hz; {metrics.mean_effective_samples:.1f} effective samples",
         "clearance": f"{1000 * metrics.min_clearance_m:.1f} mm at the least",
         "forces": f"tool {metrics.max_contact_tool_object_n:.1f} N, object on obstacles "
-        f"{metrics.max_contact_object_obstacle_n:.1f} N, robot on obstacles "
+        f"{metrics.max_contact_object_obstacle_n:.1f} N, robot on obstacles or table "
         f"{metrics.max_contact_robot_obstacle_n:.1f} N at the most",
     }
     if record is not None:

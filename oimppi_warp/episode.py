@@ -22,6 +22,8 @@ from oimppi_warp.world import World
 
 _REFERENCE_EVERY = 10
 """CLOI's object plans are logged every so many steps."""
+_FALLEN = 0.05
+"""Depth of the object's frame below the table's top at which it has fallen off [m]."""
 _SUBSTEP = 0.0025
 """Longest step of the plant's physics [s]; longer ones make a sliding object gain energy."""
 
@@ -82,7 +84,8 @@ class Episode:
     def run(self, on_step: Callable[[EpisodeLog], None] | None = None) -> EpisodeLog:
         """Runs until the object has stayed within tolerance for the hold time, or the time is up.
 
-        Ctrl-C ends the episode early, and so does a plant that diverges; the log is complete all the same.
+        It ends early when the object tips over or falls off the table, on Ctrl-C, and when the plant diverges; the log
+        is complete all the same.
 
         Args:
             on_step: Called after every control step with the log so far.
@@ -103,6 +106,9 @@ class Episode:
                 observation, arrived = self._step(observation, wanted)
                 if on_step is not None:
                     on_step(self.log)
+                if self.plant.tipped or observation.object_transform[2] < -_FALLEN:
+                    self.log.header["ended"] = "object fell"
+                    break
                 held = held + 1 if arrived else 0
                 if held == wanted_steps:
                     self.log.header["ended"] = "success"

@@ -19,7 +19,7 @@ hold_seconds       How long the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``
 preplan_time_s     Wall time of what was planned before the first step (SOI's object plan) [s]
-ended              Why the episode ended: ``success``, ``time limit``, ``interrupted`` or ``diverged``
+ended              Why the episode ended: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
 versions           Versions of what took part, see :func:`versions`
 ================== ==================================================================================================
 """

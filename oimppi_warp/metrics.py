@@ -20,7 +20,7 @@ class Metrics:
     Attributes:
         scene, method, engine, device, preset, seed: What was run.
         start, goal: Planar poses of the object (x, y [m], yaw [rad]).
-        ended: Why it ended: ``success``, ``time limit``, ``interrupted`` or ``diverged``.
+        ended: Why it ended, see :mod:`oimppi_warp.log`.
         success: The object stayed within tolerance for the hold time.
         success_tight: The same for the tight tolerance.
         position_error_m, yaw_error_rad: At the end.

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from oimppi_warp.config import PRESETS, Config, Method, best, options, paper, set_option, validate
+from oimppi_warp.config import Config, Method, options, set_option, validate
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.presets import PRESETS, best, paper
 
 METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
 

@@ -255,9 +255,9 @@ def main() -> int:
         os.environ[name] = "1"  # before NumPy is loaded: its threads only get into each other's way here
     import warp as wp
 
-    from oimppi_warp.config import best
     from oimppi_warp.device import CompileNotice
     from oimppi_warp.log import versions
+    from oimppi_warp.presets import best
     from oimppi_warp.usd import load_scene
 
     wp.set_logger(CompileNotice(lambda line: print(line, file=sys.stderr)))

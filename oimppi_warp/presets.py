@@ -1,0 +1,64 @@
+"""Two presets: :func:`paper` has the paper's values and options, :func:`best` (the default) the best that we found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from oimppi_warp.config import Config, EpisodeConfig, Method, Mppi, ObjectCost, ObjectLevel, RobotCost, RobotLevel
+
+
+def best(method: Method = "cloi") -> Config:
+    """The preset ``best``: the best settings that we found for a method (`docs/design.md` has the ablation)."""
+    base = Config()
+    if method == "mppi":  # nothing to track but the goal
+        return replace(base, cost=replace(base.cost, w_d=30.0, w_reference=0.0))
+    if method == "soi":
+        return replace(base, object=replace(base.object, mppi=replace(base.object.mppi, horizon=90)))
+    return base
+
+
+def paper(method: Method = "cloi") -> Config:
+    """The preset ``paper``: Algorithms 1-3 and equations 9-19 as printed, with the paper's K and horizons.
+
+    The paper prints K, both horizons, white noise in joint space, one update a step and a reference read by time. Where
+    it gives no figure, those of the baseline are taken that its authors built on (tud-airlab/mppi-isaac) and of their
+    own scenes for it: control period 0.05 s, joint velocities within 0.2 rad/s, noise variance 0.1, a temperature that
+    keeps 5 to 10 effective samples, weights 100 and 8 for the goal's position and yaw, 5 for the tool's distance, 45
+    for align, 20 for the tip's height. The coupling cost l_c is printed without a weight; it shares the goal's, whose
+    d^2 it has. Nowhere given, hence ours: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise. The terms that stand
+    for the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_clearance``) and for the table's edge (``w_edge``)
+    stay; our other additions are off. There is no terminal cost l_f, which the paper leaves open, and SOI's plan ends
+    in the exact goal.
+    """
+    samples = 1200
+    horizon = {"mppi": 25, "soi": 25, "cloi": 15}[method]
+    object_horizon = {"mppi": 60, "soi": 90, "cloi": 60}[method]
+    mppi = Mppi(
+        samples=samples,
+        horizon=horizon,
+        effective_samples=(5 / samples, 10 / samples),
+        knots=0,
+        special_samples=False,
+    )
+    return Config(
+        preset="paper",
+        reference="time",
+        robot=RobotLevel(mppi=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
+        object=ObjectLevel(mppi=replace(mppi, horizon=object_horizon), noise_range=0.0),
+        cost=RobotCost(
+            w_d=100.0,
+            w_theta=0.08,
+            w_reference=0.0 if method == "mppi" else 100.0,
+            w_align=45.0,
+            align_ahead=0,
+            align_fade=0.0,
+            w_height=20.0,
+            w_above=0.0,
+            w_reach=0.0,
+        ),
+        episode=EpisodeConfig(tight=False),
+        object_cost=ObjectCost(w_d=100.0, w_theta=0.08, w_to_go=0.0, w_margin=0.0, w_reach=0.0),
+    )
+
+
+PRESETS = {"best": best, "paper": paper}
