@@ -10,7 +10,7 @@ from oimppi_warp.kernels.geometry import wrap_angle
 wp.set_module_options({"enable_backward": False})
 
 TERMS = ("goal", "contact", "reference", "approach", "align", "tilt", "height", "clearance", "above", "reach", "press",
-         "control")  # fmt: skip
+         "control", "collision")  # fmt: skip
 """Names of the robot level's cost terms, in the order of :class:`CostTerms`."""
 
 CostTerms = wp.types.vector(length=len(TERMS), dtype=float)
@@ -49,6 +49,7 @@ class RobotWeights:
     edge_upper: wp.vec2
     w_press: float
     w_control: float
+    w_collision: float
 
 
 @wp.struct
@@ -167,6 +168,7 @@ def robot_cost(
     above: float,
     pressed: float,
     speed_squared: float,
+    collision: float,
 ) -> CostTerms:
     """Stage cost of the robot level (equations 15 to 19 and our additions), term by term and weighted.
 
@@ -184,6 +186,7 @@ def robot_cost(
         above: 1 where the tip is above the object, else 0.
         pressed: Depth by which the tool presses into an object that cannot yield [m].
         speed_squared: Squared norm of the joint velocities [rad^2/s^2].
+        collision: Contact force of robot and environment, lambda_3 [N].
     """
     terms = CostTerms()
     terms[0] = w.w_d * pose_distance_squared(pose, goal, w.w_theta)
@@ -201,4 +204,5 @@ def robot_cost(
     terms[9] = reach + w.w_edge * over_edge(pose, w.edge_lower, w.edge_upper)
     terms[10] = w.w_press * pressed * pressed
     terms[11] = w.w_control * speed_squared
+    terms[12] = w.w_collision * wp.max(collision - w.f_0, 0.0)
     return terms

@@ -1,6 +1,10 @@
-"""Forward kinematics of a serial arm of revolute joints about their local z axes."""
+"""Forward kinematics of a serial arm of revolute joints about their local z axes, and the room that it has."""
+
+from functools import lru_cache
 
 import warp as wp
+
+from oimppi_warp.kernels.geometry import SpaceField, space_field
 
 wp.set_module_options({"enable_backward": False})
 
@@ -18,6 +22,7 @@ class Arm:
         tip_rotation: The tip's frame in the last link's frame; its z axis points out of the tool.
         sphere: Spheres along the links: centre in the link's frame [m] and radius [m], sorted by link.
         first_sphere: Index of each link's first sphere, [dof + 1].
+        hull: A sphere around all of each link's, [dof].
     """
 
     rotation: wp.array[wp.mat33]
@@ -29,15 +34,94 @@ class Arm:
     tip_rotation: wp.mat33
     sphere: wp.array[wp.vec4]
     first_sphere: wp.array[int]
+    hull: wp.array[wp.vec4]
+
+
+@wp.struct
+class Surroundings:
+    """What the arm must keep clear of.
+
+    Attributes:
+        obstacles: Distance to the obstacles [m].
+        top: Height above which no obstacle is near [m].
+        near: Clearance from which a lower bound is as good as the exact one [m].
+        tool_radius: [m].
+    """
+
+    obstacles: SpaceField
+    top: float
+    near: float
+    tool_radius: float
+
+
+@wp.struct
+class Placed:
+    """Where an arm is.
+
+    Attributes:
+        tip: The tool's tip [m].
+        up: The world's z axis in the tip's frame.
+        room: Clearance of arm and tool to obstacles and table, phi_3 [m]; beyond ``Surroundings.near`` a lower bound.
+    """
+
+    tip: wp.vec3
+    up: wp.vec3
+    room: float
 
 
 @wp.func
-def turn_about_z(r: wp.mat33, angle: float) -> wp.mat33:
-    """``r`` followed by a turn about its own z axis."""
-    c = wp.cos(angle)
-    s = wp.sin(angle)
+def turn_about_z(r: wp.mat33, c: float, s: float) -> wp.mat33:
+    """``r`` followed by a turn about its own z axis, by the angle with cosine ``c`` and sine ``s``."""
     return wp.mat33(
         c * r[0, 0] + s * r[0, 1], c * r[0, 1] - s * r[0, 0], r[0, 2],
         c * r[1, 0] + s * r[1, 1], c * r[1, 1] - s * r[1, 0], r[1, 2],
         c * r[2, 0] + s * r[2, 1], c * r[2, 1] - s * r[2, 0], r[2, 2],
     )  # fmt: skip
+
+
+@wp.func
+def lowest_clearance(surroundings: Surroundings, p: wp.vec3, r: wp.mat33, ball: wp.vec4) -> float:
+    """Clearance to table and obstacles of a sphere (centre, radius) given in a frame ``p``, ``r`` [m]."""
+    height = p[2] + r[2, 0] * ball[0] + r[2, 1] * ball[1] + r[2, 2] * ball[2] - ball[3]
+    clearance = height
+    if height < surroundings.top:
+        at = p + r * wp.vec3(ball[0], ball[1], ball[2])
+        clearance = wp.min(height, space_field(surroundings.obstacles, at) - ball[3])
+    return clearance
+
+
+@lru_cache
+def make_place_arm(dof: int) -> wp.Function:
+    """The function that places an arm of ``dof`` joints."""
+    vec = wp.types.vector(length=dof, dtype=float)
+
+    @wp.func(module="oimppi_warp.kernels.kinematics")
+    def place_arm(arm: Arm, surroundings: Surroundings, tip: wp.vec3, q: vec) -> Placed:
+        """Tip, tilt and room of the arm.
+
+        Args:
+            arm: The arm.
+            surroundings: What is around it.
+            tip: The tip in the last link's frame [m].
+            q: Joint positions [rad].
+        """
+        room = float(1.0)
+        r = wp.identity(n=3, dtype=float)
+        p = wp.vec3()
+        for j in range(dof):
+            p = p + r * arm.position[j]
+            r = turn_about_z(r * arm.rotation[j], wp.cos(q[j]), wp.sin(q[j]))
+            # A link that is far from everything as a whole is not looked at more closely.
+            whole = lowest_clearance(surroundings, p, r, arm.hull[j])
+            if whole > surroundings.near:
+                room = wp.min(room, whole)
+            else:
+                for s in range(arm.first_sphere[j], arm.first_sphere[j + 1]):
+                    room = wp.min(room, lowest_clearance(surroundings, p, r, arm.sphere[s]))
+        placed = Placed()
+        placed.tip = p + r * tip
+        placed.up = wp.transpose(arm.tip_rotation) * wp.vec3(r[2, 0], r[2, 1], r[2, 2])
+        placed.room = wp.min(room, placed.tip[2])
+        return placed
+
+    return place_arm

@@ -12,6 +12,7 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def object_rollout(
     # in:
+    first: int,
     model: ObjectModel,
     weights: ObjectWeights,
     to_go: PoseField,
@@ -28,7 +29,7 @@ def object_rollout(
     Shapes: ``start`` [1], ``goal`` [1], ``wrenches`` [sample, horizon] (N, N, N m), ``costs`` [sample],
     ``poses`` [sample, horizon + 1] or empty.
     """
-    k = wp.tid()
+    k = first + wp.tid()
     ease = 1.0 / (model.radius * model.radius)
     mobility = wp.vec3(1.0, 1.0, ease) * (dt / model.force)
     pose = start[0]
@@ -46,3 +47,10 @@ def object_rollout(
         if keep:
             poses[k, h + 1] = pose
     costs[k] = cost
+
+
+@wp.kernel
+def follow_path(path: wp.array2d[wp.vec3], reference: wp.array[wp.vec3]):
+    """Makes a path [1, horizon + 1] the reference [n]; its last pose is held."""
+    i = wp.tid()
+    reference[i] = path[0, wp.min(i, path.shape[1] - 1)]

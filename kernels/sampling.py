@@ -16,6 +16,7 @@ def make_sample_controls(size: int) -> wp.Kernel:
     @wp.kernel(module=f"oimppi_warp.kernels.sample_controls_{size}", enable_backward=False)
     def sample_controls(
         # in:
+        first: int,
         nominal: wp.array[vec],
         noise_map: wp.array[mat],
         basis: wp.array2d[float],
@@ -32,7 +33,7 @@ def make_sample_controls(size: int) -> wp.Kernel:
         ``noise_map`` [1] (a square root of Sigma_u), ``basis`` [horizon, knot], ``bound`` [1], ``counter`` [1] (plans
         made so far: each draws its own noise), ``controls`` [sample, horizon].
         """
-        k = wp.tid()
+        k = first + wp.tid()
         horizon = controls.shape[1]
         if special == 1 and k < 2:
             for h in range(horizon):

@@ -27,20 +27,6 @@ class WeightStats:
     lost: int
 
 
-@wp.func
-def effective_samples(costs: wp.array[float], low: float, temperature: float) -> float:
-    """Effective sample size at a temperature."""
-    total = float(0.0)
-    squares = float(0.0)
-    for k in range(costs.shape[0]):
-        c = costs[k]
-        if c < LOST:
-            w = wp.exp((low - c) / temperature)
-            total += w
-            squares += w * w
-    return total * total / wp.max(squares, 1.0e-30)
-
-
 @wp.kernel
 def weigh_samples(
     # in:
@@ -52,57 +38,66 @@ def weigh_samples(
     weights: wp.array[float],
     stats: wp.array[WeightStats],
 ):
-    """Softmin weights of the costs, summing to one; launched with one thread.
+    """Softmin weights of the costs, summing to one; launched with one block (on the CPU: one thread).
 
     Where ``most`` is above zero, the temperature is moved until the effective sample size lies in [fewest, most].
     A cost that is not finite loses its sample; when all are lost, all weights are zero. Shapes: ``costs`` and
     ``weights`` [sample], ``stats`` [1].
     """
+    i = wp.tid()
+    count = costs.shape[0]
+    stride = wp.block_dim()
     low = float(LOST)
     lost = int(0)
-    for k in range(costs.shape[0]):
+    for k in range(i, count, stride):
         c = costs[k]
         if wp.isfinite(c) and c < LOST:
             low = wp.min(low, c)
         else:
             lost += 1
+    low = wp.tile_min(wp.tile(low))[0]
+    lost = wp.tile_sum(wp.tile(lost))[0]
 
     heat = stats[0].temperature
     if most <= 0.0 or heat <= 0.0:
         heat = temperature
+    tries = int(1)
     if most > 0.0 and low < LOST:
-        for _ in range(12):
-            found = effective_samples(costs, low, heat)
-            if found < fewest:
-                heat *= 1.3
-            elif found > most:
-                heat /= 1.3
+        tries = 13
+    total = float(0.0)
+    effective = float(0.0)
+    for t in range(tries):
+        part = wp.vec2()  # of the sum of the weights and of that of their squares
+        for k in range(i, count, stride):
+            c = costs[k]
+            w = float(0.0)
+            if wp.isfinite(c) and c < LOST:
+                w = wp.exp((low - c) / heat)
+            weights[k] = w
+            part = part + wp.vec2(w, w * w)
+        sums = wp.tile_reduce(wp.add, wp.tile(part, preserve_type=True))[0]
+        total = sums[0]
+        if sums[1] > 0.0:
+            effective = sums[0] * sums[0] / sums[1]
+        if t + 1 < tries:
+            # Equal costs would wind the temperature to nothing.
+            if effective < fewest:
+                heat = wp.clamp(heat * 1.3, 1.0e-4, 1.0e6)
+            elif effective > most:
+                heat = wp.clamp(heat / 1.3, 1.0e-4, 1.0e6)
             else:
                 break
-        heat = wp.clamp(heat, 1.0e-4, 1.0e6)  # equal costs would wind it to nothing
-
-    total = float(0.0)
-    squares = float(0.0)
-    for k in range(costs.shape[0]):
-        c = costs[k]
-        w = float(0.0)
-        if wp.isfinite(c) and c < LOST:
-            w = wp.exp((low - c) / heat)
-        weights[k] = w
-        total += w
-        squares += w * w
     if total > 0.0:
-        for k in range(costs.shape[0]):
+        for k in range(i, count, stride):
             weights[k] = weights[k] / total
 
-    out = WeightStats()
-    out.min_cost = low
-    out.temperature = heat
-    out.lost = lost
-    out.effective_samples = 0.0
-    if squares > 0.0:
-        out.effective_samples = total * total / squares
-    stats[0] = out
+    if i == 0:
+        out = WeightStats()
+        out.min_cost = low
+        out.temperature = heat
+        out.lost = lost
+        out.effective_samples = effective
+        stats[0] = out
 
 
 @lru_cache
@@ -120,16 +115,18 @@ def make_update_nominal(size: int) -> wp.Kernel:
     ):
         """The weighted mean of the samples' controls; zero where every sample was lost.
 
-        Since weights sum to one, this is the nominal plus the weighted perturbations of equation 11.
-        Shapes: ``controls`` [sample, horizon], ``weights`` [sample], ``nominal`` [horizon].
+        Since weights sum to one, this is the nominal plus the weighted perturbations of equation 11. A block for each
+        step. Shapes: ``controls`` [sample, horizon], ``weights`` [sample], ``nominal`` [horizon].
         """
-        h = wp.tid()
+        h, i = wp.tid()
         mean = vec()
-        for k in range(weights.shape[0]):
+        for k in range(i, weights.shape[0], wp.block_dim()):
             w = weights[k]
             if w > 1.0e-9:
                 mean = mean + w * controls[k, h]
-        nominal[h] = mean
+        total = wp.tile_reduce(wp.add, wp.tile(mean, preserve_type=True))
+        if i == 0:
+            nominal[h] = total[0]
 
     return update_nominal
 
@@ -146,8 +143,10 @@ def make_shift_nominal(size: int) -> wp.Kernel:
         # out:
         nominal: wp.array[vec],
         counter: wp.array[int],
+        taken: wp.array[vec],
     ):
-        """Drops the first control and repeats the last (or ends with zero); launched with one thread."""
+        """Takes the first control out and repeats the last (or ends with zero); launched with one thread."""
+        taken[0] = nominal[0]
         last = nominal.shape[0] - 1
         for h in range(last):
             nominal[h] = nominal[h + 1]

@@ -42,6 +42,33 @@ class Mppi:
 
 
 @dataclass(frozen=True)
+class Uncertainty:
+    """What the robot level's prediction may be wrong about; the paper's future work.
+
+    Each control sequence is rolled out in several draws of the world: plans take that many times as long.
+
+    Attributes:
+        draws: Draws that each control sequence is tried in; 0 turns all of this off.
+        shared: Whether all sequences are tried in the same draws, or each in its own.
+        friction: Spread of the friction coefficients (standard deviation of their logarithm).
+        mass: The same of the object's mass.
+        pose: Standard deviations of the error of the object's perceived pose: x, y [m], yaw [rad].
+        tool: Standard deviation of the tool's offset across its axis, in either direction [m].
+        measure: What the costs in all draws become: their mean, the worst, or the mean of the worst (CVaR).
+        tail: Share of the draws that counts as the worst, for ``measure="cvar"``.
+    """
+
+    draws: int = 0
+    shared: bool = True
+    friction: float = 0.2
+    mass: float = 0.1
+    pose: tuple[float, float, float] = (0.005, 0.005, 0.03)
+    tool: float = 0.002
+    measure: Literal["mean", "worst", "cvar"] = "mean"
+    tail: float = 0.5
+
+
+@dataclass(frozen=True)
 class RobotLevel:
     """Robot level: equations 14 and 17.
 
@@ -53,7 +80,9 @@ class RobotLevel:
         tool_noise: Standard deviations of the tip's velocity (x, y, z [m/s], rotation about x, y, z [rad/s]), for
             ``noise_space="tool"``.
         joint_velocity_limit: Bound of each joint's velocity [rad/s], if lower than the robot's own.
-        contact_steps: Steps of the contact model in one control step.
+        contact_steps: Steps of the contact model in one control step, in the quasi-static engine.
+        substeps: Steps of the physics in one control step, in the Newton engine.
+        uncertainty: What the prediction may be wrong about.
     """
 
     mppi: Mppi = field(default_factory=Mppi)
@@ -62,6 +91,8 @@ class RobotLevel:
     tool_noise: tuple[float, float, float, float, float, float] = (0.2, 0.2, 0.06, 0.2, 0.2, 0.5)
     joint_velocity_limit: float = 1.0
     contact_steps: int = 2
+    substeps: int = 4
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
 
 @dataclass(frozen=True)
@@ -145,6 +176,7 @@ class RobotCost:
         w_edge: Distance of the object's centre to where all of it is on the table for sure [1/m].
         w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2].
         w_control: Squared joint velocity [s^2/rad^2].
+        w_collision: Contact force of arm and tool on obstacles and table above ``f_0`` [1/N], in engines that know it.
     """
 
     w_d: float = 5.0
@@ -170,6 +202,7 @@ class RobotCost:
     w_edge: float = 40.0
     w_press: float = 1e4
     w_control: float = 0.0
+    w_collision: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -293,6 +326,9 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "horizon": (1, 10_000),
     "iterations": (1, 1_000),
     "contact_steps": (1, 1_000),
+    "substeps": (1, 1_000),
+    "draws": (0, 1_000),
+    "tail": (0, 1),
     "plan_steps": (1, 100_000),
     "temperature": (1e-6, math.inf),
     "effective_samples": (0, 1),

@@ -15,8 +15,9 @@ from oimppi_warp.feasibility import check_task
 from oimppi_warp.kinematics import tip_frame
 from oimppi_warp.log import EpisodeLog, to_json, versions
 from oimppi_warp.metrics import hold_steps, pose_error
+from oimppi_warp.observation import Observation
 from oimppi_warp.planner import Planner, make_planner
-from oimppi_warp.plant import Observation, SimulatedPlant
+from oimppi_warp.plant import SimulatedPlant
 from oimppi_warp.scene import Scene, Tolerance
 from oimppi_warp.world import World
 
@@ -34,7 +35,7 @@ class Episode:
     Args:
         scene: The task, with the start and the goal to use.
         config: All settings.
-        method, engine, device, seed: As for :func:`oimppi_warp.planner.make_planner`.
+        method, engine, device, threads, seed: As for :func:`oimppi_warp.planner.make_planner`.
 
     Raises:
         SceneError: The task cannot be done: its start or goal is in an obstacle, off the table or out of reach.
@@ -48,12 +49,15 @@ class Episode:
         method: Method = "cloi",
         engine: str = "quasistatic",
         device: str = "auto",
+        threads: int | None = None,
         seed: int = 0,
     ) -> None:
         check_task(scene)
         self.scene = scene
         self.config = config
-        self.planner: Planner = make_planner(scene, config, method=method, engine=engine, device=device, seed=seed)
+        self.planner: Planner = make_planner(
+            scene, config, method=method, engine=engine, device=device, threads=threads, seed=seed
+        )
         self.planner.warm_up()
         period = config.control_period
         substeps = math.ceil(period / _SUBSTEP - 1e-6)
@@ -64,7 +68,7 @@ class Episode:
                 "file": str(scene.file),
                 "method": method,
                 "engine": engine,
-                "device": self.planner.device,
+                "device": self.planner.compute.device,
                 "preset": config.preset,
                 "seed": seed,
                 "config": to_json(asdict(config)),
@@ -153,7 +157,7 @@ class Episode:
             contact_object_obstacle=contacts.object_obstacle,
             contact_robot_obstacle=contacts.robot_obstacle,
             plan_ms=1e3 * plan_seconds,
-            object_plan_ms=1e3 * plan.object_seconds if plan.object_update else np.nan,
+            object_plan_ms=1e3 * plan.object_seconds,
             effective_samples=plan.update.effective_samples,
             object_effective_samples=plan.object_update.effective_samples if plan.object_update else np.nan,
             min_cost=plan.update.min_cost,

@@ -85,4 +85,20 @@ def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
     arm.tip_rotation = wp.mat33(*rotation_matrix(robot.tip[3:]).ravel())
     arm.sphere = wp.array(np.concatenate(spheres), dtype=wp.vec4, device=device)
     arm.first_sphere = wp.array(np.cumsum([0, *map(len, spheres)]), dtype=int, device=device)
+    arm.hull = wp.array(np.array([enclosing_sphere(balls) for balls in spheres]), dtype=wp.vec4, device=device)
     return arm
+
+
+def enclosing_sphere(spheres: np.ndarray) -> np.ndarray:
+    """A small sphere [4] (centre, radius) around spheres [n, 4]; around none, one of no size at the origin [m]."""
+    if not len(spheres):
+        return np.zeros(4)
+    centers, radii = spheres[:, :3], spheres[:, 3]
+    # The middle of the box around them, or of the two that are furthest apart: whichever is tighter.
+    low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
+    apart = np.linalg.norm(centers[:, None] - centers, axis=-1)
+    ends = centers[list(np.unravel_index(np.argmax(apart), apart.shape))]
+    candidates = np.array([(low + high) / 2, ends.mean(axis=0)])
+    reach = (np.linalg.norm(candidates[:, None] - centers, axis=-1) + radii).max(axis=1)
+    best = int(np.argmin(reach))
+    return np.append(candidates[best], reach[best])

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp import config
+from oimppi_warp.compute import Launch
 from oimppi_warp.dynamics.base import Dynamics, control_type
 from oimppi_warp.kernels.sampling import make_sample_controls
 from oimppi_warp.kernels.update import WeightStats, make_shift_nominal, make_update_nominal, weigh_samples
@@ -40,76 +41,63 @@ class Mppi:
         seed: Of the noise; the same seed gives the same plans.
 
     Attributes:
+        seed: Of the noise.
         nominal: The nominal control sequence, [horizon] of vectors, on the device.
         controls: The samples of the latest update, [sample, horizon] of vectors.
         costs, weights: Their costs and weights, [sample].
+        command: The control to apply now, an output [1]: the nominal's first, once it is shifted out.
+        noise: A square root [1, m, m] of the noise's covariance Sigma_u (``Sigma_u = root root^T``), an input.
+        improve: Launches of one update of the nominal from the dynamics' present state (equations 9 to 12).
+        shift: Launch that takes the command out of the nominal and moves it on by one step; the new last control
+            repeats the one before.
     """
 
     def __init__(self, dynamics: Dynamics, settings: config.Mppi, *, seed: int) -> None:
-        self._dynamics = dynamics
         self._settings = settings
-        self._seed = seed
-        size, device = dynamics.size, dynamics.device
+        self.seed = seed
+        compute = dynamics.compute
+        size, device = dynamics.size, compute.device
         vec = control_type(size)
         samples, horizon = settings.samples, settings.horizon
         self.nominal = wp.zeros(horizon, dtype=vec, device=device)
         self.controls = wp.zeros((samples, horizon), dtype=vec, device=device)
         self.costs = wp.zeros(samples, dtype=float, device=device)
         self.weights = wp.zeros(samples, dtype=float, device=device)
-        self._stats = wp.zeros(1, dtype=WeightStats, device=device)  # pyright: ignore[reportArgumentType]
+        self.noise = compute.input(1, wp.types.matrix(shape=(size, size), dtype=float))
+        self.command = compute.output(1, vec)
+        self._stats = compute.output(1, WeightStats)
         self._counter = wp.zeros(1, dtype=int, device=device)
-        self._bound = wp.array(dynamics.bound[None].astype(np.float32), dtype=vec, device=device)
-        self._basis = wp.array(noise_basis(horizon, settings.knots).astype(np.float32), dtype=float, device=device)
-        matrix = wp.types.matrix(shape=(size, size), dtype=float)
-        self._noise_map = wp.zeros(1, dtype=matrix, device=device)
-        self._sample = make_sample_controls(size)
-        self._update = make_update_nominal(size)
-        self._shift = make_shift_nominal(size)
+        bound = wp.array(dynamics.bound[None].astype(np.float32), dtype=vec, device=device)
+        basis = wp.array(noise_basis(horizon, settings.knots).astype(np.float32), dtype=float, device=device)
+        few, many = (share * samples for share in settings.effective_samples)
 
-    def set_noise(self, root: np.ndarray) -> None:
-        """Sets the noise by a square root [m, m] of its covariance Sigma_u (``Sigma_u = root root^T``)."""
-        self._noise_map.assign(np.asarray(root, dtype=np.float32)[None])
-
-    def step(self) -> Update:
-        """Improves the nominal from the dynamics' present state (equations 9 to 12)."""
-        settings, device = self._settings, self._dynamics.device
-        few, many = (share * settings.samples for share in settings.effective_samples)
+        rollout = dynamics.rollout(self.controls, self.costs)
+        weigh = compute.launch_blocks(
+            weigh_samples, None, [self.costs, settings.temperature, few, many], [self.weights, self._stats.array]
+        )
+        update = compute.launch_blocks(
+            make_update_nominal(size), horizon, [self.controls, self.weights], [self.nominal]
+        )
+        self.improve: list[Launch] = []
         for i in range(settings.iterations):
-            wp.launch(
-                self._sample,
-                dim=settings.samples,
-                inputs=[
-                    self.nominal,
-                    self._noise_map,
-                    self._basis,
-                    self._bound,
-                    self._counter,
-                    self._seed + 104729 * i,
-                    int(settings.special_samples),
-                ],
-                outputs=[self.controls],
-                device=device,
-            )
-            self._dynamics.rollout(self.controls, self.costs)
-            inputs = [self.costs, settings.temperature, few, many]
-            wp.launch(weigh_samples, dim=1, inputs=inputs, outputs=[self.weights, self._stats], device=device)
-            inputs = [self.controls, self.weights]
-            wp.launch(self._update, dim=settings.horizon, inputs=inputs, outputs=[self.nominal], device=device)
-        found = self._stats.numpy()[0]
+            inputs = [self.nominal, self.noise.array, basis, bound, self._counter, seed + 104729 * i]
+            inputs.append(int(settings.special_samples))
+            sample = compute.launch_samples(make_sample_controls(size), samples, inputs, [self.controls])
+            self.improve += [sample, rollout, weigh, update]
+        self.shift = compute.launch(make_shift_nominal(size), 1, [1], [self.nominal, self._counter, self.command.array])
+
+    def found(self) -> Update:
+        """What the latest update found, once the host has its outputs."""
+        found = self._stats.host[0]
         least, temperature, effective, lost = (
             found[name].item() for name in ("min_cost", "temperature", "effective_samples", "lost")
         )
-        return Update(least if lost < settings.samples else math.nan, temperature, effective, lost)
-
-    def shift(self) -> None:
-        """Moves the nominal on by one step; the new last control repeats the one before."""
-        outputs = [self.nominal, self._counter]
-        wp.launch(self._shift, dim=1, inputs=[1], outputs=outputs, device=self._dynamics.device)
+        return Update(least if lost < self._settings.samples else math.nan, temperature, effective, lost)
 
     def reset(self) -> None:
         """Forgets the nominal and begins the noise anew."""
         self.nominal.zero_()
-        self._stats.zero_()
+        self._stats.array.zero_()
         self._counter.zero_()
 
 

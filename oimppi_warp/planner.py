@@ -6,6 +6,7 @@ from. MPPI's is the goal itself, SOI's a plan made once before the robot moves, 
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -13,22 +14,23 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.clearance import Geometry, build_geometry, from_center, to_center
+from oimppi_warp.compute import Compute, Launch, Stopwatch
 from oimppi_warp.config import Config, Method, validate
-from oimppi_warp.device import pick_device
+from oimppi_warp.dynamics.engines import ENGINES, make_dynamics
 from oimppi_warp.dynamics.object import ObjectDynamics
-from oimppi_warp.dynamics.quasistatic import QuasistaticDynamics
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.footprint import wrap_angle
 from oimppi_warp.kernels import navigation
 from oimppi_warp.kernels.geometry import PoseField
+from oimppi_warp.kernels.object import follow_path
 from oimppi_warp.kinematics import tip_jacobian
 from oimppi_warp.mppi import Mppi, Update
 from oimppi_warp.navigation import build_to_go, descend
-from oimppi_warp.plant import Observation
+from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.scene import Scene
+from oimppi_warp.uncertainty import draw
 
 METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
-ENGINES = ("quasistatic",)
 
 _ARRIVED = 0.01
 """Distance from the goal, turning counted, at which SOI's object plan is complete [m]."""
@@ -44,7 +46,8 @@ class Plan:
         command: Joint velocities to apply now, shape [dof] [rad/s].
         update: What the robot level found.
         object_update: What the object level found, if it planned.
-        object_seconds: Wall time that the object level took [s].
+        object_seconds: Wall time that the object level took [s]; NaN where it did not plan, or where nobody can tell
+            because the whole step is one CUDA graph.
         terms: Weighted cost terms of the robot's nominal, summed over the horizon.
         tips: Tool tip along the nominal, shape [horizon + 1, 3] [m].
         object_poses: The object along it, shape [horizon + 1, 3].
@@ -62,64 +65,77 @@ class Plan:
 
 
 class ObjectLevel:
-    """The object-level MPPI; all poses are of the object's friction centre."""
+    """The object-level MPPI; all poses are of the object's friction centre.
 
-    def __init__(self, geometry: Geometry, goal: np.ndarray, config: Config, *, device: str, seed: int) -> None:
+    Attributes:
+        launches: One update and the path that the nominal then takes, as launches.
+        path: That path, an output of shape [horizon + 1].
+        setup_seconds: Wall time of making or reading the cost-to-go [s].
+    """
+
+    def __init__(self, geometry: Geometry, goal: np.ndarray, config: Config, *, compute: Compute, seed: int) -> None:
         self._dynamics = ObjectDynamics(
-            geometry, config.object, config.object_cost, goal=goal, dt=config.control_period, device=device
+            geometry, config.object, config.object_cost, goal=goal, dt=config.control_period, compute=compute
         )
-        self._mppi = Mppi(self._dynamics, config.object.mppi, seed=seed)
+        self.mppi = Mppi(self._dynamics, config.object.mppi, seed=seed)
         self._level = config.object
         self._goal = goal
+        self.path = self._dynamics.path
+        self.launches = [*self.mppi.improve, self._dynamics.trace(self.mppi.nominal), self.mppi.shift]
         self.setup_seconds = self._dynamics.setup_seconds
 
-    def improve(self, pose: np.ndarray) -> tuple[Update, np.ndarray]:
-        """One update from a pose [3], and the path [horizon + 1, 3] that the nominal then takes."""
+    def set_state(self, pose: np.ndarray) -> None:
+        """Where the object is: pose [3]."""
         left = _difference(self._goal, pose) * [1.0, 1.0, self._level.yaw_length]
         share = 1.0
         if self._level.noise_range > 0.0:
             share = float(np.clip(np.linalg.norm(left) / self._level.noise_range, 0.1, 1.0))
-        self._mppi.set_noise(np.diag(share * self._level.noise * self._dynamics.bound))
+        self.mppi.noise.host[0] = np.diag(share * self._level.noise * self._dynamics.bound)
         self._dynamics.set_state(pose)
-        update = self._mppi.step()
-        path = self._dynamics.trace(self._mppi.nominal)
-        self._mppi.shift()
-        return update, path
-
-    def reset(self) -> None:
-        """Forgets the nominal."""
-        self._mppi.reset()
 
 
 class Planner:
     """Plain MPPI, and what SOI and CLOI have in common.
 
+    A control step is: inputs written, one :meth:`Compute.step`, outputs read.
+
     Args:
         scene: The task.
         config: All settings.
-        device: Warp device.
+        engine: Rollout engine of the robot level.
+        compute: Where to compute.
         seed: Of all noise; the same seed gives the same plans (on the CPU to the bit).
+
+    Attributes:
+        geometry: Shapes of the scene.
+        goal: The scene's, of the friction centre.
+        dynamics: The engine.
+        mppi: The robot level.
     """
 
     method: Method = "mppi"
 
-    def __init__(self, scene: Scene, config: Config, *, device: str, seed: int) -> None:
+    def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
         config = _for_task(config, scene)
         self.scene = scene
         self.config = config
-        self.device = device
-        self.geometry = build_geometry(scene, device)
+        self.compute = compute
+        self.geometry = build_geometry(scene, compute.device)
         self.goal = to_center(self.geometry.surface, np.array(scene.goal))
-        self.dynamics = QuasistaticDynamics(
-            scene, self.geometry, config.robot, config.cost, dt=config.control_period, device=device
+        level = config.robot
+        draws = draw(level.uncertainty, samples=level.mppi.samples, seed=seed)
+        self.dynamics = make_dynamics(
+            engine, scene, self.geometry, level, config.cost, dt=config.control_period, compute=compute, draws=draws
         )
-        self.mppi = Mppi(self.dynamics, config.robot.mppi, seed=2 * seed + 1)
+        self.mppi = Mppi(self.dynamics, level.mppi, seed=2 * seed + 1)
+        robot = [*self.mppi.improve, self.dynamics.trace(self.mppi.nominal, self.mppi.costs), self.mppi.shift]
+        self._step = compute.step([*self._object_launches(seed), *robot], one_graph=self.dynamics.one_graph)
 
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""
         start = np.array(self.scene.start)
         joints = self.scene.robot.start
-        transform = np.array([*start[:2], self.scene.object.rest_height, 0.0, 0.0, 0.0, 1.0])
+        transform = planar_transform(self.scene.start, self.scene.object.rest_height)
         self.plan(Observation(0.0, joints, np.zeros_like(joints), start, transform))
 
     def start(self, observation: Observation) -> float:
@@ -129,33 +145,49 @@ class Planner:
 
     def plan(self, observation: Observation) -> Plan:
         """Plans from an observation; each call is one control step."""
-        pose = to_center(self.geometry.surface, observation.object_pose)
+        self.dynamics.set_state(observation, self.goal)
+        self.mppi.noise.host[0] = self._noise(observation.joint_position)
+        self._set_reference(to_center(self.geometry.surface, observation.object_pose))
         began = time.perf_counter()
-        object_update, reference = self._reference(pose)
-        object_seconds = time.perf_counter() - began
-
-        joints = observation.joint_position
-        self.dynamics.set_state(joints, pose, self.goal, _fitted(reference, self.dynamics.reference_length))
-        self.mppi.set_noise(self._noise(joints))
-        update = self.mppi.step()
-        command = self.mppi.nominal.numpy()[0].astype(float)
-        trace = self.dynamics.trace(self.mppi.nominal)
-        self.mppi.shift()
+        self._step()
+        trace = self.dynamics.traced()
         surface = self.geometry.surface
         return Plan(
-            command=command,
-            update=update,
-            object_update=object_update,
-            object_seconds=object_seconds,
+            command=self.mppi.command.host[0].astype(float),
+            update=self.mppi.found(),
+            object_update=self._object_update(),
+            object_seconds=self._object_done() - began,
             terms=trace.terms,
             tips=trace.tips,
             object_poses=from_center(surface, trace.poses),
-            reference=from_center(surface, reference),
+            reference=from_center(surface, self._reference()),
         )
 
-    def _reference(self, pose: np.ndarray) -> tuple[Update | None, np.ndarray]:
-        """The object poses to track from now, of the friction centre, shape [n, 3], and what planning them found."""
-        return None, self.goal[None]
+    def _object_launches(self, seed: int) -> list[Launch]:
+        """What a step does before the robot level."""
+        return []
+
+    def _set_reference(self, pose: np.ndarray) -> None:
+        """Prepares the reference for the object's pose [3] (friction centre)."""
+        self._track(self.goal[None])
+
+    def _track(self, reference: np.ndarray) -> None:
+        """Gives the robot level the reference [n, 3]; its last pose is held."""
+        host = self.dynamics.reference.host
+        self._tracked = reference
+        host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
+
+    def _reference(self) -> np.ndarray:
+        """The reference that was tracked in this step, of the friction centre, shape [n, 3]."""
+        return self._tracked
+
+    def _object_update(self) -> Update | None:
+        """What the object level found in this step, if it planned."""
+        return None
+
+    def _object_done(self) -> float:
+        """When the object level was done with this step, by ``time.perf_counter``; NaN if nobody knows."""
+        return math.nan
 
     def _noise(self, joints: np.ndarray) -> np.ndarray:
         """A square root of the noise's covariance in joint space, shape [dof, dof]."""
@@ -175,9 +207,12 @@ class SequentialPlanner(Planner):
 
     method: Method = "soi"
 
-    def __init__(self, scene: Scene, config: Config, *, device: str, seed: int) -> None:
-        super().__init__(scene, config, device=device, seed=seed)
-        self._object = ObjectLevel(self.geometry, self.goal, self.config, device=device, seed=2 * seed + 2)
+    def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
+        super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
+        # Its plan is made before the robot moves: a step of its own, with inputs and outputs of its own.
+        alone = Compute(compute.device, threads=compute.threads)
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=alone, seed=2 * seed + 2)
+        self._object_step = alone.step(self._object.launches)
         self._path = self.goal[None]
         self._progress = 0
         self._to_go: PoseField | None = None
@@ -185,14 +220,14 @@ class SequentialPlanner(Planner):
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""
         super().warm_up()
-        self._object.improve(self._path[0])
+        self._improve(self._path[0])
         wp.load_module(navigation, device="cpu")
 
     def start(self, observation: Observation) -> float:
         """Plans the object's whole way; returns the wall time that took, the cost-to-go included [s]."""
         super().start(observation)
         began = time.perf_counter()
-        self._object.reset()
+        self._object.mppi.reset()
         self._progress = 0
         self._path = self._whole_way(to_center(self.geometry.surface, observation.object_pose))
         if self.config.reference == "progress" and self.config.soi.off_plan > 0.0:
@@ -201,7 +236,7 @@ class SequentialPlanner(Planner):
                 self._path[::-3][::-1],
                 yaw_length=self.config.object.yaw_length,
                 reach=self.config.object_cost.reach,
-                device=self.device,
+                device=self.compute.device,
             )
         return time.perf_counter() - began + self._object.setup_seconds
 
@@ -209,18 +244,27 @@ class SequentialPlanner(Planner):
         """The object's way to the goal, as the object level would drive it in closed loop."""
         way = [pose]
         for _ in range(self.config.object.plan_steps):
-            _, path = self._object.improve(way[-1])
-            way.append(path[1])
+            way.append(self._improve(way[-1])[1])
             left = _difference(self.goal, way[-1]) * [1.0, 1.0, self.config.object.yaw_length]
             if np.linalg.norm(left) < _ARRIVED:
                 break
         return np.array([*way, self.goal])
 
-    def _reference(self, pose: np.ndarray) -> tuple[Update | None, np.ndarray]:
+    def _improve(self, pose: np.ndarray) -> np.ndarray:
+        """One update of the object plan from a pose [3], and the path [horizon + 1, 3] that it then takes."""
+        self._object.set_state(pose)
+        self._object_step()
+        return self._object.path.host[0].astype(float)
+
+    def _set_reference(self, pose: np.ndarray) -> None:
+        self._track(self._rest_of_plan(pose))
+
+    def _rest_of_plan(self, pose: np.ndarray) -> np.ndarray:
+        """The plan from where the object is on it, or the way back to it, shape [n, 3]."""
         if self.config.reference == "time":
             reference = self._path[self._progress :]
             self._progress = min(self._progress + 1, len(self._path) - 1)
-            return None, reference
+            return reference
         soi = self.config.soi
         first = max(self._progress - soi.look_back, 0)
         window = self._path[first : self._progress + soi.look_ahead]
@@ -229,20 +273,19 @@ class SequentialPlanner(Planner):
         nearest = int(np.argmin(distance))
         self._progress = first + nearest
         if self._to_go is not None and distance[nearest] > soi.off_plan:
-            return None, self._way_back(pose)
+            return self._way_back(pose)
         # What the object is off by fades out along the plan.
         reference = self._path[self._progress :].copy()
         share = np.clip(1.0 - np.arange(len(reference)) / max(soi.return_steps, 1), 0.0, 1.0)
         reference -= share[:, None] * error[nearest]
-        return None, reference
+        return reference
 
     def _way_back(self, pose: np.ndarray) -> np.ndarray:
         """A free way to the rest of the plan, shape [n, 3]: down the cost-to-go that was made with the plan."""
         assert self._to_go is not None
         step = self.config.object.speed_limit[0] * self.config.control_period
-        way = descend(
-            self._to_go, pose, yaw_length=self.config.object.yaw_length, step=step, steps=self.dynamics.reference_length
-        )
+        steps = len(self.dynamics.reference.host)
+        way = descend(self._to_go, pose, yaw_length=self.config.object.yaw_length, step=step, steps=steps)
         way[:, 2] = pose[2] + wrap_angle(way[:, 2] - pose[2])
         return way
 
@@ -252,17 +295,29 @@ class ClosedLoopPlanner(Planner):
 
     method: Method = "cloi"
 
-    def __init__(self, scene: Scene, config: Config, *, device: str, seed: int) -> None:
-        super().__init__(scene, config, device=device, seed=seed)
-        self._object = ObjectLevel(self.geometry, self.goal, self.config, device=device, seed=2 * seed + 2)
-
     def start(self, observation: Observation) -> float:
         """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""
-        self._object.reset()
+        self._object.mppi.reset()
         return super().start(observation) + self._object.setup_seconds
 
-    def _reference(self, pose: np.ndarray) -> tuple[Update | None, np.ndarray]:
-        return self._object.improve(pose)
+    def _object_launches(self, seed: int) -> list[Launch]:
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
+        reference = self.dynamics.reference
+        hand_over = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
+        self._watch = Stopwatch()
+        return [*self._object.launches, hand_over, self._watch]
+
+    def _set_reference(self, pose: np.ndarray) -> None:
+        self._object.set_state(pose)
+
+    def _reference(self) -> np.ndarray:
+        return self._object.path.host[0].astype(float)
+
+    def _object_update(self) -> Update | None:
+        return self._object.mppi.found()
+
+    def _object_done(self) -> float:
+        return self._watch.take()
 
 
 def make_planner(
@@ -272,6 +327,7 @@ def make_planner(
     method: Method = "cloi",
     engine: str = "quasistatic",
     device: str = "auto",
+    threads: int | None = None,
     seed: int = 0,
 ) -> Planner:
     """A planner for a scene.
@@ -282,6 +338,7 @@ def make_planner(
         method: ``"mppi"``, ``"soi"`` or ``"cloi"``.
         engine: Rollout engine of the robot level.
         device: Warp device; ``"auto"`` takes the first GPU, or the CPU where there is none.
+        threads: Threads on the CPU; default: as many as the cores that the process may use.
         seed: Of all noise.
 
     Raises:
@@ -294,7 +351,7 @@ def make_planner(
         raise ConfigError(f"method {method!r} does not exist\n  allowed: {', '.join(METHODS)}")
     if engine not in ENGINES:
         raise ConfigError(f"engine {engine!r} does not exist\n  allowed: {', '.join(ENGINES)}")
-    return planners[method](scene, config, device=pick_device(device), seed=seed)
+    return planners[method](scene, config, engine=engine, compute=Compute(device, threads=threads), seed=seed)
 
 
 def _for_task(config: Config, scene: Scene) -> Config:

@@ -13,8 +13,10 @@ from typing import Protocol
 
 import numpy as np
 
+from oimppi_warp.newton_model import ROLES
+from oimppi_warp.observation import Observation, planar_pose, planar_transform
 from oimppi_warp.scene import PlanarPose
-from oimppi_warp.world import ROLES, World, planar_pose, planar_transform
+from oimppi_warp.world import World
 
 UPRIGHT = math.cos(0.35)
 """Upward part of the object's own z axis below which it counts as tipped."""
@@ -26,25 +28,6 @@ _TOUCHES = (
     (("object",), ("table",)),
 )
 """The pairs of roles that each field of :class:`Contacts` counts, in its order."""
-
-
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """What a plant knows of itself at one instant.
-
-    Attributes:
-        time: Since the start of the episode [s].
-        joint_position: Shape [dof] [rad].
-        joint_velocity: Shape [dof] [rad/s].
-        object_pose: The object from above: (x [m], y [m], yaw [rad]), shape [3].
-        object_transform: The object's pose (position, quaternion xyzw), shape [7].
-    """
-
-    time: float
-    joint_position: np.ndarray
-    joint_velocity: np.ndarray
-    object_pose: np.ndarray
-    object_transform: np.ndarray
 
 
 @dataclass(frozen=True)

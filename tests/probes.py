@@ -39,6 +39,7 @@ class RobotCase:
     above: float
     pressed: float
     speed_squared: float
+    collision: float
 
 
 @wp.struct
@@ -61,7 +62,7 @@ def wrap_angle_probe(angles: wp.array[float], out: wp.array[float]):
 @wp.kernel
 def turn_about_z_probe(matrices: wp.array[wp.mat33], angles: wp.array[float], out: wp.array[wp.mat33]):
     n = wp.tid()
-    out[n] = turn_about_z(matrices[n], angles[n])
+    out[n] = turn_about_z(matrices[n], wp.cos(angles[n]), wp.sin(angles[n]))
 
 
 @wp.kernel
@@ -144,4 +145,5 @@ def robot_cost_probe(weights: RobotWeights, cases: wp.array[RobotCase], out: wp.
         case.above,
         case.pressed,
         case.speed_squared,
+        case.collision,
     )

@@ -261,6 +261,7 @@ def robot_cost(
     above: float,
     pressed: float,
     speed_squared: float,
+    collision: float = 0.0,
     edge: tuple[np.ndarray, np.ndarray] = (np.full(2, -np.inf), np.full(2, np.inf)),
 ) -> dict[str, float]:
     """Equations 15 to 19 and the terms of our own, weighted, by the names in ``kernels.cost.TERMS``."""
@@ -278,6 +279,7 @@ def robot_cost(
         "reach": w.w_reach * out_of_reach(pose, w.reach) + w.w_edge * over_edge(pose, edge),
         "press": w.w_press * pressed**2,
         "control": w.w_control * speed_squared,
+        "collision": w.w_collision * max(collision - w.f_0, 0.0),
     }
 
 

@@ -12,7 +12,8 @@ import shapely
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from oimppi_warp.clearance import Geometry, build_geometry
+from oimppi_warp.clearance import Geometry, build_geometry, from_center
+from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config, ObjectCost, ObjectLevel, RobotCost
 from oimppi_warp.dynamics.base import control_type
 from oimppi_warp.dynamics.object import ObjectDynamics
@@ -20,7 +21,7 @@ from oimppi_warp.dynamics.quasistatic import QuasistaticDynamics
 from oimppi_warp.footprint import footprint, outline, planar_points
 from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
-from oimppi_warp.plant import Observation
+from oimppi_warp.observation import Observation
 from oimppi_warp.scene import Collider, Obstacle, PushedObject, Robot, Scene, Table
 from oimppi_warp.usd import load_scene
 
@@ -150,7 +151,7 @@ class Pushing:
         config = config or Config()
         config = replace(config, cost=replace(config.cost, **cost))
         geometry = build_geometry(scene, "cpu")
-        dynamics = QuasistaticDynamics(scene, geometry, config.robot, config.cost, dt=DT, device="cpu")
+        dynamics = QuasistaticDynamics(scene, geometry, config.robot, config.cost, dt=DT, compute=Compute("cpu"))
         return cls(scene, geometry, config, dynamics)
 
     def twin(self) -> reference.World:
@@ -171,14 +172,16 @@ class Pushing:
         """Rolls out control sequences [K, horizon, dof] with the engine."""
         goal = np.array(self.scene.goal) if goal is None else goal
         if reference is None:
-            reference = np.tile(goal, (self.dynamics.reference_length, 1))
-        self.dynamics.set_state(joints, pose, goal, reference)
+            reference = goal
+        seen = from_center(self.geometry.surface, pose)
+        self.dynamics.set_state(observe(self.scene, joints=joints, pose=seen), goal)
+        self.dynamics.reference.host[:] = reference
         samples, horizon, dof = controls.shape
         costs = wp.zeros(samples, dtype=float, device="cpu")
         terms = wp.zeros(samples, dtype=CostTerms, device="cpu")
         tips, poses = (wp.zeros((samples, horizon + 1), dtype=wp.vec3, device="cpu") for _ in range(2))
         packed = wp.array(controls.astype(np.float32), dtype=control_type(dof), device="cpu")
-        self.dynamics._launch(packed, costs, terms, tips, poses)
+        self.dynamics.launch(packed, costs, terms, tips, poses, self.dynamics._worlds)()
         return Rollouts(costs.numpy(), terms.numpy(), tips.numpy().astype(float), poses.numpy().astype(float))
 
     def gaps(self, rolled: Rollouts) -> np.ndarray:
@@ -207,7 +210,7 @@ def object_level(
     weights = replace(Config().object_cost, **cost)
     geometry = build_geometry(scene, "cpu")
     goal = np.array(scene.goal) if goal is None else goal
-    dynamics = ObjectDynamics(geometry, level or ObjectLevel(), weights, goal=goal, dt=DT, device="cpu")
+    dynamics = ObjectDynamics(geometry, level or ObjectLevel(), weights, goal=goal, dt=DT, compute=Compute("cpu"))
     return dynamics, weights, geometry
 
 
@@ -216,7 +219,7 @@ def roll_wrenches(dynamics: ObjectDynamics, pose: np.ndarray, wrenches: np.ndarr
     dynamics.set_state(pose)
     costs = wp.zeros(len(wrenches), dtype=float, device="cpu")
     poses = wp.zeros((wrenches.shape[0], wrenches.shape[1] + 1), dtype=wp.vec3, device="cpu")
-    dynamics._launch(wp.array(wrenches.astype(np.float32), dtype=wp.vec3, device="cpu"), costs, poses)
+    dynamics.launch(wp.array(wrenches.astype(np.float32), dtype=wp.vec3, device="cpu"), costs, poses)()
     return costs.numpy(), poses.numpy().astype(float)
 
 

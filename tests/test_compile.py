@@ -13,8 +13,8 @@ import oimppi_warp.kernels
 
 ARCHITECTURES = (80, 90, 120)
 """Ampere, Hopper and Blackwell."""
-SIZES = {"make_robot_rollout": (6,)}
-"""Numbers of joints, or lengths of controls, that a factory is asked for; 3 and 6 where nothing is said."""
+ARGUMENTS = {"make_robot_rollout": [(6,)], "make_stage_costs": [(6, wp.float32), (6, wp.float64)]}
+"""What a factory is asked for; controls of 3 and 6 numbers where nothing is said."""
 
 
 def kernel_modules() -> Iterator[wp.Module]:
@@ -26,9 +26,10 @@ def kernel_modules() -> Iterator[wp.Module]:
             if isinstance(value, wp.Kernel):
                 found[value.module.name] = value.module
             elif name.startswith("make_") and value.__module__ == info.name:
-                for size in SIZES.get(name, (3, 6)):
-                    made = value(size).module
-                    found[made.name] = made
+                for arguments in ARGUMENTS.get(name, [(3,), (6,)]):
+                    made = value(*arguments)
+                    if isinstance(made, wp.Kernel):
+                        found[made.module.name] = made.module
     yield from found.values()
 
 

@@ -17,8 +17,7 @@ from tasks import DT, Pushing, block, box, joints_at, object_level, post, roll_w
 
 from oimppi_warp.clearance import pack_pieces, pose_field_at
 from oimppi_warp.config import ObjectCost, RobotCost
-from oimppi_warp.dynamics.object import object_model
-from oimppi_warp.dynamics.quasistatic import _robot_weights
+from oimppi_warp.dynamics.packing import object_model, robot_weights
 from oimppi_warp.footprint import Piece
 from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
@@ -217,7 +216,7 @@ def test_the_robots_stage_cost_is_equations_15_to_19_term_by_term(fade):
         case["up"] = rotation[2]
         case["speed_squared"] = abs(case["speed_squared"])
     edge = (np.array([-0.2, -0.3]), np.array([0.4, 0.1]))
-    inputs = [_robot_weights(weights, edge), packed_cases(cases, probes.RobotCase)]
+    inputs = [robot_weights(weights, edge), packed_cases(cases, probes.RobotCase)]
     (found,) = launch(probes.robot_cost_probe, inputs, 100, CostTerms)
     for terms, case, rotation in zip(found, cases, rotations, strict=True):
         known = {name: value for name, value in case.items() if name != "up"}
@@ -325,7 +324,7 @@ def test_a_robot_rollout_is_its_twins(name, tip, velocity, term):
     pose = np.array([0.46, -0.11, 0.3] if name == "task02" else [0.42, -0.20, 0.3])
     joints = joints_at(robot, tip).astype(np.float32).astype(float)
     goal = np.array([0.5, 0.3, 3.0])
-    path = np.linspace(pose, goal, pushing.dynamics.reference_length)
+    path = np.linspace(pose, goal, len(pushing.dynamics.reference.host))
     controls = straight(robot, joints, velocity, 20) + RANDOM.normal(scale=0.08, size=(12, 20, robot.dof))
     rolled = pushing.roll(joints, pose, controls, goal=goal, reference=path)
     world = pushing.twin()

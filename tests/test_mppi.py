@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,13 @@ import warp as wp
 from reference import WEIGHT_TOLERANCE
 from scipy.interpolate import CubicSpline
 
+from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import Mppi as Settings
 from oimppi_warp.dynamics.base import control_type
+from oimppi_warp.kernels.cost import TERMS, CostTerms
+from oimppi_warp.kernels.stage import pick_trace
 from oimppi_warp.kernels.update import WeightStats, make_shift_nominal, make_update_nominal, weigh_samples
-from oimppi_warp.mppi import Mppi, noise_basis
+from oimppi_warp.mppi import Mppi, Update, noise_basis
 
 ROOT = np.array([[0.30, 0.0], [0.12, 0.05]])
 """A square root of the noise's covariance, its two entries correlated."""
@@ -33,18 +36,28 @@ class Valley:
     spoil: float = float("nan")
     offset: float = 0.0
     size: int = 2
-    device: str = "cpu"
+    compute: Compute = field(default_factory=lambda: Compute("cpu"))
 
-    def rollout(self, controls: wp.array, costs: wp.array) -> None:
-        found = np.sum((controls.numpy() - TARGET) ** 2, axis=(1, 2)) + self.offset
-        found[len(found) - self.spoiled :] = self.spoil
-        costs.assign(found.astype(np.float32))
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        def roll() -> None:
+            found = np.sum((controls.numpy() - TARGET) ** 2, axis=(1, 2)) + self.offset
+            found[len(found) - self.spoiled :] = self.spoil
+            costs.assign(found.astype(np.float32))
+
+        return roll
 
 
 def make(settings: Settings, valley: Valley | None = None, *, seed: int = 3, root: np.ndarray = ROOT) -> Mppi:
     mppi = Mppi(valley or Valley(np.full(2, FAR)), settings, seed=seed)
-    mppi.set_noise(root)
+    mppi.noise.host[0] = root
     return mppi
+
+
+def improve(mppi: Mppi) -> Update:
+    """One update."""
+    for launch in mppi.improve:
+        launch()
+    return mppi.found()
 
 
 def drawn(
@@ -54,7 +67,7 @@ def drawn(
     mppi = make(settings, Valley(np.array(bound)), seed=seed)
     if nominal is not None:
         mppi.nominal.assign(nominal.astype(np.float32))
-    mppi.step()
+    improve(mppi)
     return mppi.controls.numpy().astype(float)
 
 
@@ -108,7 +121,7 @@ def test_each_plan_draws_noise_of_its_own():
     noise = []
     for _ in range(2):
         before = mppi.nominal.numpy().copy()
-        mppi.step()
+        improve(mppi)
         noise.append(mppi.controls.numpy() - before)
         mppi.shift()
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.2
@@ -149,7 +162,7 @@ def weigh(
     stats = wp.zeros(1, dtype=STATS, device="cpu")
     inputs = [wp.array(np.asarray(costs, dtype=np.float32), dtype=float, device="cpu"), temperature, fewest, most]
     for _ in range(calls):
-        wp.launch(weigh_samples, dim=1, inputs=inputs, outputs=[weights, stats], device="cpu")
+        wp.launch(weigh_samples, dim=1, inputs=inputs, outputs=[weights, stats], device="cpu", block_dim=1)
     found = stats.numpy()[0]
     return weights.numpy().astype(float), {name: found[name].item() for name in found.dtype.names}
 
@@ -187,7 +200,7 @@ def test_a_uniform_shift_of_all_costs_changes_nothing():
     np.testing.assert_array_equal(weigh(exact)[0], weigh(exact + 1024.0)[0])
     plain, shifted = (make(Settings(samples=200, horizon=8), Valley(np.full(2, FAR), offset=x)) for x in (0.0, 100.0))
     for mppi in (plain, shifted):
-        mppi.step()
+        improve(mppi)
     np.testing.assert_allclose(plain.nominal.numpy(), shifted.nominal.numpy(), atol=1e-4)
 
 
@@ -213,7 +226,7 @@ def test_a_cost_that_is_not_finite_loses_its_sample_and_only_that(bad):
 def test_when_all_samples_are_lost_the_command_is_zero(bad):
     mppi = make(Settings(samples=40, horizon=8), Valley(np.full(2, FAR), spoiled=40, spoil=bad))
     mppi.nominal.assign(np.ones((8, 2), dtype=np.float32))
-    update = mppi.step()
+    update = improve(mppi)
     assert update.lost == 40
     assert update.effective_samples == 0.0
     np.testing.assert_array_equal(mppi.nominal.numpy(), 0.0)
@@ -240,7 +253,7 @@ def test_an_adaptive_temperature_outlives_a_plan_that_lost_all_samples():
     found = []
     for costs in (COSTS, np.full(300, np.nan), np.full(300, np.nan)):
         inputs = [wp.array(costs.astype(np.float32), dtype=float, device="cpu"), 1.0, 15.0, 30.0]
-        wp.launch(weigh_samples, dim=1, inputs=inputs, outputs=[weights, stats], device="cpu")
+        wp.launch(weigh_samples, dim=1, inputs=inputs, outputs=[weights, stats], device="cpu", block_dim=1)
         found.append(stats.numpy()[0]["temperature"].item())
     assert found[1:] == pytest.approx([found[0], found[0]])
 
@@ -255,7 +268,7 @@ def test_the_update_is_the_nominal_plus_the_weighted_perturbations():
     out = wp.zeros(6, dtype=control_type(2), device="cpu")
     controls = wp.array((nominal + noise).astype(np.float32), dtype=control_type(2), device="cpu")
     inputs = [controls, wp.array(weights.astype(np.float32), dtype=float, device="cpu")]
-    wp.launch(make_update_nominal(2), dim=6, inputs=inputs, outputs=[out], device="cpu")
+    wp.launch(make_update_nominal(2), dim=(6, 1), inputs=inputs, outputs=[out], device="cpu", block_dim=1)
     np.testing.assert_allclose(out.numpy(), nominal + np.einsum("k,khi->hi", weights, noise), atol=1e-5)
 
 
@@ -264,14 +277,16 @@ def test_a_shift_drops_the_first_control(repeat_last):
     before = np.arange(10.0).reshape(5, 2) + 1.0
     nominal = wp.array(before.astype(np.float32), dtype=control_type(2), device="cpu")
     counter = wp.zeros(1, dtype=int, device="cpu")
-    wp.launch(make_shift_nominal(2), dim=1, inputs=[repeat_last], outputs=[nominal, counter], device="cpu")
+    taken = wp.zeros(1, dtype=control_type(2), device="cpu")
+    wp.launch(make_shift_nominal(2), dim=1, inputs=[repeat_last], outputs=[nominal, counter, taken], device="cpu")
+    np.testing.assert_array_equal(taken.numpy(), before[:1])
     np.testing.assert_array_equal(nominal.numpy(), [*before[1:], repeat_last * before[-1]])
     assert counter.numpy()[0] == 1
 
 
 def test_a_horizon_of_one_step_can_be_shifted():
     mppi = make(Settings(samples=20, horizon=1, knots=0))
-    mppi.step()
+    improve(mppi)
     before = mppi.nominal.numpy().copy()
     mppi.shift()
     np.testing.assert_array_equal(mppi.nominal.numpy(), before)
@@ -288,7 +303,7 @@ def settled(valley: Valley) -> Mppi:
     """An MPPI after many updates of one plan."""
     settings = Settings(samples=400, horizon=8, knots=0, temperature=0.05, iterations=60)
     mppi = make(settings, valley, root=ROUND)
-    mppi.step()
+    improve(mppi)
     return mppi
 
 
@@ -315,7 +330,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others():
     for name, seed in (("one", 5), ("same", 5), ("other", 6)):
         mppi = make(settings, seed=seed)
         for _ in range(5):
-            mppi.step()
+            improve(mppi)
             mppi.shift()
         plans[name] = mppi.nominal.numpy().copy()
     np.testing.assert_array_equal(plans["one"], plans["same"])
@@ -326,10 +341,42 @@ def test_after_a_reset_the_same_plans_are_made_again():
     mppi = make(Settings(samples=100, horizon=8))
     plans = []
     for _ in range(2):
-        mppi.step()
+        improve(mppi)
         mppi.shift()
-        mppi.step()
+        improve(mppi)
         plans.append(mppi.nominal.numpy().copy())
         mppi.reset()
         np.testing.assert_array_equal(mppi.nominal.numpy(), 0.0)
     np.testing.assert_array_equal(plans[0], plans[1])
+
+
+# Blocks
+
+
+def test_threads_in_blocks_find_what_one_thread_finds(monkeypatch):
+    monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
+    random = np.random.default_rng(8)
+    costs = wp.array(random.gamma(2.0, 3.0, 300).astype(np.float32), dtype=float, device="cpu")
+    controls = wp.array(random.normal(size=(300, 5, 2)).astype(np.float32), dtype=control_type(2), device="cpu")
+    tips = wp.array(random.normal(size=(300, 5, 3)).astype(np.float32), dtype=wp.vec3, device="cpu")
+    terms = wp.array(random.normal(size=(300, len(TERMS))).astype(np.float32), dtype=CostTerms, device="cpu")
+    for few, many in ((0.0, 0.0), (5.0, 10.0)):
+        found = []
+        for block in (1, 64):
+            weights = wp.zeros(300, dtype=float, device="cpu")
+            stats = wp.zeros(1, dtype=STATS, device="cpu")
+            nominal = wp.zeros(5, dtype=control_type(2), device="cpu")
+            best = [wp.zeros(n, dtype=kind, device="cpu") for n, kind in ((1, CostTerms), (5, wp.vec3), (5, wp.vec3))]
+            for kernel, dim, inputs, outputs in (
+                (weigh_samples, block, [costs, 0.5, few, many], [weights, stats]),
+                (make_update_nominal(2), (5, block), [controls, weights], [nominal]),
+                (pick_trace, block, [costs, 1, terms, tips, tips], best),
+            ):
+                wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device="cpu", block_dim=block)
+            numbers = stats.numpy()[0]
+            found.append([weights.numpy(), nominal.numpy(), [numbers[name] for name in numbers.dtype.names]])
+            cheapest = int(np.argmin(costs.numpy()))
+            np.testing.assert_array_equal(best[0].numpy()[0], terms.numpy()[cheapest])
+            np.testing.assert_array_equal(best[1].numpy(), tips.numpy()[cheapest])
+        for one, many_threads in zip(*found, strict=True):
+            np.testing.assert_allclose(one, many_threads, rtol=1e-4, atol=1e-6)

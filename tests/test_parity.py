@@ -12,6 +12,7 @@ import tasks
 import warp as wp
 
 from oimppi_warp.clearance import build_geometry, from_center
+from oimppi_warp.compute import Compute
 from oimppi_warp.config import RobotCost, RobotLevel
 from oimppi_warp.dynamics.base import control_type
 from oimppi_warp.dynamics.quasistatic import QuasistaticDynamics
@@ -39,7 +40,7 @@ def pushes() -> np.ndarray:
     scene = tasks.shipped("task01")
     geometry = build_geometry(scene, "cpu")
     level = RobotLevel(mppi=replace(RobotLevel().mppi, horizon=STEPS))
-    engine = QuasistaticDynamics(scene, geometry, level, RobotCost(), dt=tasks.DT, device="cpu")
+    engine = QuasistaticDynamics(scene, geometry, level, RobotCost(), dt=tasks.DT, compute=Compute("cpu"))
     world = World(scene)
     rng = np.random.default_rng(5)
     found = []
@@ -59,8 +60,10 @@ def pushes() -> np.ndarray:
         mujoco.mj_forward(plant.model, plant.data)
         for control in controls:
             plant.apply(control)
-        engine.set_state(joints, center, center, np.tile(center, (engine.reference_length, 1)))
-        trace = engine.trace(wp.array(controls.astype(np.float32), dtype=control_type(6), device="cpu"))
+        engine.set_state(tasks.observe(scene, joints=joints, pose=pose), center)
+        nominal = wp.array(controls.astype(np.float32), dtype=control_type(6), device="cpu")
+        engine.trace(nominal, wp.zeros(1, dtype=float, device="cpu"))()
+        trace = engine.traced()
         # The plant's object compared at its friction centre, where the limit surface has it.
         last = plant.observe().object_pose
         last[:2] = planar_points(last, geometry.surface.center[None])[0]

@@ -14,8 +14,8 @@ from oimppi_warp.config import Config, Method, ObjectLevel, RobotLevel, SoiRefer
 from oimppi_warp.config import Mppi as MppiSettings
 from oimppi_warp.errors import ConfigError, DeviceError
 from oimppi_warp.kinematics import tip_jacobian
+from oimppi_warp.observation import Observation
 from oimppi_warp.planner import METHODS, ClosedLoopPlanner, Plan, Planner, SequentialPlanner, make_planner
-from oimppi_warp.plant import Observation
 from oimppi_warp.scene import Scene
 
 SMALL = Config(
@@ -92,8 +92,8 @@ def test_plans_lower_the_cost_of_doing_nothing(method):
         to_center(planner.geometry.surface, np.array(scene.start)),
         np.zeros((1, SMALL.robot.mppi.horizon, scene.robot.dof)),
         goal=planner.goal,
-        reference=np.tile(planner.goal, (planner.dynamics.reference_length, 1)) if method == "mppi" else
-        to_center(planner.geometry.surface, plans[0].reference)[: planner.dynamics.reference_length],
+        reference=np.tile(planner.goal, (len(planner.dynamics.reference.host), 1)) if method == "mppi" else
+        to_center(planner.geometry.surface, plans[0].reference)[: len(planner.dynamics.reference.host)],
     )  # fmt: skip
     assert plans[-1].terms.sum() < still.costs[0]
 
@@ -126,9 +126,8 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others(method):
 def test_the_two_levels_draw_noise_of_their_own():
     planner = make(shipped("task01"))
     assert isinstance(planner, ClosedLoopPlanner)
-    assert planner.mppi._seed != planner._object._mppi._seed
-    seeds = {make(shipped("task01"), seed=seed).mppi._seed for seed in range(4)}
-    assert len(seeds) == 4
+    assert planner.mppi.seed != planner._object.mppi.seed
+    assert len({make(shipped("task01"), seed=seed).mppi.seed for seed in range(4)}) == 4
 
 
 @pytest.mark.parametrize("part", ["object_pose", "joint_position"])
@@ -283,7 +282,7 @@ def referenced(planner: SequentialPlanner, pose: np.ndarray, progress: int, **se
     planner.config = replace(kept, **settings)
     planner._progress = progress
     try:
-        return planner._reference(pose)[1]
+        return planner._rest_of_plan(pose)
     finally:
         planner.config = kept
 
@@ -345,8 +344,8 @@ def test_a_reference_is_held_at_its_end():
     seen = observe(scene)
     planner.start(seen)
     planner.plan(seen)
-    held = planner.dynamics._reference.numpy()
-    assert len(held) == planner.dynamics.reference_length
+    held = planner.dynamics.reference.host
+    assert len(held) == len(planner.dynamics.reference.host)
     np.testing.assert_allclose(held, np.tile(planner.goal, (len(held), 1)), atol=1e-6)
 
 

@@ -26,7 +26,7 @@ from tasks import (
 )
 
 from oimppi_warp.config import Config, ObjectLevel
-from oimppi_warp.dynamics.object import object_model
+from oimppi_warp.dynamics.packing import object_model
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.kernels.quasistatic import GIVE
 
@@ -344,7 +344,7 @@ def test_an_arm_is_held_back_at_a_shelf_by_its_links(shelves):
         joints,
         np.array([0.5, -0.4, 0.0]),
         np.array(shelves.scene.goal),
-        np.tile(shelves.scene.goal, (shelves.dynamics.reference_length, 1)),
+        np.tile(shelves.scene.goal, (len(shelves.dynamics.reference.host), 1)),
         controls,
     )
     assert min(world.room(q) for q in twin.joints) > -GIVE - 1e-4

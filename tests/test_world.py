@@ -6,12 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from oimppi_warp import world as module
+from oimppi_warp import mujoco_model as module
 from oimppi_warp.footprint import rotation_matrix, transform_points
 from oimppi_warp.kinematics import link_frames
+from oimppi_warp.newton_model import DRIVE_GAIN, ROLES
+from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.scene import Collider, Scene
 from oimppi_warp.usd import load_scene
-from oimppi_warp.world import DRIVE_GAIN, ROLES, World, planar_pose, planar_transform
+from oimppi_warp.world import World
 
 SCENES = ("task01", "task02", "task03", "task03_wide", "task04", "task05", "lab01", "lab02")
 
@@ -170,7 +172,7 @@ def test_robot_meets_objects_obstacles_and_table_but_not_itself(world):
 def test_second_world_comes_from_the_cache(cache, monkeypatch):
     scene = load_scene("task01")
     made = World(scene).mujoco
-    monkeypatch.setattr(module, "_translate", lambda built: pytest.fail("translated again"))
+    monkeypatch.setattr(module, "_translate", lambda built, sensing: pytest.fail("translated again"))
     read = World(scene).mujoco
     np.testing.assert_array_equal(read.roles, made.roles)
     np.testing.assert_array_equal(read.joint_qpos, made.joint_qpos)

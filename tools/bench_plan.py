@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from oimppi_warp.config import Config
     from oimppi_warp.mppi import Update
-    from oimppi_warp.plant import Observation
+    from oimppi_warp.observation import Observation
     from oimppi_warp.scene import Scene
 
 STAGES = {"sample": "sample_controls", "weigh": "weigh_samples", "update": "update_nominal", "shift": "shift_nominal"}
@@ -124,7 +124,7 @@ class ObjectLoop:
 def _first_observation(scene: Scene) -> Observation:
     import numpy as np
 
-    from oimppi_warp.plant import Observation
+    from oimppi_warp.observation import Observation
 
     pose = np.array(scene.start)
     transform = np.array([pose[0], pose[1], scene.object.rest_height, 0, 0, np.sin(pose[2] / 2), np.cos(pose[2] / 2)])

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import warp as wp
+
+from oimppi_warp.compute import Compute, Launch, Slot
+from oimppi_warp.observation import Observation
 
 
 class Dynamics(Protocol):
@@ -14,20 +18,67 @@ class Dynamics(Protocol):
     Attributes:
         size: Length m of one control.
         bound: Largest magnitude of each control entry, shape [m].
-        device: Warp device of all arrays.
+        compute: Where it computes.
     """
 
     size: int
     bound: np.ndarray
-    device: str
+    compute: Compute
 
-    def rollout(self, controls: wp.array, costs: wp.array) -> None:
-        """Writes the cost of each control sequence from the present state.
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        """Prepares writing the cost of each control sequence from the state that is set when it runs.
 
         Args:
             controls: [sample, horizon] of vectors [m].
             costs: [sample], written.
         """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What a control sequence leads to.
+
+    Attributes:
+        tips: Tool tip, shape [horizon + 1, 3] [m].
+        poses: Object (friction centre), shape [horizon + 1, 3].
+        terms: Weighted cost terms summed over the horizon, in the order of ``TERMS``.
+    """
+
+    tips: np.ndarray
+    poses: np.ndarray
+    terms: np.ndarray
+
+
+class RobotDynamics(Dynamics, Protocol):
+    """A rollout engine of the robot level; controls are joint velocities [rad/s].
+
+    Attributes:
+        one_graph: Whether its launches can be captured in a CUDA graph.
+        terms: Names of the cost terms.
+        reference: Where the object should be at each step from now, poses of its friction centre, an input of the step
+            (:class:`oimppi_warp.compute.Compute`); its length is the number of poses that the engine needs.
+    """
+
+    one_graph: bool
+    terms: tuple[str, ...]
+    reference: Slot
+
+    def set_state(self, observation: Observation, goal: np.ndarray) -> None:
+        """The state to plan from, and the goal [3] of the object's friction centre."""
+        ...
+
+    def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
+        """Prepares what :meth:`traced` reads, after an update.
+
+        Args:
+            nominal: The updated nominal, [horizon] of vectors.
+            costs: Costs of the samples that it was made from, [sample].
+        """
+        ...
+
+    def traced(self) -> Trace:
+        """Where the plan leads: its nominal, or its best sample in an engine where another rollout would be dear."""
         ...
 
 

@@ -8,29 +8,17 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.clearance import Geometry
+from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import ObjectCost, ObjectLevel
+from oimppi_warp.dynamics.packing import object_model
 from oimppi_warp.kernels.cost import ObjectWeights
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.object import object_rollout
-from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.navigation import build_to_go
 
 
-def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
-    """The pushed object as the kernels read it."""
-    model = ObjectModel()
-    model.force = geometry.surface.force
-    model.radius = geometry.surface.radius
-    model.tool_friction = tool_friction
-    model.top = geometry.top
-    model.clearance = geometry.clearance
-    model.body = geometry.body
-    model.slack = slack
-    return model
-
-
 class ObjectDynamics:
-    """The paper's object model on one device; controls are wrenches (f_x, f_y [N], torque [N m]).
+    """The paper's object model; controls are wrenches (f_x, f_y [N], torque [N m]).
 
     Args:
         geometry: Shapes of the scene.
@@ -38,18 +26,20 @@ class ObjectDynamics:
         cost: Its weights.
         goal: Where the object should go: pose [3] of its friction centre.
         dt: Control period [s].
-        device: Warp device.
+        compute: Where to compute.
 
     Attributes:
+        path: The poses that :meth:`trace` found, an output of shape [horizon + 1].
         setup_seconds: Wall time of making or reading the cost-to-go [s].
     """
 
     size = 3
 
     def __init__(
-        self, geometry: Geometry, level: ObjectLevel, cost: ObjectCost, *, goal: np.ndarray, dt: float, device: str
+        self, geometry: Geometry, level: ObjectLevel, cost: ObjectCost, *, goal: np.ndarray, dt: float, compute: Compute
     ) -> None:
-        self.device = device
+        self.compute = compute
+        device = compute.device
         self._dt = dt
         self._model = object_model(geometry, tool_friction=0.0)
         # The wrench that moves the object at the speed limit, by x' = D w.
@@ -69,25 +59,25 @@ class ObjectDynamics:
             self._to_go = PoseField()
             self._to_go.values = wp.zeros((0, 0, 0), dtype=float, device=device)
         self.setup_seconds = time.perf_counter() - began
-        self._start = wp.zeros(1, dtype=wp.vec3, device=device)
+        self._start = compute.input(1, wp.vec3)
         self._goal = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=device)
         self._unused = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self._trace_cost = wp.zeros(1, dtype=float, device=device)
-        self._trace = wp.zeros((1, level.mppi.horizon + 1), dtype=wp.vec3, device=device)
+        self.path = compute.output((1, level.mppi.horizon + 1), wp.vec3)
 
     def set_state(self, pose: np.ndarray) -> None:
         """Where the object is: pose [3] of its friction centre."""
-        self._start.assign(np.asarray(pose, dtype=np.float32)[None])
+        self._start.host[0] = pose
 
-    def rollout(self, controls: wp.array, costs: wp.array) -> None:
-        """Writes the cost of each wrench sequence; see :class:`oimppi_warp.dynamics.base.Dynamics`."""
-        self._launch(controls, costs, self._unused)
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        """Prepares the cost of each wrench sequence; see :class:`oimppi_warp.dynamics.base.Dynamics`."""
+        return self.launch(controls, costs, self._unused)
 
-    def trace(self, nominal: wp.array) -> np.ndarray:
-        """The poses [horizon + 1, 3] that one wrench sequence [horizon] leads through."""
-        self._launch(nominal.reshape((1, nominal.shape[0])), self._trace_cost, self._trace)
-        return self._trace.numpy()[0].astype(float)
+    def trace(self, nominal: wp.array) -> Launch:
+        """Prepares the poses that one wrench sequence [horizon] leads through."""
+        return self.launch(nominal.reshape((1, nominal.shape[0])), self._trace_cost, self.path.array)
 
-    def _launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> None:
-        inputs = [self._model, self._weights, self._to_go, self._start, self._goal, controls, self._dt]
-        wp.launch(object_rollout, dim=controls.shape[0], inputs=inputs, outputs=[costs, poses], device=self.device)
+    def launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> Launch:
+        """Prepares costs [sample] and poses [sample, horizon + 1] (or none) of wrenches [sample, horizon]."""
+        inputs = [self._model, self._weights, self._to_go, self._start.array, self._goal, controls, self._dt]
+        return self.compute.launch_samples(object_rollout, controls.shape[0], inputs, [costs, poses])

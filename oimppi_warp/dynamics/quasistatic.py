@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 
-from oimppi_warp.clearance import Geometry
+from oimppi_warp.clearance import Geometry, to_center
+from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import RobotCost, RobotLevel
-from oimppi_warp.dynamics.base import control_type
-from oimppi_warp.dynamics.object import object_model
-from oimppi_warp.kernels.cost import TERMS, CostTerms, RobotWeights
-from oimppi_warp.kernels.quasistatic import Surroundings, make_robot_rollout
+from oimppi_warp.dynamics.base import Trace, control_type
+from oimppi_warp.dynamics.packing import object_model, robot_weights, surroundings, table_within, velocity_bound
+from oimppi_warp.kernels.cost import TERMS, CostTerms
+from oimppi_warp.kernels.quasistatic import make_robot_rollout
+from oimppi_warp.kernels.uncertainty import Draw, combine_costs
 from oimppi_warp.kinematics import pack_arm
+from oimppi_warp.observation import Observation
 from oimppi_warp.scene import Scene
-
-
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """What one control sequence leads to.
-
-    Attributes:
-        tips: Tool tip, shape [horizon + 1, 3] [m].
-        poses: Object (friction centre), shape [horizon + 1, 3].
-        terms: Weighted cost terms summed over the horizon, in the order of ``TERMS``.
-    """
-
-    tips: np.ndarray
-    poses: np.ndarray
-    terms: np.ndarray
+from oimppi_warp.uncertainty import CERTAIN, Draws
 
 
 class QuasistaticDynamics:
@@ -41,99 +28,117 @@ class QuasistaticDynamics:
         level: Settings of the robot level.
         cost: Its weights.
         dt: Control period [s].
-        device: Warp device.
+        compute: Where to compute.
+        draws: Worlds that the rollouts are in.
     """
 
-    terms = TERMS
+    terms: tuple[str, ...] = TERMS
+    one_graph: bool = True
 
     def __init__(
-        self, scene: Scene, geometry: Geometry, level: RobotLevel, cost: RobotCost, *, dt: float, device: str
+        self,
+        scene: Scene,
+        geometry: Geometry,
+        level: RobotLevel,
+        cost: RobotCost,
+        *,
+        dt: float,
+        compute: Compute,
+        draws: Draws = CERTAIN,
     ) -> None:
-        self.device = device
+        self.compute = compute
         self.size = scene.robot.dof
-        robot_limits = np.array([joint.velocity_limit for joint in scene.robot.joints])
-        self.bound = np.minimum(robot_limits, level.joint_velocity_limit)
+        self.bound = velocity_bound(scene, level)
+        device = compute.device
         self._dt = dt
         self._contact_steps = level.contact_steps
         self._align_ahead = cost.align_ahead
+        self._surface = geometry.surface
         self._arm = pack_arm(scene.robot, self.bound, device)
         self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
         self._model.clearance = geometry.obstruction  # the table's edge stops nothing
-        self._surroundings = Surroundings()
-        self._surroundings.obstacles = geometry.space
-        self._surroundings.top = geometry.space_top
-        self._surroundings.tool_radius = scene.robot.tool_radius
-        size = geometry.size
-        edge = (np.array(scene.table.lower) + size, np.array(scene.table.upper) - size)
-        self._weights = _robot_weights(cost, edge)
+        self._surroundings = surroundings(scene, geometry, cost)
+        self._weights = robot_weights(cost, table_within(scene, geometry))
+        self._draws = draws
+        self._worlds = _pack(draws, device)
+        self._nominal_world = _pack(CERTAIN, device)
 
         horizon = level.mppi.horizon
         self._kernel = make_robot_rollout(self.size)
-        self._joints = wp.zeros(1, dtype=control_type(self.size), device=device)
-        self._object = wp.zeros(1, dtype=wp.vec3, device=device)
-        self._goal = wp.zeros(1, dtype=wp.vec3, device=device)
-        self._reference = wp.zeros(horizon + 1 + cost.align_ahead, dtype=wp.vec3, device=device)
+        self._joints = compute.input(1, control_type(self.size))
+        self._object = compute.input(1, wp.vec3)
+        self._goal = compute.input(1, wp.vec3)
+        self.reference = compute.input(horizon + 1 + cost.align_ahead, wp.vec3)
         self._no_terms = wp.zeros(0, dtype=CostTerms, device=device)
         self._no_poses = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self._trace_cost = wp.zeros(1, dtype=float, device=device)
-        self._trace_terms = wp.zeros(1, dtype=CostTerms, device=device)
-        self._trace_tips = wp.zeros((1, horizon + 1), dtype=wp.vec3, device=device)
-        self._trace_poses = wp.zeros((1, horizon + 1), dtype=wp.vec3, device=device)
+        self._trace_terms = compute.output(1, CostTerms)
+        self._trace_tips = compute.output((1, horizon + 1), wp.vec3)
+        self._trace_poses = compute.output((1, horizon + 1), wp.vec3)
 
-    @property
-    def reference_length(self) -> int:
-        """Number of poses that a reference must have."""
-        return self._reference.shape[0]
+    def set_state(self, observation: Observation, goal: np.ndarray) -> None:
+        """The state to plan from; see :class:`oimppi_warp.dynamics.base.RobotDynamics`."""
+        self._joints.host[0] = observation.joint_position
+        self._object.host[0] = to_center(self._surface, observation.object_pose)
+        self._goal.host[0] = goal
 
-    def set_state(self, joints: np.ndarray, pose: np.ndarray, goal: np.ndarray, reference: np.ndarray) -> None:
-        """The state to plan from and what to plan for; object poses are of the friction centre.
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        """Prepares the cost of each joint velocity sequence; see :class:`oimppi_warp.dynamics.base.Dynamics`."""
+        if self._draws.per_sample == 1:
+            return self.launch(controls, costs, self._no_terms, self._no_poses, self._no_poses, self._worlds)
+        rolled = wp.zeros(controls.shape[0] * self._draws.per_sample, dtype=float, device=self.compute.device)
+        roll = self.launch(controls, rolled, self._no_terms, self._no_poses, self._no_poses, self._worlds)
+        inputs = [rolled, self._draws.per_sample, self._draws.worst]
+        combine = self.compute.launch_samples(combine_costs, controls.shape[0], inputs, [costs])
 
-        Args:
-            joints: Joint positions, shape [dof] [rad].
-            pose: The object, shape [3].
-            goal: Where it should go, shape [3].
-            reference: Where it should be at each step from now, shape [reference_length, 3].
-        """
-        self._joints.assign(np.asarray(joints, dtype=np.float32)[None])
-        self._object.assign(np.asarray(pose, dtype=np.float32)[None])
-        self._goal.assign(np.asarray(goal, dtype=np.float32)[None])
-        self._reference.assign(np.asarray(reference, dtype=np.float32))
+        def roll_and_combine() -> None:
+            roll()
+            combine()
 
-    def rollout(self, controls: wp.array, costs: wp.array) -> None:
-        """Writes the cost of each joint velocity sequence; see :class:`oimppi_warp.dynamics.base.Dynamics`."""
-        self._launch(controls, costs, self._no_terms, self._no_poses, self._no_poses)
+        return roll_and_combine
 
-    def trace(self, nominal: wp.array) -> Trace:
-        """What one joint velocity sequence [horizon] leads to."""
+    def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
+        """Prepares what the nominal leads to in the world as it was given."""
         controls = nominal.reshape((1, nominal.shape[0]))
-        self._launch(controls, self._trace_cost, self._trace_terms, self._trace_tips, self._trace_poses)
-        tips, poses = self._trace_tips.numpy()[0], self._trace_poses.numpy()[0]
-        return Trace(tips.astype(float), poses.astype(float), self._trace_terms.numpy()[0].astype(float))
+        outputs = (self._trace_terms.array, self._trace_tips.array, self._trace_poses.array)
+        return self.launch(controls, self._trace_cost, *outputs, self._nominal_world)
 
-    def _launch(self, controls: wp.array, costs: wp.array, terms: wp.array, tips: wp.array, poses: wp.array) -> None:
+    def traced(self) -> Trace:
+        """What the nominal leads to."""
+        tips, poses, terms = self._trace_tips.host[0], self._trace_poses.host[0], self._trace_terms.host[0]
+        return Trace(tips.astype(float), poses.astype(float), terms.astype(float))
+
+    def launch(
+        self, controls: wp.array, costs: wp.array, terms: wp.array, tips: wp.array, poses: wp.array, worlds: wp.array
+    ) -> Launch:
+        """Prepares costs [rollout], and where there is room terms, tips and poses, of controls [sample, horizon].
+
+        ``worlds`` are packed draws; there are as many rollouts as costs.
+        """
         inputs = [
             self._arm,
             self._model,
             self._surroundings,
             self._weights,
-            self._joints,
-            self._object,
-            self._goal,
-            self._reference,
+            worlds,
+            costs.shape[0] // controls.shape[0],
+            self._joints.array,
+            self._object.array,
+            self._goal.array,
+            self.reference.array,
             self._align_ahead,
             controls,
             self._dt,
             self._contact_steps,
         ]
-        outputs = [costs, terms, tips, poses]
-        wp.launch(self._kernel, dim=controls.shape[0], inputs=inputs, outputs=outputs, device=self.device)
+        return self.compute.launch_samples(self._kernel, costs.shape[0], inputs, [costs, terms, tips, poses])
 
 
-def _robot_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> RobotWeights:
-    weights = RobotWeights()
-    for name, value in vars(cost).items():
-        if name not in ("reach", "align_ahead"):
-            setattr(weights, name, value)
-    weights.reach_lower, weights.reach_upper = cost.reach
-    weights.edge_lower, weights.edge_upper = wp.vec2(*edge[0]), wp.vec2(*edge[1])
-    return weights
+def _pack(draws: Draws, device: str) -> wp.array:
+    """Draws as the kernels read them."""
+    packed = np.zeros(draws.count, dtype=Draw.numpy_dtype())  # pyright: ignore
+    packed["force"] = draws.friction * draws.mass
+    packed["tool_friction"] = draws.tool_friction
+    packed["pose"] = draws.pose
+    packed["tool"] = draws.tool
+    return wp.array(packed, dtype=Draw, device=device)

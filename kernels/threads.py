@@ -1,0 +1,85 @@
+"""What goes into and comes out of rollouts by MuJoCo's C engine: controls, and the forces that its sensors felt."""
+
+from functools import lru_cache
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@lru_cache
+def make_expand_controls(dof: int) -> wp.Kernel:
+    """The kernel for an arm of ``dof`` joints."""
+    vec = wp.types.vector(length=dof, dtype=float)
+
+    @wp.kernel(module=f"oimppi_warp.kernels.expand_controls_{dof}", enable_backward=False)
+    def expand_controls(
+        # in:
+        first: int,
+        controls: wp.array2d[vec],
+        per_sample: int,
+        start: wp.array[vec],
+        lower: wp.array[float],
+        upper: wp.array[float],
+        speed: wp.array[float],
+        dt: float,
+        substeps: int,
+        drive: wp.array[int],
+        # out:
+        drives: wp.array3d[wp.float64],
+    ):
+        """Joint velocities as commands to the drives, held for the substeps of a control step.
+
+        They are no faster than allowed and lead no further than the joints' limits, as the plant has it. Shapes:
+        ``controls`` [sample, horizon] [rad/s], ``start`` [1] [rad], ``lower``, ``upper``, ``speed`` and ``drive``
+        (entry of each joint in the commands) [dof], ``drives`` [rollout, horizon * substeps, drive].
+        """
+        n = first + wp.tid()
+        q = start[0]
+        for h in range(controls.shape[1]):
+            u = controls[n / per_sample, h]
+            for j in range(dof):
+                v = wp.clamp(u[j], (lower[j] - q[j]) / dt, (upper[j] - q[j]) / dt)
+                v = wp.clamp(v, -speed[j], speed[j])
+                q[j] = q[j] + dt * v
+                for s in range(substeps):
+                    drives[n, h * substeps + s, drive[j]] = wp.float64(v)
+
+    return expand_controls
+
+
+@wp.kernel
+def feel_forces(
+    # in:
+    first: int,
+    felt: wp.array3d[wp.float64],
+    group: wp.array[int],
+    substeps: int,
+    times: wp.array[wp.float64],
+    end: wp.float64,
+    # out:
+    forces: wp.array2d[wp.vec2],
+    lost: wp.array[int],
+):
+    """The largest contact forces within each control step, and whether the simulation got to its end.
+
+    Shapes: ``felt`` [rollout, horizon * substeps, 3 * sensor] [N], ``group`` [sensor]: 0 for lambda_2, 1 for lambda_3,
+    ``times`` [rollout]: time at the end of each rollout [s], which is before ``end`` where it diverged, ``forces``
+    [rollout, horizon] [N], ``lost`` [rollout].
+    """
+    n = first + wp.tid()
+    for h in range(forces.shape[1]):
+        most = wp.vec2()
+        for s in range(substeps):
+            sums = wp.vec2()
+            for i in range(group.shape[0]):
+                x = float(felt[n, h * substeps + s, 3 * i])
+                y = float(felt[n, h * substeps + s, 3 * i + 1])
+                z = float(felt[n, h * substeps + s, 3 * i + 2])
+                force = wp.sqrt(x * x + y * y + z * z)
+                sums[group[i]] = sums[group[i]] + force
+            most = wp.max(most, sums)
+        forces[n, h] = most
+    lost[n] = 0
+    if times[n] < end:
+        lost[n] = 1

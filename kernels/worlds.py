@@ -1,0 +1,170 @@
+"""What goes into and comes out of batched worlds that MuJoCo Warp steps: states, commands and contact forces."""
+
+from functools import lru_cache
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+Transform = wp.types.vector(length=7, dtype=float)
+"""Position and quaternion wxyz, as MuJoCo has it."""
+
+
+@lru_cache
+def make_place_worlds(dof: int) -> wp.Kernel:
+    """The kernel for an arm of ``dof`` joints."""
+    vec = wp.types.vector(length=dof, dtype=float)
+
+    @wp.kernel(module=f"oimppi_warp.kernels.place_worlds_{dof}", enable_backward=False)
+    def place_worlds(
+        # in:
+        joints: wp.array[vec],
+        velocities: wp.array[vec],
+        pushed: wp.array[Transform],
+        errors: wp.array[wp.vec3],
+        joint_qpos: wp.array[int],
+        joint_qvel: wp.array[int],
+        object_qpos: int,
+        # out:
+        qpos: wp.array2d[float],
+        qvel: wp.array2d[float],
+        warm_start: wp.array2d[float],
+        overflow: wp.array[int],
+    ):
+        """Puts all worlds into one state, the object off by each world's error, and forgets what the solver knew.
+
+        Shapes: ``joints``, ``velocities`` and ``pushed`` [1], ``errors`` [draw] (x, y, yaw), ``joint_qpos`` and
+        ``joint_qvel`` [dof], ``qpos``, ``qvel`` and ``warm_start`` [world, n], ``overflow`` [world].
+        """
+        w = wp.tid()
+        for i in range(qvel.shape[1]):
+            qvel[w, i] = 0.0
+            warm_start[w, i] = 0.0
+        for j in range(dof):
+            qpos[w, joint_qpos[j]] = joints[0][j]
+            qvel[w, joint_qvel[j]] = velocities[0][j]
+        at = pushed[0]
+        off = errors[w % errors.shape[0]]
+        at[0] = at[0] + off[0]
+        at[1] = at[1] + off[1]
+        c = wp.cos(0.5 * off[2])
+        s = wp.sin(0.5 * off[2])
+        qpos[w, object_qpos] = at[0]
+        qpos[w, object_qpos + 1] = at[1]
+        qpos[w, object_qpos + 2] = at[2]
+        qpos[w, object_qpos + 3] = c * at[3] - s * at[6]
+        qpos[w, object_qpos + 4] = c * at[4] - s * at[5]
+        qpos[w, object_qpos + 5] = c * at[5] + s * at[4]
+        qpos[w, object_qpos + 6] = c * at[6] + s * at[3]
+        overflow[w] = 0
+
+    return place_worlds
+
+
+@lru_cache
+def make_drive_worlds(dof: int) -> wp.Kernel:
+    """The kernel for an arm of ``dof`` joints."""
+    vec = wp.types.vector(length=dof, dtype=float)
+
+    @wp.kernel(module=f"oimppi_warp.kernels.drive_worlds_{dof}", enable_backward=False)
+    def drive_worlds(
+        # in:
+        h: int,
+        controls: wp.array2d[vec],
+        per_sample: int,
+        lower: wp.array[float],
+        upper: wp.array[float],
+        speed: wp.array[float],
+        dt: float,
+        joint_qpos: wp.array[int],
+        object_qpos: int,
+        drive: wp.array[int],
+        qpos: wp.array2d[float],
+        # out:
+        ctrl: wp.array2d[float],
+        joints: wp.array2d[vec],
+        objects: wp.array2d[Transform],
+    ):
+        """Keeps the states that control step ``h - 1`` ended in, and commands those of step ``h``.
+
+        Commands are no faster than allowed and lead no further than the joints' limits, as the plant has it. Shapes:
+        ``controls`` [sample, horizon] [rad/s], ``lower``, ``upper``, ``speed``, ``joint_qpos`` and ``drive`` [dof],
+        ``qpos`` and ``ctrl`` [world, n], ``joints`` and ``objects`` [world, horizon].
+        """
+        w = wp.tid()
+        q = vec()
+        for j in range(dof):
+            q[j] = qpos[w, joint_qpos[j]]
+        if h > 0:
+            joints[w, h - 1] = q
+            at = Transform()
+            for i in range(7):
+                at[i] = qpos[w, object_qpos + i]
+            objects[w, h - 1] = at
+        if h < controls.shape[1]:
+            u = controls[w / per_sample, h]
+            for j in range(dof):
+                v = wp.clamp(u[j], (lower[j] - q[j]) / dt, (upper[j] - q[j]) / dt)
+                ctrl[w, drive[j]] = wp.clamp(v, -speed[j], speed[j])
+
+    return drive_worlds
+
+
+@wp.kernel
+def feel_contacts(
+    # in:
+    step: int,
+    contacts: wp.array[int],
+    geom: wp.array[wp.vec2i],
+    world: wp.array[int],
+    row: wp.array2d[int],
+    force: wp.array2d[float],
+    group: wp.array2d[int],
+    # out:
+    felt: wp.array2d[wp.vec2],
+):
+    """Adds up the normal forces of one physics step.
+
+    Shapes: ``contacts`` [1] is their number, ``geom``, ``world`` and ``row`` (of the normal force among the
+    constraints; negative if there is none) of each [contact], ``force`` [world, constraint] [N], ``group``
+    [geom, geom]: 0 for lambda_2, 1 for lambda_3, else negative, ``felt`` [world, physics step] [N].
+    """
+    c = wp.tid()
+    if c < contacts[0]:
+        which = group[geom[c][0], geom[c][1]]
+        if which >= 0 and row[c, 0] >= 0:
+            w = world[c]
+            normal = force[w, row[c, 0]]
+            wp.atomic_add(felt, w, step, wp.vec2(float(1 - which) * normal, float(which) * normal))
+
+
+@wp.kernel
+def take_forces(
+    # in:
+    felt: wp.array2d[wp.vec2],
+    substeps: int,
+    qpos: wp.array2d[float],
+    overflow: wp.array[int],
+    # out:
+    forces: wp.array2d[wp.vec2],
+    lost: wp.array[int],
+    overflows: wp.array[int],
+):
+    """The largest contact forces within each control step, which worlds diverged, and what overflowed anywhere.
+
+    Shapes: ``felt`` [world, horizon * substeps] [N], ``qpos`` [world, n], ``overflow`` [world], ``forces``
+    [world, horizon] [N], ``lost`` [world], ``overflows`` [1].
+    """
+    w = wp.tid()
+    for h in range(forces.shape[1]):
+        most = wp.vec2()
+        for s in range(substeps):
+            most = wp.max(most, felt[w, h * substeps + s])
+        forces[w, h] = most
+    bad = int(0)
+    for i in range(qpos.shape[1]):
+        if not wp.isfinite(qpos[w, i]) or wp.abs(qpos[w, i]) > 1.0e3:
+            bad = 1
+    lost[w] = bad
+    if overflow[w] != 0:
+        wp.atomic_or(overflows, 0, overflow[w])

@@ -1,0 +1,46 @@
+"""The rollout engines of the robot level by name."""
+
+from __future__ import annotations
+
+from oimppi_warp.clearance import Geometry
+from oimppi_warp.compute import Compute
+from oimppi_warp.config import RobotCost, RobotLevel
+from oimppi_warp.dynamics.base import RobotDynamics
+from oimppi_warp.dynamics.quasistatic import QuasistaticDynamics
+from oimppi_warp.scene import Scene
+from oimppi_warp.uncertainty import Draws
+
+ENGINES = ("quasistatic", "newton")
+"""Names of the engines."""
+
+
+def make_dynamics(
+    engine: str,
+    scene: Scene,
+    geometry: Geometry,
+    level: RobotLevel,
+    cost: RobotCost,
+    *,
+    dt: float,
+    compute: Compute,
+    draws: Draws,
+) -> RobotDynamics:
+    """An engine: ``"quasistatic"``, or ``"newton"``, which is batched worlds on CUDA and C threads on the CPU.
+
+    Args:
+        engine: One of :data:`ENGINES`.
+        scene: The task.
+        geometry: Its shapes.
+        level: Settings of the robot level.
+        cost: Its weights.
+        dt: Control period [s].
+        compute: Where to compute.
+        draws: Worlds that the rollouts are in.
+    """
+    if engine == "quasistatic":
+        return QuasistaticDynamics(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws)
+    if compute.device == "cpu":
+        from oimppi_warp.dynamics.newton_threads import NewtonThreads as Newton
+    else:
+        from oimppi_warp.dynamics.newton_worlds import NewtonWorlds as Newton
+    return Newton(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws)

@@ -1,0 +1,57 @@
+"""A task as the kernels of every engine read it."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.clearance import NEAR, Geometry
+from oimppi_warp.config import RobotCost, RobotLevel
+from oimppi_warp.kernels.cost import RobotWeights
+from oimppi_warp.kernels.kinematics import Surroundings
+from oimppi_warp.kernels.pushing import ObjectModel
+from oimppi_warp.scene import Scene
+
+
+def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
+    """The pushed object as the kernels read it."""
+    model = ObjectModel()
+    model.force = geometry.surface.force
+    model.radius = geometry.surface.radius
+    model.tool_friction = tool_friction
+    model.top = geometry.top
+    model.clearance = geometry.clearance
+    model.body = geometry.body
+    model.slack = slack
+    return model
+
+
+def velocity_bound(scene: Scene, level: RobotLevel) -> np.ndarray:
+    """Largest joint velocities to plan with, shape [dof] [rad/s]."""
+    return np.minimum([joint.velocity_limit for joint in scene.robot.joints], level.joint_velocity_limit)
+
+
+def surroundings(scene: Scene, geometry: Geometry, cost: RobotCost) -> Surroundings:
+    """What the arm must keep clear of, as the kernels read it."""
+    packed = Surroundings()
+    packed.obstacles = geometry.space
+    packed.top = geometry.space_top
+    packed.near = max(cost.clearance, NEAR)
+    packed.tool_radius = scene.robot.tool_radius
+    return packed
+
+
+def table_within(scene: Scene, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the rectangle within which the object's centre keeps all of it on the table [m]."""
+    return np.array(scene.table.lower) + geometry.size, np.array(scene.table.upper) - geometry.size
+
+
+def robot_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> RobotWeights:
+    """The weights of the robot level, with the rectangle of :func:`table_within`, as the kernels read them."""
+    weights = RobotWeights()
+    for name, value in vars(cost).items():
+        if name not in ("reach", "align_ahead"):
+            setattr(weights, name, value)
+    weights.reach_lower, weights.reach_upper = cost.reach
+    weights.edge_lower, weights.edge_upper = wp.vec2(*edge[0]), wp.vec2(*edge[1])
+    return weights
