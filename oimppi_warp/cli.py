@@ -23,6 +23,7 @@ from tyro.conf import Positional, UseAppendAction, arg, subcommand
 from oimppi_warp.config import Config, Method, set_option, validate
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.presets import PRESETS
+from oimppi_warp.upkeep import Doctor, Warmup
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from oimppi_warp.metrics import Metrics
     from oimppi_warp.scene import PlanarPose, Scene
 
+
+RANDOMIZED_DRAWS = 4
+"""Draws of the world that ``--randomize`` asks for."""
 
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
@@ -48,11 +52,15 @@ class Run:
     method: Method = "cloi"
     """Plain MPPI, the object planned once ahead (SOI), or again at every step (CLOI)."""
 
-    engine: Literal["quasistatic"] = "quasistatic"
-    """What simulates the planner's samples."""
+    engine: Literal["auto", "quasistatic", "newton"] = "auto"
+    """What simulates the planner's samples: the paper's quasi-static model, or full physics; auto takes the best one
+    that keeps up with the control period on this machine."""
 
     device: str = "auto"
     """Where the planner computes: cpu, cuda:0, ..., or auto."""
+
+    threads: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: every core)")] = None
+    """Threads of the planner on the CPU."""
 
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of the planner's noise and, unless --start is given, of the start."""
@@ -68,6 +76,10 @@ class Run:
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
+
+    randomize: bool = False
+    """Try every sample in four draws of friction, mass, perceived pose and tool; a plan takes four times as long
+    (`robot.uncertainty` has the settings)."""
 
     max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="")] = None
     """Time limit in simulated seconds, if another than the preset's."""
@@ -102,7 +114,17 @@ class Run:
                 say("First run on this machine: compiling kernels, which takes about half a minute and is done once.")
             from oimppi_warp.episode import Episode
 
-            episode = Episode(scene, config, method=self.method, engine=self.engine, device=where, seed=self.seed)
+            episode = Episode(
+                scene,
+                config,
+                method=self.method,
+                engine=self.engine,
+                device=where,
+                threads=self.threads,
+                seed=self.seed,
+            )
+        if episode.planner.engine_reason:
+            say(f"engine {episode.planner.engine}: {episode.planner.engine_reason}")
         with _progress(config.episode.max_sim_seconds, console) as on_step:
             log = episode.run(on_step=on_step)
         metrics = summarize(log)
@@ -128,7 +150,11 @@ class Run:
         """
         if self.seed < 0:
             raise ConfigError(f"--seed {self.seed}: cannot be used\n  allowed: 0 or more")
+        if self.threads is not None and self.threads < 1:
+            raise ConfigError(f"--threads {self.threads}: cannot be used\n  allowed: 1 or more")
         config = PRESETS[self.preset](self.method)
+        if self.randomize:
+            config = set_option(config, f"robot.uncertainty.draws={RANDOMIZED_DRAWS}")
         for assignment in (assignment for group in self.assignments for assignment in group):
             config = set_option(config, assignment)
         if self.max_sim_seconds is not None:
@@ -180,7 +206,10 @@ class Scenes:
 
 
 Command = (
-    Annotated[Run, subcommand("run", prefix_name=False)] | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
+    Annotated[Run, subcommand("run", prefix_name=False)]
+    | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
+    | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
+    | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
 )
 """Every command; another one is one more dataclass in this union."""
 

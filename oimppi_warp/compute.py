@@ -196,7 +196,8 @@ class _Shares:
         waiting = [_pool(self._helpers).submit(self._work, left) for _ in range(self._helpers)]
         self._work(left)
         for helper in waiting:
-            helper.result()
+            if not helper.cancel():  # one that has not even woken up has nothing left to do
+                helper.result()
 
     def _work(self, left: Any) -> None:
         for index in left:

@@ -16,7 +16,12 @@ from oimppi_warp.errors import DeviceError
 
 
 def start_warp() -> None:
-    """Initialise Warp without its warning that there is no CUDA driver: a machine without a GPU is none to warn of."""
+    """Initialise Warp without its banner, and without its warning that there is no CUDA driver.
+
+    A machine without a GPU is none to warn of.
+    """
+    level = wp.config.log_level
+    wp.config.log_level = max(level, wp.LOG_WARNING)
     with tempfile.TemporaryFile() as caught:
         sys.stderr.flush()
         stderr = os.dup(2)
@@ -26,6 +31,7 @@ def start_warp() -> None:
         finally:
             os.dup2(stderr, 2)
             os.close(stderr)
+            wp.config.log_level = level
         caught.seek(0)
         for line in caught.read().decode(errors="replace").splitlines():
             if "Could not find or load the NVIDIA CUDA driver" not in line:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
+from oimppi_warp.choice import choose, median_seconds
 from oimppi_warp.clearance import Geometry, build_geometry, from_center, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
 from oimppi_warp.config import Config, Method, validate
@@ -107,6 +108,8 @@ class Planner:
         seed: Of all noise; the same seed gives the same plans (on the CPU to the bit).
 
     Attributes:
+        engine: Name of the rollout engine.
+        engine_reason: Why it was chosen, if it was not asked for by name.
         geometry: Shapes of the scene.
         goal: The scene's, of the friction centre.
         dynamics: The engine.
@@ -119,6 +122,8 @@ class Planner:
         config = _for_task(config, scene)
         self.scene = scene
         self.config = config
+        self.engine = engine
+        self.engine_reason = ""
         self.compute = compute
         self.geometry = build_geometry(scene, compute.device)
         self.goal = to_center(self.geometry.surface, np.array(scene.goal))
@@ -325,7 +330,7 @@ def make_planner(
     config: Config,
     *,
     method: Method = "cloi",
-    engine: str = "quasistatic",
+    engine: str = "auto",
     device: str = "auto",
     threads: int | None = None,
     seed: int = 0,
@@ -336,7 +341,8 @@ def make_planner(
         scene: The task.
         config: All settings.
         method: ``"mppi"``, ``"soi"`` or ``"cloi"``.
-        engine: Rollout engine of the robot level.
+        engine: Rollout engine of the robot level: ``"quasistatic"``, ``"newton"``, or ``"auto"`` for the best one that
+            keeps up with the control period on this machine (a few plans are timed).
         device: Warp device; ``"auto"`` takes the first GPU, or the CPU where there is none.
         threads: Threads on the CPU; default: as many as the cores that the process may use.
         seed: Of all noise.
@@ -349,9 +355,24 @@ def make_planner(
     planners = {kind.method: kind for kind in (Planner, SequentialPlanner, ClosedLoopPlanner)}
     if method not in planners:
         raise ConfigError(f"method {method!r} does not exist\n  allowed: {', '.join(METHODS)}")
-    if engine not in ENGINES:
-        raise ConfigError(f"engine {engine!r} does not exist\n  allowed: {', '.join(ENGINES)}")
-    return planners[method](scene, config, engine=engine, compute=Compute(device, threads=threads), seed=seed)
+    if engine not in (*ENGINES, "auto"):
+        raise ConfigError(f"engine {engine!r} does not exist\n  allowed: auto, {', '.join(ENGINES)}")
+
+    def make(engine: str) -> Planner:
+        return planners[method](scene, config, engine=engine, compute=Compute(device, threads=threads), seed=seed)
+
+    if engine != "auto":
+        return make(engine)
+    made: dict[str, Planner] = {}
+
+    def plan_seconds(engine: str) -> float:
+        made[engine] = make(engine)
+        return median_seconds(made[engine].warm_up)
+
+    choice = choose(method, config.control_period, plan_seconds)
+    planner = made[choice.engine]
+    planner.engine_reason = choice.reason
+    return planner
 
 
 def _for_task(config: Config, scene: Scene) -> Config:

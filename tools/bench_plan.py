@@ -1,10 +1,9 @@
-"""How long one plan takes, and which stage takes it: the robot level and the object level, each on one core.
+"""How long one plan takes: every engine and device present, its stages, sweeps, and the bounds of both engines.
 
-Each level plans in closed loop on its own prediction, from the scene's start: plans without and with contact count.
-A run counts only if its plans are sane: finite costs, at least one effective sample, and a nominal that costs less than
-doing nothing.
+What is compared is timed in turns within one run. A run counts only if its plans are sane (finite costs, an effective
+sample) and if planning so solves a task in the simulator. ``docs/performance.md`` explains the figures.
 
-Usage: ``python tools/bench_plan.py [--scene task02] [--repeats 100] [--device cpu] [--json FILE]``
+Usage: ``python tools/bench_plan.py [--scene task02] [--repeats 60] [--quick] [--json FILE]``
 """
 
 from __future__ import annotations
@@ -13,201 +12,256 @@ import argparse
 import json
 import os
 import platform
-import statistics
 import sys
-import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"  # before NumPy is loaded: its threads only get into each other's way here
+
 if TYPE_CHECKING:
-    import warp as wp
+    from bench_loops import PlannerLoop, Timing
 
     from oimppi_warp.config import Config
-    from oimppi_warp.mppi import Update
-    from oimppi_warp.observation import Observation
     from oimppi_warp.scene import Scene
 
-STAGES = {"sample": "sample_controls", "weigh": "weigh_samples", "update": "update_nominal", "shift": "shift_nominal"}
-"""Stages by the kernel that they launch; a rollout of all samples is ``rollout``, one of the nominal ``trace``."""
-ORDER = ("sample", "rollout", "weigh", "update", "trace", "shift", "other")
-"""All stages as they are shown; ``other`` is what is left, Python above all."""
-BUDGET_MS = {"robot": 15.0, "object": 8.0}
+BUDGET_MS = {"robot level": 15.0, "object level": 8.0}
 """What one plan may take in the median on one core [ms]."""
-WARM_UP = 5
-"""Plans that are not counted."""
+MOST_TO_RAW = 1.25
+"""What a plan of the Newton engine may take, as a multiple of raw ``mujoco.rollout``."""
+MOST_TO_ONE_CORE = 0.6
+"""What a quasi-static plan may take on two cores or more, as a multiple of its time on one."""
 
 
-@dataclass
-class Level:
-    """One level's benchmark.
+def with_mppi(config: Config, *, samples: int, horizon: int = 25, **level: Any) -> Config:
+    """The settings with this K and H at the robot level, and these of ``RobotLevel``."""
+    mppi = replace(config.robot.mppi, samples=samples, horizon=horizon, iterations=1)
+    return replace(config, robot=replace(config.robot, mppi=mppi, **level))
 
-    Attributes:
-        name: ``"robot"`` or ``"object"``.
-        samples, horizon: K and H.
-        plan_ms: Wall time of each plan [ms].
-        stage_ms: Median time of each stage in a plan [ms].
-        cost_of_nothing, cost_of_plan: Cost of zero controls and of a nominal that had some updates, from one state.
-        problems: Why the run does not count.
+
+class Benchmark:
+    """All measurements on one scene.
+
+    Args:
+        scene: The task.
+        repeats: Plans to time of each kind.
+        quick: Small and few, only to see that everything runs.
     """
 
-    name: str
-    samples: int
-    horizon: int
-    plan_ms: list[float] = field(default_factory=list)
-    stage_ms: dict[str, float] = field(default_factory=dict)
-    cost_of_nothing: float = 0.0
-    cost_of_plan: float = 0.0
-    problems: list[str] = field(default_factory=list)
+    def __init__(self, scene: Scene, *, repeats: int, quick: bool) -> None:
+        from oimppi_warp.compute import core_count
+        from oimppi_warp.presets import best
 
-    @property
-    def median_ms(self) -> float:
-        """Median of the plans [ms]."""
-        return statistics.median(self.plan_ms)
+        self.scene = scene
+        self.repeats = repeats
+        self.quick = quick
+        self.samples = 128 if quick else 1200
+        self.cores = core_count()
+        self.config = best("cloi")
+        self.problems: list[str] = []
 
-    @property
-    def p95_ms(self) -> float:
-        """95th percentile of the plans [ms]."""
-        return statistics.quantiles(self.plan_ms, n=20)[-1]
+    def loop(self, config: Config, engine: str, threads: int, device: str = "cpu", method: Any = "mppi") -> PlannerLoop:
+        """A planner in closed loop with itself."""
+        from bench_loops import PlannerLoop
 
-    def figures(self) -> dict[str, Any]:
-        """Everything, for the record."""
-        summary = {"median_ms": self.median_ms, "p95_ms": self.p95_ms, "budget_ms": BUDGET_MS[self.name]}
-        return asdict(self) | summary
+        return PlannerLoop(self.scene, config, method=method, engine=engine, device=device, threads=threads)
+
+    def race(self, what: str, runners: dict[str, Callable[[], None]], repeats: int | None = None) -> dict[str, Timing]:
+        """Times things in turns, and keeps what is wrong with them."""
+        from bench_loops import race
+
+        found = race(runners, repeats or self.repeats)
+        self.problems += [f"{what}, {name}: {p}" for name, timing in found.items() for p in timing.problems]
+        return found
+
+    def quasistatic(self) -> dict[str, Any]:
+        """Both levels and a CLOI step, on one core and on all."""
+        from bench_loops import ObjectLoop
+
+        config = with_mppi(self.config, samples=self.samples)
+        object_mppi = replace(config.object.mppi, samples=self.samples, horizon=60, iterations=1)
+        config = replace(config, object=replace(config.object, mppi=object_mppi))
+        makers: dict[str, Callable[[int], Callable[[], None]]] = {
+            "robot level": lambda threads: self.loop(config, "quasistatic", threads),
+            "object level": lambda threads: ObjectLoop(self.scene, config, device="cpu", threads=threads),
+            "CLOI step": lambda threads: self.loop(config, "quasistatic", threads, method="cloi"),
+        }
+        found = {}
+        for name, make in makers.items():
+            counts = (1, self.cores) if self.cores > 1 else (1,)
+            timings = self.race(name, {f"{n} threads": make(n) for n in counts})
+            one, most = timings["1 threads"], timings[f"{counts[-1]} threads"]
+            ratio = most.median / one.median
+            found[name] = {"one core": one.figures(), "all cores": most.figures(), "ratio": round(ratio, 3)}
+            if not self.quick and name in BUDGET_MS and one.median > BUDGET_MS[name]:
+                self.problems.append(f"{name}: {one.median:.1f} ms, more than {BUDGET_MS[name]:g} ms")
+            if not self.quick and name == "robot level" and self.cores > 1 and ratio > MOST_TO_ONE_CORE:
+                self.problems.append(f"{name}: {ratio:.2f} of the one core's time, more than {MOST_TO_ONE_CORE}")
+        return found
+
+    def newton(self) -> dict[str, Any]:
+        """A plan of the Newton engine on the CPU beside raw rollouts of the same steps with the same threads."""
+        config = with_mppi(self.config, samples=self.samples)
+        loop = self.loop(config, "newton", self.cores)
+        for _ in range(20):  # until there is contact
+            loop()
+        timings = self.race(
+            "newton",
+            {"plan": loop, "raw": raw_rollouts(self.scene, loop)},
+            3 if self.quick else max(self.repeats // 6, 5),
+        )
+        ratio = timings["plan"].median / timings["raw"].median
+        if not self.quick and ratio > MOST_TO_RAW:
+            self.problems.append(f"newton: {ratio:.2f} of raw mujoco.rollout, more than {MOST_TO_RAW}")
+        return {
+            "substeps": config.robot.substeps,
+            "plan": timings["plan"].figures(),
+            "raw mujoco.rollout": timings["raw"].figures(),
+            "ratio": round(ratio, 3),
+        }
+
+    def sweeps(self) -> dict[str, list[dict[str, float]]]:
+        """Plan time over K, H and substeps."""
+        few = self.quick
+        sizes = (128, 256) if few else (128, 256, 512, 1024, 2048, 4096, 8192, 16384)
+        plan: list[tuple[str, str, dict[str, Any]]] = []
+        plan += [("quasistatic over K", "quasistatic", {"samples": k}) for k in sizes]
+        plan += [
+            ("quasistatic over H", "quasistatic", {"samples": self.samples, "horizon": h}) for h in (10, 25, 50, 100)
+        ]
+        plan += [("newton over K", "newton", {"samples": k}) for k in sizes]
+        plan += [("newton over H", "newton", {"samples": 128, "horizon": h}) for h in (10, 25, 50)]
+        plan += [("newton over substeps", "newton", {"samples": 128, "substeps": s}) for s in (3, 4, 5, 10, 20)]
+        found: dict[str, list[dict[str, float]]] = {}
+        for title, engine, setting in plan:
+            loop = self.loop(with_mppi(self.config, **setting), engine, self.cores)
+            cost = setting["samples"] * setting.get("horizon", 25) * setting.get("substeps", 4)
+            repeats = 2 if few else max(3, min(20, 2_000_000 // cost))
+            timing = self.race(title, {"plan": loop}, repeats)["plan"]
+            found.setdefault(title, []).append({**setting, "median_ms": round(timing.median, 2)})
+        return found
+
+    def randomized(self) -> dict[str, Any]:
+        """The price of four draws of the world."""
+        from oimppi_warp.config import Uncertainty
+
+        certain = with_mppi(self.config, samples=self.samples)
+        uncertain = with_mppi(self.config, samples=self.samples, uncertainty=Uncertainty(draws=4))
+        runners = {
+            "off": self.loop(certain, "quasistatic", self.cores),
+            "4 draws": self.loop(uncertain, "quasistatic", self.cores),
+        }
+        timings = self.race("randomized", runners, max(self.repeats // 3, 3))
+        ratio = timings["4 draws"].median / timings["off"].median
+        return {name: timing.figures() for name, timing in timings.items()} | {"ratio": round(ratio, 2)}
+
+    def arithmetic(self, rollout_ms: float) -> dict[str, Any]:
+        """What the fused kernel computes against what a core can."""
+        from bench_peak import kernel_peak, operations_per_step, vector_peak
+
+        parts = operations_per_step(self.scene.robot.dof)
+        rate = sum(parts.values()) * self.samples * 25 / (1e-3 * rollout_ms)
+        kernel, vector = kernel_peak(), vector_peak()
+        return {
+            "operations_per_step": parts,
+            "gflops": round(rate / 1e9, 2),
+            "kernel_peak_gflops": round(kernel / 1e9, 2),
+            "vector_peak_gflops": round(vector / 1e9, 2),
+            "of_kernel_peak": round(rate / kernel, 3),
+            "of_vector_peak": round(rate / vector, 3),
+        }
+
+    def memory(self) -> dict[str, float]:
+        """Bytes for each rollout, or world."""
+        from oimppi_warp.compute import Compute
+        from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
+
+        threads = self.loop(with_mppi(self.config, samples=64), "newton", 1).planner.dynamics
+        arrays = sum(value.nbytes for value in vars(threads).values() if hasattr(value, "nbytes"))
+        level = with_mppi(self.config, samples=64).robot
+        geometry = self.loop(with_mppi(self.config, samples=64), "quasistatic", 1).planner.geometry
+        worlds = NewtonWorlds(self.scene, geometry, level, self.config.cost, dt=0.05, compute=Compute("cpu"))
+        data, model = worlds.solver.mjw_data, worlds.solver.mjw_model
+        return {
+            "newton, C threads [B/rollout]": round(arrays / 64),
+            "newton, batched worlds: data [B/world]": round(_array_bytes(data) / 64),
+            "newton, batched worlds: model [B/world]": round(_array_bytes(model) / 64),
+        }
+
+    def devices(self) -> dict[str, Any]:
+        """Every engine on every CUDA device that is there."""
+        import warp as wp
+
+        found: dict[str, Any] = {}
+        for device in wp.get_cuda_devices():
+            for engine, method in (("quasistatic", "mppi"), ("quasistatic", "cloi"), ("newton", "mppi")):
+                loop = self.loop(with_mppi(self.config, samples=self.samples), engine, 1, device.alias, method)
+                timing = self.race(f"{device.alias} {engine}", {"plan": loop})["plan"]
+                found[f"{device.alias}, {engine}, {method}"] = timing.figures()
+        return found
+
+    def solved(self) -> dict[str, bool]:
+        """Which engines solve a short task."""
+        from bench_loops import solves
+
+        found = {}
+        for engine, samples in (("quasistatic", 512), ("newton", 64)):
+            found[engine] = solves(engine, "cpu", with_mppi(self.config, samples=samples))
+            if not found[engine]:
+                self.problems.append(f"{engine} does not solve the short task")
+        return found
 
 
-class RobotLoop:
-    """The quasi-static engine under plain MPPI, the arm following its own plan."""
-
-    def __init__(self, scene: Scene, config: Config, device: str) -> None:
-        from oimppi_warp.planner import make_planner
-
-        self.planner = make_planner(scene, config, method="mppi", device=device)
-        self.mppi, self.dynamics = self.planner.mppi, self.planner.dynamics
-        self.settings = config.robot.mppi
-        self.seen = _first_observation(scene)
-
-    def plan(self) -> Update:
-        """One plan, and on to where it leads."""
-        plan = self.planner.plan(self.seen)
-        joints = self.seen.joint_position + self.planner.config.control_period * plan.command
-        self.seen = replace(self.seen, joint_position=joints, object_pose=plan.object_poses[1])
-        return plan.update
-
-
-class ObjectLoop:
-    """The object level, the object following its own plan."""
-
-    def __init__(self, scene: Scene, config: Config, device: str) -> None:
-        import numpy as np
-
-        from oimppi_warp.clearance import build_geometry, to_center
-        from oimppi_warp.planner import ObjectLevel
-
-        geometry = build_geometry(scene, device)
-        start, goal = (to_center(geometry.surface, np.array(pose)) for pose in (scene.start, scene.goal))
-        self.level = ObjectLevel(geometry, goal, config, device=device, seed=0)
-        self.mppi, self.dynamics = self.level._mppi, self.level._dynamics
-        self.settings = config.object.mppi
-        self.start, self.pose = start, start
-
-    def plan(self) -> Update:
-        """One plan, and on to where it leads."""
-        update, path = self.level.improve(self.pose)
-        self.pose = path[1]
-        return update
-
-
-def _first_observation(scene: Scene) -> Observation:
+def raw_rollouts(scene: Scene, loop: PlannerLoop) -> Callable[[], None]:
+    """``mujoco.rollout`` of what a Newton plan rolls out: same model without sensors, states, controls and threads."""
+    import mujoco
     import numpy as np
+    from mujoco import rollout
 
-    from oimppi_warp.observation import Observation
+    from oimppi_warp.dynamics.newton_threads import NewtonThreads, model_in_draw
+    from oimppi_warp.uncertainty import CERTAIN
+    from oimppi_warp.world import World
 
-    pose = np.array(scene.start)
-    transform = np.array([pose[0], pose[1], scene.object.rest_height, 0, 0, np.sin(pose[2] / 2), np.cos(pose[2] / 2)])
-    return Observation(0.0, scene.robot.start, np.zeros(scene.robot.dof), pose, transform)
+    engine = loop.planner.dynamics
+    assert isinstance(engine, NewtonThreads)
+    model = model_in_draw(World(scene).mujoco, scene, CERTAIN, 0, step=engine.model.opt.timestep)
+    threads = loop.planner.compute.threads
+    pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+    data = [mujoco.MjData(model) for _ in range(threads)]
+    states = np.zeros_like(engine._states)
+    samples, steps = states.shape[:2]
+    nothing = np.zeros((samples, steps, 0))
+    models, warm_start = [model] * samples, np.zeros((samples, model.nv))
+
+    def run() -> None:
+        pool.rollout(
+            models, data, engine._first, engine._drives, skip_checks=True, nstep=steps, initial_warmstart=warm_start,
+            state=states, sensordata=nothing,
+        )  # fmt: skip
+
+    return run
 
 
-def cost_of(loop: RobotLoop | ObjectLoop, controls: wp.array) -> float:
-    """Cost of one control sequence [horizon] from the state that the dynamics last were set to."""
+def _array_bytes(owner: Any) -> int:
+    """Bytes of all Warp arrays of a dataclass, nested ones included."""
     import warp as wp
 
-    cost = wp.zeros(1, dtype=float, device=loop.dynamics.device)
-    loop.dynamics.rollout(controls.reshape((1, controls.shape[0])), cost)
-    return float(cost.numpy()[0])
-
-
-@contextmanager
-def timed_launches(times: dict[str, float]) -> Iterator[None]:
-    """Adds the time of every kernel launch to its stage, by waiting for each."""
-    import warp as wp
-
-    launch = wp.launch
-
-    def timed(kernel, dim, *args, **kwargs):
-        began = time.perf_counter()
-        launch(kernel, dim, *args, **kwargs)
-        wp.synchronize()
-        stage = next((stage for stage, name in STAGES.items() if name in kernel.key), None)
-        times[stage or ("trace" if dim == 1 else "rollout")] += time.perf_counter() - began
-
-    wp.launch = timed
-    try:
-        yield
-    finally:
-        wp.launch = launch
-
-
-def bench(name: str, make: Callable[[], RobotLoop | ObjectLoop], repeats: int) -> Level:
-    """Runs one level's loop twice: for the time of whole plans, and for that of their stages."""
-    import math
-
-    import warp as wp
-
-    loop = make()
-    level = Level(name, loop.settings.samples, loop.settings.horizon)
-    for step in range(WARM_UP + repeats):
-        began = time.perf_counter()
-        update = loop.plan()
-        wp.synchronize()
-        if step >= WARM_UP:
-            level.plan_ms.append(round(1e3 * (time.perf_counter() - began), 3))
-        if update.lost or not math.isfinite(update.min_cost):
-            level.problems.append(f"plan {step}: {update.lost} samples have no finite cost")
-        if update.effective_samples < 1.0 - 1e-3:
-            level.problems.append(f"plan {step}: {update.effective_samples:.2f} effective samples")
-
-    loop = make()
-    found: dict[str, list[float]] = defaultdict(list)
-    for step in range(WARM_UP + max(repeats // 2, 10)):
-        times: dict[str, float] = dict.fromkeys((*STAGES, "rollout", "trace"), 0.0)
-        began = time.perf_counter()
-        with timed_launches(times):
-            loop.plan()
-        times["other"] = time.perf_counter() - began - sum(times.values())
-        if step >= WARM_UP:
-            for stage, seconds in times.items():
-                found[stage].append(1e3 * seconds)
-    level.stage_ms = {stage: round(statistics.median(found[stage]), 3) for stage in ORDER}
-
-    # The nominal, improved from one and the same state, against doing nothing there.
-    loop = make()
-    loop.plan()
-    level.cost_of_nothing = cost_of(loop, wp.zeros_like(loop.mppi.nominal))
-    for _ in range(WARM_UP):
-        loop.mppi.step()
-    level.cost_of_plan = cost_of(loop, loop.mppi.nominal)
-    if not level.cost_of_plan < level.cost_of_nothing:
-        level.problems.append(f"the plan costs {level.cost_of_plan:.4g}, doing nothing {level.cost_of_nothing:.4g}")
-    return level
+    total = 0
+    for value in vars(owner).values():
+        if isinstance(value, wp.array):
+            total += value.capacity
+        elif hasattr(value, "__dataclass_fields__"):
+            total += _array_bytes(value)
+    return total
 
 
 def machine() -> dict[str, str | int]:
     """What the figures were measured on."""
     import warp as wp
+
+    from oimppi_warp.compute import core_count
 
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
@@ -215,82 +269,56 @@ def machine() -> dict[str, str | int]:
         models = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line]
         name = models[0] if models else name
     devices = ", ".join(device.name for device in wp.get_cuda_devices())
-    return {"cpu": name, "cores": os.cpu_count() or 0, "gpu": devices or "none", "system": platform.platform()}
-
-
-def print_table(levels: list[Level], heading: str) -> None:
-    """The figures for a person."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=heading)
-    for column in ("", *(f"{level.name}: K {level.samples}, H {level.horizon}" for level in levels)):
-        table.add_column(column, justify="right" if column else "left")
-    medians = (f"{level.median_ms:.2f} (at most {BUDGET_MS[level.name]:g})" for level in levels)
-    table.add_row("plan, median (ms)", *medians)
-    table.add_row("plan, 95th percentile (ms)", *(f"{level.p95_ms:.2f}" for level in levels), end_section=True)
-    for stage in levels[0].stage_ms:
-        cells = []
-        for level in levels:
-            share = level.stage_ms[stage] / sum(level.stage_ms.values())
-            cells.append(f"{level.stage_ms[stage]:.2f} ms  {share:4.0%}")
-        table.add_row(stage, *cells)
-    table.add_section()
-    table.add_row("cost of the plan / of nothing", *(f"{x.cost_of_plan:.4g} / {x.cost_of_nothing:.4g}" for x in levels))
-    Console().print(table)
+    return {"cpu": name, "cores": core_count(), "gpu": devices or "none", "system": platform.platform()}
 
 
 def main() -> int:
     """Measures, prints, writes; returns 1 where a run does not count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="task02", help="a shipped scene or a USD file")
-    parser.add_argument("--device", default="cpu", help="Warp device")
-    parser.add_argument("--repeats", type=int, default=100, help="plans to measure")
+    parser.add_argument("--repeats", type=int, default=60, help="plans to time")
+    parser.add_argument("--quick", action="store_true", help="small and few, to see that everything runs")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
     arguments = parser.parse_args()
     if arguments.repeats < 2:
         parser.error("--repeats: at least 2")
 
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"  # before NumPy is loaded: its threads only get into each other's way here
     import warp as wp
+    from bench_start import start_seconds
+    from bench_tables import print_tables
 
-    from oimppi_warp.device import CompileNotice
+    from oimppi_warp.device import CompileNotice, start_warp
     from oimppi_warp.log import versions
-    from oimppi_warp.presets import best
     from oimppi_warp.usd import load_scene
 
     wp.set_logger(CompileNotice(lambda line: print(line, file=sys.stderr)))
-    if arguments.device == "cpu" and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    scene, config = load_scene(arguments.scene), best("cloi")
-    config = replace(
-        config,
-        robot=replace(config.robot, mppi=replace(config.robot.mppi, samples=1200, horizon=25, iterations=1)),
-        object=replace(config.object, mppi=replace(config.object.mppi, samples=1200, horizon=60, iterations=1)),
-    )
-    levels = [
-        bench("robot", lambda: RobotLoop(scene, config, arguments.device), arguments.repeats),
-        bench("object", lambda: ObjectLoop(scene, config, arguments.device), arguments.repeats),
-    ]
-    where = machine()
-    device = where["cpu"] if arguments.device == "cpu" else where["gpu"]
-    print_table(levels, f"One plan on {scene.name}, {arguments.device} ({device}), {arguments.repeats} plans")
-    problems = [f"{level.name} level, {problem}" for level in levels for problem in level.problems]
-    for problem in problems:
+    start_warp()
+    scene = load_scene(arguments.scene)
+    bench = Benchmark(scene, repeats=4 if arguments.quick else arguments.repeats, quick=arguments.quick)
+    record: dict[str, Any] = {
+        "command": f"python tools/bench_plan.py {' '.join(sys.argv[1:])}".strip(),
+        "scene": scene.name,
+        "samples": bench.samples,
+        "machine": machine(),
+        "versions": versions(),
+        "solved": bench.solved(),
+        "quasistatic": bench.quasistatic(),
+        "newton": bench.newton(),
+        "randomized": bench.randomized(),
+        "memory": bench.memory(),
+        "sweeps": bench.sweeps(),
+        "cuda": bench.devices(),
+        "start": {} if arguments.quick else {engine: start_seconds(engine) for engine in ("quasistatic", "newton")},
+    }
+    rollout = record["quasistatic"]["robot level"]["one core"]["stage_ms"]["rollout"]
+    record["arithmetic"] = bench.arithmetic(rollout)
+    record["problems"] = bench.problems
+    print_tables(record)
+    for problem in bench.problems:
         print(f"this run does not count: {problem}", file=sys.stderr)
     if arguments.json:
-        record = {
-            "scene": scene.name,
-            "engine": "quasistatic",
-            "device": arguments.device,
-            "counts": not problems,
-            "levels": {level.name: level.figures() for level in levels},
-            "machine": where,
-            "versions": versions(),
-        }
         arguments.json.write_text(json.dumps(record, indent=2) + "\n")
-    return 1 if problems else 0
+    return 1 if bench.problems else 0
 
 
 if __name__ == "__main__":

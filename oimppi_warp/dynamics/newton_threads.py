@@ -53,7 +53,7 @@ class NewtonThreads(NewtonDynamics):
         super().__init__(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws)
         mapped = World(scene).mujoco_sensing
         self._map = mapped
-        models = [_changed(mapped, scene, draws, i, step=dt / level.substeps) for i in range(draws.count)]
+        models = [model_in_draw(mapped, scene, draws, i, step=dt / level.substeps) for i in range(draws.count)]
         self.model = models[0]
         self._models = [models[r % draws.count] for r in range(self._rollouts)]
         self._threads = rollout.Rollout(nthread=compute.threads if compute.threads > 1 else 0)
@@ -143,7 +143,7 @@ def _view(array: np.ndarray, dtype: Any) -> wp.array:
     )
 
 
-def _changed(mapped: MujocoModel, scene: Scene, draws: Draws, index: int, *, step: float) -> Any:
+def model_in_draw(mapped: MujocoModel, scene: Scene, draws: Draws, index: int, *, step: float) -> Any:
     """A copy of the scene's MuJoCo model with that length of step [s], in one of the draws."""
     import mujoco
 

@@ -1,0 +1,178 @@
+"""What the benchmark of plan time runs: planners in closed loop on their own prediction, against each other."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.compute import Compute
+from oimppi_warp.config import Config, Method
+from oimppi_warp.mppi import Mppi
+from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.planner import ObjectLevel, Planner, make_planner
+from oimppi_warp.scene import Scene
+
+WARM_UP = 3
+"""Plans that are not counted."""
+STAGES = ("sample", "rollout", "weigh", "update")
+"""Stages of one update, in the order of ``Mppi.improve``."""
+
+
+@dataclass
+class Timing:
+    """Times of one thing that was repeated.
+
+    Attributes:
+        ms: Wall time of each [ms].
+        stage_ms: Median time of each stage [ms]; ``other`` is what is left of the median, Python above all.
+        problems: Why it does not count.
+    """
+
+    ms: list[float] = field(default_factory=list)
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def median(self) -> float:
+        """[ms]."""
+        return statistics.median(self.ms)
+
+    def figures(self) -> dict[str, Any]:
+        """For the record."""
+        stages = {name: round(ms, 3) for name, ms in self.stage_ms.items()}
+        spread = {"p95_ms": round(float(np.quantile(self.ms, 0.95)), 3), "repeats": len(self.ms)}
+        problems = {"problems": self.problems} if self.problems else {}
+        return {"median_ms": round(self.median, 3)} | spread | ({"stage_ms": stages} if stages else {}) | problems
+
+
+class PlannerLoop:
+    """A planner whose arm and object follow its own plan, so that plans without and with contact are timed.
+
+    Args:
+        scene: The task.
+        config: All settings.
+        method, engine, device, threads: As for :func:`oimppi_warp.planner.make_planner`.
+    """
+
+    def __init__(
+        self, scene: Scene, config: Config, *, method: Method, engine: str, device: str, threads: int | None = None
+    ) -> None:
+        self.planner: Planner = make_planner(
+            scene, config, method=method, engine=engine, device=device, threads=threads, seed=1
+        )
+        self.mppi: Mppi = self.planner.mppi
+        self.first = self.seen = first_observation(scene)
+        self.planner.warm_up()
+        self.planner.start(self.first)
+
+    def __call__(self) -> None:
+        """One plan, and on to where it leads."""
+        plan = self.planner.plan(self.seen)
+        joints = self.seen.joint_position + self.planner.config.control_period * plan.command
+        pose = plan.object_poses[1]
+        height = self.seen.object_transform[2]
+        transform = planar_transform((pose[0], pose[1], pose[2]), height)
+        self.seen = replace(self.seen, joint_position=joints, object_pose=pose, object_transform=transform)
+
+    def problems(self) -> list[str]:
+        """What is wrong with the latest plan."""
+        update = self.mppi.found()
+        found = [f"{update.lost} samples have no finite cost"] if update.lost else []
+        return found + ([] if update.effective_samples > 0.999 else ["no effective sample"])
+
+    def stages(self, repeats: int) -> dict[str, float]:
+        """Median time of each stage of the robot level in the present state [ms]."""
+        trace = self.planner.dynamics.trace(self.mppi.nominal, self.mppi.costs)
+        launches = [*zip(STAGES, self.mppi.improve, strict=False), ("trace", trace)]
+        return {name: time_of(launch, repeats, self.planner.compute.device) for name, launch in launches}
+
+
+class ObjectLoop:
+    """The object level alone, the object following its own plan."""
+
+    def __init__(self, scene: Scene, config: Config, *, device: str, threads: int | None = None) -> None:
+        from oimppi_warp.clearance import build_geometry, to_center
+
+        compute = Compute(device, threads=threads)
+        geometry = build_geometry(scene, device)
+        start, goal = (to_center(geometry.surface, np.array(pose)) for pose in (scene.start, scene.goal))
+        self.level = ObjectLevel(geometry, goal, config, compute=compute, seed=1)
+        self.mppi = self.level.mppi
+        self.device = device
+        self._step = compute.step(self.level.launches)
+        self.pose = start
+
+    def __call__(self) -> None:
+        """One plan, and on to where it leads."""
+        self.level.set_state(self.pose)
+        self._step()
+        self.pose = self.level.path.host[0, 1].astype(float)
+
+    def problems(self) -> list[str]:
+        """What is wrong with the latest plan."""
+        update = self.mppi.found()
+        return [] if not update.lost and update.effective_samples > 0.999 else ["lost samples, or none effective"]
+
+    def stages(self, repeats: int) -> dict[str, float]:
+        """Median time of each stage in the present state [ms]."""
+        names = (*STAGES, "trace", "shift")
+        return {
+            name: time_of(launch, repeats, self.device)
+            for name, launch in zip(names, self.level.launches, strict=False)
+        }
+
+
+def race(runners: dict[str, Callable[[], None]], repeats: int) -> dict[str, Timing]:
+    """Times several things in turns, so that what else the machine does meets all of them alike."""
+    timings = {name: Timing() for name in runners}
+    for step in range(WARM_UP + repeats):
+        for name, run in runners.items():
+            began = time.perf_counter()
+            run()
+            ms = 1e3 * (time.perf_counter() - began)
+            if step >= WARM_UP:
+                timings[name].ms.append(ms)
+            if isinstance(run, PlannerLoop | ObjectLoop):
+                timings[name].problems += [f"plan {step}: {problem}" for problem in run.problems()]
+    for name, run in runners.items():
+        if isinstance(run, PlannerLoop | ObjectLoop):
+            stages = run.stages(max(min(repeats, 20), 3))
+            timings[name].stage_ms = stages | {"other": max(timings[name].median - sum(stages.values()), 0.0)}
+    return timings
+
+
+def time_of(launch: Callable[[], None], repeats: int, device: str = "cpu") -> float:
+    """Median time of something [ms]."""
+    found = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        launch()
+        wp.synchronize_device(device)
+        found.append(1e3 * (time.perf_counter() - began))
+    return statistics.median(found)
+
+
+def first_observation(scene: Scene) -> Observation:
+    """The scene's start, as a plant would report it."""
+    transform = planar_transform(scene.start, scene.object.rest_height)
+    return Observation(0.0, scene.robot.start, np.zeros(scene.robot.dof), np.array(scene.start), transform)
+
+
+def solves(engine: str, device: str, config: Config) -> bool:
+    """Whether planning on an engine brings the T of the open table to a goal 15 cm away, in the simulator."""
+    from oimppi_warp.episode import Episode
+    from oimppi_warp.metrics import summarize
+    from oimppi_warp.usd import load_scene
+
+    scene = load_scene("task01")
+    x, y, yaw = scene.goal
+    scene = scene.with_start((x, y - 0.35, yaw - 0.6))
+    episode = replace(config.episode, max_sim_seconds=15.0, tight=False)
+    log = Episode(scene, replace(config, episode=episode), engine=engine, device=device, seed=0).run()
+    return summarize(log).success

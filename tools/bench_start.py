@@ -1,0 +1,28 @@
+"""How long a run takes to its first plan: with cold caches and with warm ones."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+
+def start_seconds(engine: str, *, repeats: int = 3) -> dict[str, float]:
+    """Wall time of a run of one control step in a process of its own [s], cold once and warm in the median."""
+    with TemporaryDirectory() as folder:
+        found = [_run(engine, Path(folder)) for _ in range(1 + repeats)]
+    return {"cold_s": round(found[0], 2), "warm_s": round(sorted(found[1:])[repeats // 2], 2)}
+
+
+def _run(engine: str, caches: Path) -> float:
+    environment = os.environ | {"WARP_CACHE_PATH": str(caches / "warp"), "OIMPPI_CACHE": str(caches / "fields")}
+    command = [sys.executable, "-m", "oimppi_warp", "run", "task02", "--engine", engine, "--max-sim-seconds", "0.05"]
+    command += ["--device", "cpu", "--set", "robot.mppi.samples=64"]
+    began = time.perf_counter()
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr}")
+    return time.perf_counter() - began
