@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from tyro.conf import Positional, UseAppendAction, arg, subcommand
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg, subcommand
 
 from oimppi_warp.config import Config, Method, set_option, validate
 from oimppi_warp.errors import ConfigError, OimppiError
@@ -77,7 +77,7 @@ class Run:
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
 
-    randomize: bool = False
+    randomize: FlagCreatePairsOff[bool] = False
     """Try every sample in four draws of friction, mass, perceived pose and tool; a plan takes four times as long
     (`robot.uncertainty` has the settings)."""
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from oimppi_warp.errors import ConfigError
 
@@ -95,7 +95,7 @@ class Doctor:
     Exit status: 0 nothing is wrong, 1 something is.
     """
 
-    json: bool = False
+    json: FlagCreatePairsOff[bool] = False
     """For tools: everything as JSON."""
 
     def execute(self) -> int:

@@ -24,6 +24,7 @@ class Stage:
         self.log = make_log()
         self.asked: dict[str, Any] = {}
         self.problem: BaseException | None = None
+        self.planner = SimpleNamespace(engine="quasistatic", engine_reason="a plan takes 9 ms of 50 ms")
 
     def load_scene(self, name: str) -> Any:
         if self.problem is not None:
@@ -102,14 +103,18 @@ def test_record_and_json_hold_log_plots_and_metrics(stage: Stage, tmp_path: Path
     assert json.loads((tmp_path / "m.json").read_text())["success"] is True
 
 
-def test_options_reach_the_episode(stage: Stage):
+def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[str]):
     status(
         *("run", "synthetic", "--method", "soi", "--seed", "4", "--device", "cpu", "--preset", "paper"),
+        *("--engine", "newton", "--threads", "3", "--randomize"),
         *("--set", "cost.w_align=3", "robot.mppi.samples=64", "--set", "reference=progress"),
         *("--goal", "-0.1,0.2,-3", "--max-sim-seconds", "12"),
     )
     config = stage.asked["config"]
     assert (stage.asked["method"], stage.asked["seed"], stage.asked["device"]) == ("soi", 4, "cpu")
+    assert (stage.asked["engine"], stage.asked["threads"]) == ("newton", 3)
+    assert "engine quasistatic: a plan takes 9 ms of 50 ms" in capsys.readouterr().err
+    assert config.robot.uncertainty.draws == 4
     assert (config.preset, config.object.mppi.horizon) == ("paper", 90)
     assert (config.cost.w_align, config.robot.mppi.samples, config.reference) == (3.0, 64, "progress")
     assert config.episode.max_sim_seconds == 12.0
@@ -131,7 +136,8 @@ def test_the_start_is_drawn_by_the_seed_unless_one_is_given(
     assert stage.asked["scene"].start == pytest.approx(start)
 
 
-OPTIONS = ("method", "engine", "device", "seed", "start", "goal", "preset", "set", "max-sim-seconds", "record", "json")
+OPTIONS = ("method", "engine", "device", "threads", "seed", "start", "goal", "preset", "set", "randomize",
+           "max-sim-seconds", "record", "json")  # fmt: skip
 
 BAD_INPUT = {
     "no command": ([], "run"),
@@ -142,6 +148,8 @@ BAD_INPUT = {
     "unknown preset": (["run", "t", "--preset", "bset"], "paper"),
     "seed that is no number": (["run", "t", "--seed", "x"], "--seed"),
     "negative seed": (["run", "t", "--seed", "-1"], "0 or more"),
+    "no threads": (["run", "t", "--threads", "0"], "1 or more"),
+    "unknown engine": (["run", "t", "--engine", "bullet"], "newton"),
     "unknown setting": (["run", "t", "--set", "cost.w_aling=2"], "cost.w_align"),
     "no samples": (["run", "t", "--set", "robot.mppi.samples=0"], "robot.mppi.samples = 0"),
     "no horizon": (["run", "t", "--set", "object.mppi.horizon=0"], "object.mppi.horizon = 0"),

@@ -78,6 +78,7 @@ def test_a_robust_plan_heeds_the_worst_draw(shared):
             scene,
             replace(config, robot=replace(config.robot, mppi=mppi, uncertainty=asked)),
             method="mppi",
+            engine="quasistatic",
             device="cpu",
         )
         planner.plan(tasks.observe(scene))

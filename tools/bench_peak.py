@@ -8,14 +8,14 @@ import time
 import numpy as np
 import warp as wp
 
-_CHAINS = 8
+_CHAINS = 64
 _LENGTH = 1000
 _Chains = wp.types.vector(length=_CHAINS, dtype=float)
 
 
 @wp.kernel(enable_backward=False)
 def chains(factor: _Chains, offset: _Chains, out: wp.array[float]):  # type: ignore
-    """Independent chains of multiply-adds."""
+    """Independent chains of multiply-adds, enough of them to hide how long one takes."""
     i = wp.tid()
     a = offset * float(i)  # pyright: ignore
     for _ in range(1000):

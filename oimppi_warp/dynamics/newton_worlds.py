@@ -136,6 +136,7 @@ class NewtonWorlds(NewtonDynamics):
             with wp.ScopedDevice(device):
                 self._mujoco_warp.step(model, data)
 
+        step()  # loads the solver's kernels: none should be loaded while a graph is captured
         launches: list[Launch] = [self._felt.zero_, self._overflows.array.zero_, place]
         for h in range(self._horizon + 1):
             inputs = [h, controls, self._draws.per_sample, *limits, self._dt, joint_qpos, object_qpos, drive, data.qpos]
