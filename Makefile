@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install demo test slow lint format types bench scenes wheel ci lock clean
+.PHONY: help install demo test slow ahead lint format types bench scenes wheel ci lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
@@ -33,6 +33,9 @@ test: $(LOCK_ENV) ## the tests, under ten minutes on two cores
 
 slow: $(LOCK_ENV) ## the tests that take longer: whole episodes over many seeds
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
+
+ahead: $(LOCK_ENV) ## the slow tests of compiling ahead of time, for a GPU that is not here too (ten minutes)
+	$(BIN)/python -m pytest -m slow tests/test_upkeep.py $(PYTEST_FLAGS)
 
 lint: $(LOCK_ENV) ## ruff
 	$(BIN)/ruff check .

@@ -67,7 +67,7 @@ def translated(scene: Scene, build: Callable[[], NewtonModel], *, sensing: bool)
 
     Args:
         scene: The task.
-        build: Makes its Newton model.
+        build: Makes its Newton model, which must be the same from whichever start.
         sensing: With sensors of the contact forces.
     """
     file = cache_folder() / f"mujoco-{_content(scene)}{'-sensing' if sensing else ''}.npz"

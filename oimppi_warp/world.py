@@ -29,12 +29,18 @@ class World:
     @cached_property
     def mujoco(self) -> MujocoModel:
         """The same for MuJoCo's C engine, as Newton's SolverMuJoCo translates it."""
-        return translated(self.scene, lambda: self.newton, sensing=False)
+        return translated(self.scene, lambda: self._nominal, sensing=False)
 
     @cached_property
     def mujoco_sensing(self) -> MujocoModel:
         """:attr:`mujoco` with sensors of the contact forces, for rollouts."""
-        return translated(self.scene, lambda: self.newton, sensing=True)
+        return translated(self.scene, lambda: self._nominal, sensing=True)
+
+    @cached_property
+    def _nominal(self) -> NewtonModel:
+        """The Newton model from the first of the task's starts: what is kept for later must not know of another."""
+        x, y, yaw = map(float, self.scene.starts[0])
+        return import_scene(self.scene.with_start((x, y, yaw)))
 
     def link_transforms(self, joint_position: np.ndarray) -> np.ndarray:
         """Poses of the arm's moving links from Newton's forward kinematics (float32).

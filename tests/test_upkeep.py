@@ -96,6 +96,8 @@ def run(*arguments: str, caches: Path) -> str:
     return done.stderr
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_after_a_warmup_a_run_compiles_nothing(tmp_path):
     short = ("run", "task01", "--device", "cpu", "--max-sim-seconds", "0.1", "--set", "robot.mppi.samples=64")
     cold = run(*short, "--engine", "quasistatic", caches=tmp_path / "other")

@@ -33,6 +33,12 @@ def cache(tmp_path, monkeypatch):
     return tmp_path
 
 
+def test_what_is_kept_does_not_depend_on_the_start(cache):
+    scene = load_scene("task02")
+    elsewhere = World(scene.with_start((0.31, -0.4, 0.3))).mujoco.model
+    np.testing.assert_allclose(elsewhere.qpos0[-7:-4], [*scene.start[:2], scene.object.rest_height], atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("joints", "position", "quaternion"),
     [
