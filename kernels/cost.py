@@ -10,8 +10,11 @@ from oimppi_warp.kernels.geometry import wrap_angle
 wp.set_module_options({"enable_backward": False})
 
 TERMS = ("goal", "contact", "reference", "approach", "align", "tilt", "height", "clearance", "above", "reach", "press",
-         "control", "collision")  # fmt: skip
+         "control", "collision", "guide")  # fmt: skip
 """Names of the robot level's cost terms, in the order of :class:`CostTerms`."""
+
+OVER = wp.constant(0.01)
+"""Height above the object's top from which a tip that is guided over it costs nothing [m]."""
 
 CostTerms = wp.types.vector(length=len(TERMS), dtype=float)
 """Weighted cost terms of the robot level."""
@@ -169,6 +172,7 @@ def robot_cost(
     pressed: float,
     speed_squared: float,
     collision: float,
+    guide: wp.vec4,
 ) -> CostTerms:
     """Stage cost of the robot level (equations 15 to 19 and our additions), term by term and weighted.
 
@@ -187,6 +191,8 @@ def robot_cost(
         pressed: Depth by which the tool presses into an object that cannot yield [m].
         speed_squared: Squared norm of the joint velocities [rad^2/s^2].
         collision: Contact force of robot and environment, lambda_3 [N].
+        guide: Where the tip is called to while the object is let go, and the weight of that [1/m^2]; a weight of zero
+            is none. The tip's height is the guide's matter then.
     """
     terms = CostTerms()
     terms[0] = w.w_d * pose_distance_squared(pose, goal, w.w_theta)
@@ -197,7 +203,10 @@ def robot_cost(
         wp.vec2(tip[0], tip[1]), wp.vec2(pose[0], pose[1]), wp.vec2(target[0], target[1]), w.gamma_0, w.align_fade
     )
     terms[5] = w.w_tilt * tilt_cost(up)
-    terms[6] = w.w_height * squared(tip[2] - w.height)
+    if guide[3] > 0.0:
+        terms[13] = guide[3] * wp.length_sq(tip - wp.vec3(guide[0], guide[1], guide[2]))
+    else:
+        terms[6] = w.w_height * squared(tip[2] - w.height)
     terms[7] = w.w_clearance * shortfall(room, w.clearance)
     terms[8] = w.w_above * above
     reach = w.w_reach * out_of_reach(pose, w.reach_lower, w.reach_upper)

@@ -2,9 +2,13 @@
 
 import warp as wp
 
-from oimppi_warp.kernels.geometry import PI, PoseField, wrap_angle
+from oimppi_warp.kernels.geometry import PI, PoseField, pose_field, wrap_angle
 
 wp.set_module_options({"enable_backward": False})
+
+
+HOME = wp.constant(0.05)
+"""Distance from the goal, turning counted, within which a way down the cost-to-go is straight [m]."""
 
 
 @wp.struct
@@ -49,11 +53,20 @@ def seed_to_go(
     pose: wp.vec3,
     near: float,
     left: float,
+    first: wp.vec3i,
     # out:
     to_go: wp.array3d[float],
 ):
-    """Within ``near`` of a pose that has the length ``left`` to go, the cost-to-go is the straight way there."""
-    t, i, j = wp.tid()
+    """Within ``near`` of a pose that has the length ``left`` to go, the cost-to-go is the straight way there.
+
+    Launched over a box of the grid's nodes (yaw, x, y) from ``first`` on.
+    """
+    a, b, c = wp.tid()
+    t = (first[0] + a + to_go.shape[0]) % to_go.shape[0]
+    i = first[1] + b
+    j = first[2] + c
+    if i < 0 or i >= to_go.shape[1] or j < 0 or j >= to_go.shape[2]:
+        return
     step = 1.0 / clearance.inv_step
     dx = clearance.origin[0] + step * float(i) - pose[0]
     dy = clearance.origin[1] + step * float(j) - pose[1]
@@ -119,3 +132,64 @@ def sweep_to_go(
                 largest = wp.max(largest, old - best)
                 to_go[t, i, j] = best
     change[0] = largest
+
+
+@wp.func
+def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) -> wp.vec3:
+    """The pose a step further down the cost-to-go: along the gradient, or where that has a kink, the best way around.
+
+    The 26-neighbour metric and the edges of obstacles give the field kinks at which a gradient step does not get on.
+    """
+    field = pose_field(to_go, pose)
+    scale = wp.vec3(1.0, 1.0, 1.0 / yaw_length)
+    slope = wp.vec3(field[1], field[2], field[3] / yaw_length)
+    best = pose
+    least = field[0]
+    size = wp.length(slope)
+    if size > 1.0e-6:
+        ahead = pose - (step / size) * wp.cw_mul(scale, slope)
+        value = pose_field(to_go, ahead)[0]
+        if value < field[0] - 0.7 * step:
+            best = ahead
+            least = -1.0
+    if least >= 0.0:
+        reach = wp.max(step, 1.0 / to_go.inv_step)
+        steepest = float(0.0)
+        for k in range(27):
+            d = wp.vec3(float(k / 9 - 1), float((k / 3) % 3 - 1), float(k % 3 - 1))
+            if k != 13:
+                d = wp.normalize(d)
+                value = pose_field(to_go, pose + reach * wp.cw_mul(scale, d))[0]
+                if value - field[0] < steepest:
+                    steepest = value - field[0]
+                    best = pose + step * wp.cw_mul(scale, d)
+    return best
+
+
+@wp.kernel
+def follow_down(
+    # in:
+    to_go: PoseField,
+    start: wp.array[wp.vec3],
+    goal: wp.array[wp.vec3],
+    yaw_length: float,
+    step: float,
+    # out:
+    way: wp.array2d[wp.vec3],
+):
+    """The way that a cost-to-go leads from a pose, at an even speed; one thread.
+
+    Shapes: ``start`` and ``goal`` [1], ``way`` [1, n]. Within ``HOME`` of the goal, the rest of the way is straight.
+    """
+    pose = start[0]
+    way[0, 0] = pose
+    for i in range(1, way.shape[1]):
+        left = goal[0] - pose
+        left[2] = wrap_angle(left[2])
+        turn = yaw_length * left[2]
+        straight = wp.sqrt(left[0] * left[0] + left[1] * left[1] + turn * turn)
+        if straight < HOME:
+            pose = pose + wp.min(1.0, step / wp.max(straight, 1.0e-6)) * left
+        else:
+            pose = downhill(to_go, pose, yaw_length, step)
+        way[0, i] = pose

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import warp as wp
 
-from oimppi_warp.kernels.cost import CostTerms, RobotWeights, robot_cost
+from oimppi_warp.kernels.cost import OVER, CostTerms, RobotWeights, robot_cost
 from oimppi_warp.kernels.geometry import planar_field, rotate
 from oimppi_warp.kernels.kinematics import Arm, Surroundings, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, push, settle
@@ -36,6 +36,7 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
         start_object: wp.array[wp.vec3],
         goal: wp.array[wp.vec3],
         reference: wp.array[wp.vec3],
+        guide: wp.array[wp.vec4],
         align_ahead: int,
         controls: wp.array2d[vec],
         dt: float,
@@ -49,8 +50,9 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
         """Cost of each rollout of a joint velocity sequence; its terms, tips and poses where those have room for them.
 
         Shapes: ``draws`` [draw] (rollout n is in draw n modulo their number), ``start_joints``, ``start_object`` and
-        ``goal`` [1], ``reference`` [horizon + 1 + align_ahead], ``controls`` [sample, horizon] [rad/s], ``costs``
-        [sample * per_sample], ``terms`` [rollout] or empty, ``tips`` and ``poses`` [rollout, horizon + 1] or empty.
+        ``goal`` [1], ``reference`` [horizon + 1 + align_ahead], ``guide`` [1], ``controls`` [sample, horizon] [rad/s],
+        ``costs`` [sample * per_sample], ``terms`` [rollout] or empty, ``tips`` and ``poses`` [rollout, horizon + 1] or
+        empty.
         """
         n = first + wp.tid()
         k = n / per_sample
@@ -94,7 +96,8 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
                 s = wp.sin(pose[2])
                 local = rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1]))
                 if planar_field(body.body, local)[0] < surroundings.tool_radius:
-                    above = 1.0
+                    if guide[0][3] <= 0.0 or tip[2] < body.top + OVER:
+                        above = 1.0
                     if tip[2] < body.top:
                         stalled = True
             pressed = float(0.0)
@@ -139,6 +142,7 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
                 pressed,
                 speed_squared,
                 0.0,
+                guide[0],
             )
             if n < tips.shape[0]:
                 tips[n, h + 1] = placed.tip

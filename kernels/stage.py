@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import warp as wp
 
-from oimppi_warp.kernels.cost import CostTerms, RobotWeights, robot_cost
+from oimppi_warp.kernels.cost import OVER, CostTerms, RobotWeights, robot_cost
 from oimppi_warp.kernels.geometry import planar_field, rotate
 from oimppi_warp.kernels.kinematics import Arm, Surroundings, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel
@@ -32,6 +32,7 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
         center: wp.vec2,
         goal: wp.array[wp.vec3],
         reference: wp.array[wp.vec3],
+        guide: wp.array[wp.vec4],
         align_ahead: int,
         controls: wp.array2d[vec],
         per_sample: int,
@@ -48,10 +49,10 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
         """Cost of each rollout, its terms, tips and poses.
 
         Shapes: ``center`` is the friction centre in the object's frame [m], ``goal`` [1],
-        ``reference`` [horizon + 1 + align_ahead], ``controls`` [sample, horizon] [rad/s], ``joints`` and ``objects``
-        (position, quaternion wxyz) [rollout, horizon]: states after each control step, ``forces`` [rollout, horizon]:
-        lambda_2 and lambda_3 in it [N], ``lost`` [rollout]: 1 where the simulation diverged, ``costs`` and ``terms``
-        [rollout], ``tips`` and ``poses`` [rollout, horizon].
+        ``reference`` [horizon + 1 + align_ahead], ``guide`` [1], ``controls`` [sample, horizon] [rad/s], ``joints`` and
+        ``objects`` (position, quaternion wxyz) [rollout, horizon]: states after each control step, ``forces``
+        [rollout, horizon]: lambda_2 and lambda_3 in it [N], ``lost`` [rollout]: 1 where the simulation diverged,
+        ``costs`` and ``terms`` [rollout], ``tips`` and ``poses`` [rollout, horizon].
         """
         n = first + wp.tid()
         total = CostTerms()
@@ -78,7 +79,8 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
             if placed.tip[2] >= model.top:
                 local = rotate(c, -s, wp.vec2(placed.tip[0] - pose[0], placed.tip[1] - pose[1]))
                 if planar_field(model.body, local)[0] < surroundings.tool_radius:
-                    above = 1.0
+                    if guide[0][3] <= 0.0 or placed.tip[2] < model.top + OVER:
+                        above = 1.0
             total += robot_cost(
                 weights,
                 placed.tip,
@@ -94,6 +96,7 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
                 0.0,
                 speed_squared,
                 forces[n, h][1],
+                guide[0],
             )
             tips[n, h] = placed.tip
             poses[n, h] = pose

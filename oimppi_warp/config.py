@@ -200,28 +200,26 @@ class RobotCost:
     w_reach: float = 40.0
     reach: tuple[float, float] = (0.32, 0.60)
     w_edge: float = 40.0
-    w_press: float = 1e4
+    w_press: float = 1e6
     w_control: float = 0.0
     w_collision: float = 0.0
 
 
 @dataclass(frozen=True)
-class SoiReference:
-    """How SOI follows its plan by progress; not in the paper, which reads it by time.
+class Regrasp:
+    """Letting go of an object that no longer gets on, and pushing it from another side; not in the paper.
 
     Attributes:
-        look_back, look_ahead: Steps of the plan before and after the present progress in which the point nearest to
-            the object is sought.
-        return_steps: Steps within which the reference leads an object that is a little off the plan back onto it; 0
-            asks for the plan at once.
-        off_plan: Distance from the plan [m] beyond which the reference is the shortest free way to the rest of the
-            plan, read from a cost-to-go that is made once, with the plan; 0 turns that off.
+        stall_seconds: Time without headway after which the arm lets go [s]; 0 turns all of this off.
+        headway: What counts as headway: less to go than ever since the arm took hold, by this much [m].
+        w_guide: Squared distance of the tip from where it is called to [1/m^2].
+        longest_seconds: Time after which a call is given up [s].
     """
 
-    look_back: int = 20
-    look_ahead: int = 40
-    return_steps: int = 20
-    off_plan: float = 0.04
+    stall_seconds: float = 3.0
+    headway: float = 0.01
+    w_guide: float = 100.0
+    longest_seconds: float = 4.0
 
 
 @dataclass(frozen=True)
@@ -247,9 +245,9 @@ class Config:
     Attributes:
         preset: Name of the preset that it began as.
         control_period: [s].
-        reference: How the robot level reads the object plan: by the time since it was made (the paper) or by progress
-            (from the point of the plan nearest to the object).
-        soi: How SOI follows its plan.
+        reference: How SOI's robot level reads the object plan: by the time since it was made (the paper) or by progress
+            (from where the object is, along the plan or back to it).
+        regrasp: When an object that no longer gets on is let go.
         robot, object: The two levels.
         cost: Weights of the robot level.
         object_cost: Weights of the object level.
@@ -259,7 +257,7 @@ class Config:
     preset: str = "best"
     control_period: float = 0.05
     reference: Literal["time", "progress"] = "progress"
-    soi: SoiReference = field(default_factory=SoiReference)
+    regrasp: Regrasp = field(default_factory=Regrasp)
     robot: RobotLevel = field(default_factory=RobotLevel)
     object: ObjectLevel = field(default_factory=ObjectLevel)
     cost: RobotCost = field(default_factory=RobotCost)
@@ -337,7 +335,6 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "speed_limit": (1e-3, math.inf),
     "max_sim_seconds": (0.001, math.inf),
     "gamma_0": (-1, 1),
-    "look_ahead": (1, 100_000),
 }
 """Smallest and largest value by the name of the field; everything else is finite and not negative."""
 

@@ -1,4 +1,4 @@
-"""Ways of the object over the grid of phi_2: the cost-to-go, and following it."""
+"""Ways of the object over the grid of phi_2: the cost-to-go."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.cache import cached, content_of
-from oimppi_warp.clearance import STEP, pose_field_at
+from oimppi_warp.clearance import STEP
 from oimppi_warp.footprint import wrap_angle
 from oimppi_warp.kernels import navigation as kernels
 from oimppi_warp.kernels.geometry import PoseField
@@ -16,6 +16,8 @@ _SWEEPS = 200
 _SETTLED = 1e-4
 """Improvement in all 8 directions below which it is done [m]."""
 _UNKNOWN = 1e3
+_ALONG = 0.5
+"""What a metre along a known way costs: the cost-to-go leads onto it, and stays on it past a shorter way beside it."""
 _NEAR = 4.0 * STEP
 """Distance from the way within which the straight distance holds [m]."""
 
@@ -26,19 +28,21 @@ def build_to_go(
     *,
     yaw_length: float,
     reach: tuple[float, float] = (0.0, np.inf),
+    bound: PoseField | None = None,
     device: str,
 ) -> PoseField:
     """Cost-to-go: length of the shortest free way to a goal, or to a way that leads there [m].
 
-    A metre costs up to four times as much close to obstacles, ten times where the arm pushes badly, and forty times
-    inside obstacles, so that every pose knows its way out. It is made on the CPU by fast sweeping; that to a
-    goal alone is kept in the cache.
+    A metre along a known way costs half. Elsewhere it costs up to four times as much close to obstacles, ten times
+    where the arm pushes badly, and forty times inside obstacles, so that every pose knows its way out. It is made on
+    the CPU by fast sweeping; that to a goal alone is kept in the cache.
 
     Args:
         clearance: phi_2.
         way: Poses [n, 3] of the friction centre that lead to the goal, the last one; one pose is the goal alone.
         yaw_length: Length that turning by one radian counts as [m].
         reach: Distances from the base's axis between which the arm can push well [m].
+        bound: The cost-to-go to the goal alone, if it is known: it is a bound to start from, and saves most sweeps.
         device: Warp device of the result.
     """
     way = np.atleast_2d(way)
@@ -51,10 +55,13 @@ def build_to_go(
 
     def compute() -> np.ndarray:
         to_go = wp.full(host.values.shape, _UNKNOWN, dtype=float, device="cpu")
-        left = np.concatenate([np.cumsum(path_lengths(way, yaw_length)[::-1])[::-1], [0.0]])
+        if bound is not None:
+            wp.copy(to_go, bound.values)
+        left = _ALONG * np.concatenate([np.cumsum(path_lengths(way, yaw_length)[::-1])[::-1], [0.0]])
         for pose, length in zip(way, left, strict=True):
-            inputs = [host, tolls, wp.vec3(*pose), _NEAR, float(length)]
-            wp.launch(kernels.seed_to_go, dim=to_go.shape, inputs=inputs, outputs=[to_go], device="cpu")
+            first, size = _box_around(host, pose, yaw_length)
+            inputs = [host, tolls, wp.vec3(*pose), _NEAR, float(length), wp.vec3i(*first)]
+            wp.launch(kernels.seed_to_go, dim=size, inputs=inputs, outputs=[to_go], device="cpu")
         change = wp.zeros(1, dtype=float, device="cpu")
         improvement = np.full(8, np.inf)
         for sweep in range(_SWEEPS):
@@ -83,32 +90,19 @@ def path_lengths(path: np.ndarray, yaw_length: float) -> np.ndarray:
     return np.linalg.norm(steps, axis=1)
 
 
-def descend(to_go: PoseField, pose: np.ndarray, *, yaw_length: float, step: float, steps: int) -> np.ndarray:
-    """The way that a cost-to-go leads from a pose.
-
-    Args:
-        to_go: Cost-to-go [m].
-        pose: Pose [3] of the friction centre.
-        yaw_length: Length that turning by one radian counts as [m].
-        step: Length of one step [m].
-        steps: Number of steps.
-
-    Returns:
-        Poses [steps + 1, 3], from ``pose`` on; close to the goal they stay within about a step of it.
-    """
-    values = to_go.values.numpy()
-    way = [np.asarray(pose, dtype=float)]
-    scale = np.array([1.0, 1.0, 1.0 / yaw_length])
-    spacing = np.array([STEP, STEP, STEP / yaw_length])
-    for _ in range(steps):
-        here = way[-1]
-        # Central differences over two cells look past the kinks of the 26-neighbour metric.
-        slope = np.array(
-            [
-                pose_field_at(to_go, here + d, values) - pose_field_at(to_go, here - d, values)
-                for d in np.diag(2.0 * spacing)
-            ]
-        )
-        size = np.linalg.norm(slope)
-        way.append(here - step * scale * slope / size if size > 1e-9 else here)
-    return np.array(way)
+def _box_around(field: PoseField, pose: np.ndarray, yaw_length: float) -> tuple[list[int], list[int]]:
+    """First node and number of nodes (yaw, x, y) of a box that has all nodes within ``_NEAR`` of a pose [3]."""
+    turns = field.values.shape[0]
+    half = np.array([_NEAR / yaw_length * field.inv_yaw_step, _NEAR * field.inv_step, _NEAR * field.inv_step])
+    at = np.array(
+        [
+            pose[2] * field.inv_yaw_step,
+            (pose[0] - field.origin[0]) * field.inv_step,
+            (pose[1] - field.origin[1]) * field.inv_step,
+        ]
+    )
+    first = np.floor(at - half).astype(int)
+    size = np.ceil(at + half).astype(int) - first + 1
+    size[0] = min(size[0], turns)
+    first[0] %= turns
+    return first.tolist(), size.tolist()

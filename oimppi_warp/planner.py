@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.choice import choose, median_seconds
-from oimppi_warp.clearance import Geometry, build_geometry, from_center, to_center
+from oimppi_warp.clearance import Geometry, build_geometry, from_center, pose_field_at, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
 from oimppi_warp.config import Config, Method, validate
 from oimppi_warp.dynamics.engines import ENGINES, make_dynamics
@@ -24,10 +24,11 @@ from oimppi_warp.footprint import wrap_angle
 from oimppi_warp.kernels import navigation
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.object import follow_path
-from oimppi_warp.kinematics import tip_jacobian
+from oimppi_warp.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.mppi import Mppi, Update
-from oimppi_warp.navigation import build_to_go, descend
+from oimppi_warp.navigation import build_to_go
 from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.regrasp import Regrasping
 from oimppi_warp.scene import Scene
 from oimppi_warp.uncertainty import draw
 
@@ -71,6 +72,7 @@ class ObjectLevel:
     Attributes:
         launches: One update and the path that the nominal then takes, as launches.
         path: That path, an output of shape [horizon + 1].
+        to_go: The cost-to-go; ``None`` where the level goes without.
         setup_seconds: Wall time of making or reading the cost-to-go [s].
     """
 
@@ -82,6 +84,7 @@ class ObjectLevel:
         self._level = config.object
         self._goal = goal
         self.path = self._dynamics.path
+        self.to_go = self._dynamics.to_go if config.object_cost.w_to_go > 0.0 else None
         self.launches = [*self.mppi.improve, self._dynamics.trace(self.mppi.nominal), self.mppi.shift]
         self.setup_seconds = self._dynamics.setup_seconds
 
@@ -93,6 +96,14 @@ class ObjectLevel:
             share = float(np.clip(np.linalg.norm(left) / self._level.noise_range, 0.1, 1.0))
         self.mppi.noise.host[0] = np.diag(share * self._level.noise * self._dynamics.bound)
         self._dynamics.set_state(pose)
+
+    def to_go_from(self, pose: np.ndarray) -> float:
+        """What the object still has to go from a pose [3]: the cost-to-go, or without one the straight distance [m]."""
+        to_go = self._dynamics.to_go_at(pose)
+        if to_go is not None:
+            return to_go
+        left = _difference(self._goal, pose) * [1.0, 1.0, self._level.yaw_length]
+        return float(np.linalg.norm(left))
 
 
 class Planner:
@@ -134,6 +145,10 @@ class Planner:
         )
         self.mppi = Mppi(self.dynamics, level.mppi, seed=2 * seed + 1)
         robot = [*self.mppi.improve, self.dynamics.trace(self.mppi.nominal, self.mppi.costs), self.mppi.shift]
+        self._regrasping = Regrasping(
+            scene, self.geometry, config.regrasp, height=config.cost.height, period=config.control_period
+        )
+        self._tracked = self.goal[None]
         self._step = compute.step([*self._object_launches(seed), *robot], one_graph=self.dynamics.one_graph)
 
     def warm_up(self) -> None:
@@ -146,13 +161,18 @@ class Planner:
     def start(self, observation: Observation) -> float:
         """Prepares for an episode that begins with ``observation``; returns the wall time that planning took [s]."""
         self.mppi.reset()
+        self._regrasping.reset()
         return 0.0
 
     def plan(self, observation: Observation) -> Plan:
         """Plans from an observation; each call is one control step."""
+        pose = to_center(self.geometry.surface, observation.object_pose)
+        tip = tip_frame(self.scene.robot, observation.joint_position)[1]
+        guide = self._regrasping.guide(tip, pose, self._reference(), self._to_go_from(pose))
+        self.dynamics.guide.host[0] = guide
         self.dynamics.set_state(observation, self.goal)
-        self.mppi.noise.host[0] = self._noise(observation.joint_position)
-        self._set_reference(to_center(self.geometry.surface, observation.object_pose))
+        self.mppi.noise.host[0] = self._noise(observation.joint_position, lifting=guide[3] > 0.0)
+        self._set_reference(pose)
         began = time.perf_counter()
         self._step()
         trace = self.dynamics.traced()
@@ -183,8 +203,13 @@ class Planner:
         host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
 
     def _reference(self) -> np.ndarray:
-        """The reference that was tracked in this step, of the friction centre, shape [n, 3]."""
+        """The reference that was tracked in the latest step, of the friction centre, shape [n, 3]."""
         return self._tracked
+
+    def _to_go_from(self, pose: np.ndarray) -> float:
+        """What the object still has to go from a pose [3], turning counted [m]."""
+        left = _difference(self.goal, pose) * [1.0, 1.0, self.config.object.yaw_length]
+        return float(np.linalg.norm(left))
 
     def _object_update(self) -> Update | None:
         """What the object level found in this step, if it planned."""
@@ -194,21 +219,28 @@ class Planner:
         """When the object level was done with this step, by ``time.perf_counter``; NaN if nobody knows."""
         return math.nan
 
-    def _noise(self, joints: np.ndarray) -> np.ndarray:
+    def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
         """A square root of the noise's covariance in joint space, shape [dof, dof]."""
         robot = self.config.robot
         if robot.noise_space == "joint":
             return robot.joint_noise * np.eye(self.scene.robot.dof)
         jacobian = tip_jacobian(self.scene.robot, joints)
         inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6))
-        root = inverse * np.asarray(robot.tool_noise)
+        noise = np.array(robot.tool_noise)
+        if lifting:  # up and down as freely as sideways
+            noise[2] = max(noise[:3])
+        root = inverse * noise
         if root.shape[0] != root.shape[1]:
             root = np.linalg.cholesky(root @ root.T + 1e-8 * np.eye(len(root)))
         return root
 
 
 class SequentialPlanner(Planner):
-    """SOI-MPPI (Algorithm 3): one object plan to the goal before the robot moves, then tracked."""
+    """SOI-MPPI (Algorithm 3): one object plan to the goal before the robot moves, then tracked.
+
+    By time, the reference is the plan as it was made. By progress, it is the way from the object's pose down a
+    cost-to-go that is made once, with the plan: along the plan, and where a push went astray a free way back to it.
+    """
 
     method: Method = "soi"
 
@@ -219,8 +251,7 @@ class SequentialPlanner(Planner):
         self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=alone, seed=2 * seed + 2)
         self._object_step = alone.step(self._object.launches)
         self._path = self.goal[None]
-        self._progress = 0
-        self._to_go: PoseField | None = None
+        self._step_of_path = 0
 
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""
@@ -233,17 +264,40 @@ class SequentialPlanner(Planner):
         super().start(observation)
         began = time.perf_counter()
         self._object.mppi.reset()
-        self._progress = 0
+        self._step_of_path = 0
         self._path = self._whole_way(to_center(self.geometry.surface, observation.object_pose))
-        if self.config.reference == "progress" and self.config.soi.off_plan > 0.0:
-            self._to_go = build_to_go(
+        if self.config.reference == "progress":
+            level = self.config.object
+            found = build_to_go(
                 self.geometry.clearance,
                 self._path[::-3][::-1],
-                yaw_length=self.config.object.yaw_length,
+                yaw_length=level.yaw_length,
                 reach=self.config.object_cost.reach,
+                bound=self._object.to_go,
                 device=self.compute.device,
             )
+            wp.copy(self._to_go.values, found.values)
+            self._to_go_values = found.values.numpy()
         return time.perf_counter() - began + self._object.setup_seconds
+
+    def _object_launches(self, seed: int) -> list[Launch]:
+        if self.config.reference == "time":
+            return []
+        clearance, level = self.geometry.clearance, self.config.object
+        self._to_go = PoseField()
+        self._to_go.values = wp.zeros_like(clearance.values)
+        self._to_go_values = self._to_go.values.numpy()
+        self._to_go.origin, self._to_go.inv_step = clearance.origin, clearance.inv_step
+        self._to_go.inv_yaw_step = clearance.inv_yaw_step
+        self._start = self.compute.input(1, wp.vec3)
+        reference = self.dynamics.reference
+        self._way = self.compute.output((1, len(reference.host)), wp.vec3)
+        goal = wp.array(self.goal[None].astype(np.float32), dtype=wp.vec3, device=self.compute.device)
+        step = level.speed_limit[0] * self.config.control_period
+        inputs = [self._to_go, self._start.array, goal, level.yaw_length, step]
+        down = self.compute.launch(navigation.follow_down, 1, inputs, [self._way.array])
+        hand_over = self.compute.launch(follow_path, len(reference.host), [self._way.array], [reference.array])
+        return [down, hand_over]
 
     def _whole_way(self, pose: np.ndarray) -> np.ndarray:
         """The object's way to the goal, as the object level would drive it in closed loop."""
@@ -262,37 +316,19 @@ class SequentialPlanner(Planner):
         return self._object.path.host[0].astype(float)
 
     def _set_reference(self, pose: np.ndarray) -> None:
-        self._track(self._rest_of_plan(pose))
+        if self.config.reference == "progress":
+            self._start.host[0] = pose
+            return
+        self._track(self._path[self._step_of_path :])
+        self._step_of_path = min(self._step_of_path + 1, len(self._path) - 1)
 
-    def _rest_of_plan(self, pose: np.ndarray) -> np.ndarray:
-        """The plan from where the object is on it, or the way back to it, shape [n, 3]."""
+    def _reference(self) -> np.ndarray:
+        return self._way.host[0].astype(float) if self.config.reference == "progress" else self._tracked
+
+    def _to_go_from(self, pose: np.ndarray) -> float:
         if self.config.reference == "time":
-            reference = self._path[self._progress :]
-            self._progress = min(self._progress + 1, len(self._path) - 1)
-            return reference
-        soi = self.config.soi
-        first = max(self._progress - soi.look_back, 0)
-        window = self._path[first : self._progress + soi.look_ahead]
-        error = _difference(window, pose)
-        distance = np.linalg.norm(error * [1.0, 1.0, self.config.object.yaw_length], axis=1)
-        nearest = int(np.argmin(distance))
-        self._progress = first + nearest
-        if self._to_go is not None and distance[nearest] > soi.off_plan:
-            return self._way_back(pose)
-        # What the object is off by fades out along the plan.
-        reference = self._path[self._progress :].copy()
-        share = np.clip(1.0 - np.arange(len(reference)) / max(soi.return_steps, 1), 0.0, 1.0)
-        reference -= share[:, None] * error[nearest]
-        return reference
-
-    def _way_back(self, pose: np.ndarray) -> np.ndarray:
-        """A free way to the rest of the plan, shape [n, 3]: down the cost-to-go that was made with the plan."""
-        assert self._to_go is not None
-        step = self.config.object.speed_limit[0] * self.config.control_period
-        steps = len(self.dynamics.reference.host)
-        way = descend(self._to_go, pose, yaw_length=self.config.object.yaw_length, step=step, steps=steps)
-        way[:, 2] = pose[2] + wrap_angle(way[:, 2] - pose[2])
-        return way
+            return super()._to_go_from(pose)
+        return pose_field_at(self._to_go, pose, self._to_go_values)
 
 
 class ClosedLoopPlanner(Planner):
@@ -323,6 +359,9 @@ class ClosedLoopPlanner(Planner):
 
     def _object_done(self) -> float:
         return self._watch.take()
+
+    def _to_go_from(self, pose: np.ndarray) -> float:
+        return self._object.to_go_from(pose)
 
 
 def make_planner(

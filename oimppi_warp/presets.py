@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from oimppi_warp.config import Config, EpisodeConfig, Method, Mppi, ObjectCost, ObjectLevel, RobotCost, RobotLevel
+from oimppi_warp.config import (
+    Config,
+    EpisodeConfig,
+    Method,
+    Mppi,
+    ObjectCost,
+    ObjectLevel,
+    Regrasp,
+    RobotCost,
+    RobotLevel,
+)
 
 
 def best(method: Method = "cloi") -> Config:
@@ -43,6 +53,7 @@ def paper(method: Method = "cloi") -> Config:
     return Config(
         preset="paper",
         reference="time",
+        regrasp=Regrasp(stall_seconds=0.0),
         robot=RobotLevel(mppi=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
         object=ObjectLevel(mppi=replace(mppi, horizon=object_horizon), noise_range=0.0),
         cost=RobotCost(

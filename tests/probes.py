@@ -40,6 +40,7 @@ class RobotCase:
     pressed: float
     speed_squared: float
     collision: float
+    guide: wp.vec4
 
 
 @wp.struct
@@ -146,4 +147,5 @@ def robot_cost_probe(weights: RobotWeights, cases: wp.array[RobotCase], out: wp.
         case.pressed,
         case.speed_squared,
         case.collision,
+        case.guide,
     )

@@ -129,13 +129,13 @@ def to_go(
     """Shortest way to a way [n, 3] and along it to its end, by Dijkstra over 26 neighbours.
 
     The grid ``clearance`` [yaw, x, y] has its first node at the base's axis; ``toll`` is of clearance and distance to
-    that axis. Within ``near`` of the way straight distances hold.
+    that axis. Within ``near`` of the way straight distances hold, and a metre along it costs half.
     """
     shape, turn = clearance.shape, 2.0 * np.pi / clearance.shape[0]
     index = np.arange(clearance.size).reshape(shape)
     source = clearance.size
     lengths = np.linalg.norm(_apart(way[1:], way[:-1], yaw_length), axis=1)
-    left = [lengths[i:].sum() for i in range(len(way))]
+    left = [0.5 * lengths[i:].sum() for i in range(len(way))]
     edges: list[tuple[Any, Any, Any]] = []
     for t, i, j in np.ndindex(*shape):
         straight = np.linalg.norm(_apart(np.array([step * i, step * j, turn * t]), way, yaw_length), axis=1)
@@ -246,6 +246,10 @@ def tilt_cost(rotation: np.ndarray) -> float:
     return float(np.hypot(np.arctan2(r[2, 1], r[2, 2]), np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))))
 
 
+NO_GUIDE = np.zeros(4)
+"""A guide that calls nowhere."""
+
+
 def robot_cost(
     w: RobotCost,
     *,
@@ -262,6 +266,7 @@ def robot_cost(
     pressed: float,
     speed_squared: float,
     collision: float = 0.0,
+    guide: np.ndarray = NO_GUIDE,
     edge: tuple[np.ndarray, np.ndarray] = (np.full(2, -np.inf), np.full(2, np.inf)),
 ) -> dict[str, float]:
     """Equations 15 to 19 and the terms of our own, weighted, by the names in ``kernels.cost.TERMS``."""
@@ -273,13 +278,14 @@ def robot_cost(
         "approach": w.w_ee * max(np.sum((tip - center) ** 2) - w.r_0**2, 0.0),
         "align": w.w_align * align_cost(tip[:2], pose[:2], target[:2], w.gamma_0, w.align_fade),
         "tilt": w.w_tilt * tilt_cost(rotation),
-        "height": w.w_height * (tip[2] - w.height) ** 2,
+        "height": 0.0 if guide[3] > 0.0 else w.w_height * (tip[2] - w.height) ** 2,
         "clearance": w.w_clearance * max(w.clearance - room, 0.0) ** 2,
         "above": w.w_above * above,
         "reach": w.w_reach * out_of_reach(pose, w.reach) + w.w_edge * over_edge(pose, edge),
         "press": w.w_press * pressed**2,
         "control": w.w_control * speed_squared,
         "collision": w.w_collision * max(collision - w.f_0, 0.0),
+        "guide": max(guide[3], 0.0) * np.sum((tip - guide[:3]) ** 2),
     }
 
 

@@ -175,7 +175,8 @@ def random_case(kind: Any) -> dict[str, Any]:
     return {
         name: RANDOM.uniform(-0.6, 0.6, 3) if name in vectors else float(RANDOM.uniform(-0.02, 0.05))
         for name in kind.vars
-    }
+        if name != "guide"
+    } | ({"guide": RANDOM.uniform(-0.6, 0.6, 4)} if "guide" in kind.vars else {})
 
 
 def packed_cases(cases: list[dict[str, Any]], kind: Any) -> wp.array:
@@ -183,7 +184,8 @@ def packed_cases(cases: list[dict[str, Any]], kind: Any) -> wp.array:
     for case in cases:
         struct = kind()
         for name, value in case.items():
-            setattr(struct, name, wp.vec3(*value) if isinstance(value, np.ndarray) else value)
+            vector = isinstance(value, np.ndarray)
+            setattr(struct, name, wp.types.vector(len(value), float)(*value) if vector else value)
         structs.append(struct)
     return wp.array(structs, dtype=kind, device="cpu")
 
@@ -289,7 +291,7 @@ def test_an_object_rollout_is_its_twins(to_go_weight):
     wrenches = RANDOM.normal(size=(12, 20, 3)) * 0.6 * dynamics.bound + [0.0, 0.5 * dynamics.bound[1], 0.0]
     costs, poses = roll_wrenches(dynamics, start, wrenches)
     if to_go_weight:
-        way = reference.pose_grid(dynamics._to_go)
+        way = reference.pose_grid(dynamics.to_go)
     else:
         way = Grid(np.zeros((2, 2, 2)), np.zeros(3), np.ones(3))
     body = Body.of(object_model(geometry, tool_friction=0.0))

@@ -14,7 +14,7 @@ from tasks import block, box, task
 from oimppi_warp.clearance import build_geometry, pose_field_at
 from oimppi_warp.kernels import navigation as kernels
 from oimppi_warp.kernels.geometry import PoseField
-from oimppi_warp.navigation import build_to_go, descend, path_lengths
+from oimppi_warp.navigation import build_to_go, path_lengths
 
 YAW_LENGTH = 0.1
 """Length that turning by one radian counts as [m]."""
@@ -122,14 +122,48 @@ def test_the_length_of_a_path_counts_its_turns_the_short_way():
     np.testing.assert_allclose(path_lengths(path, YAW_LENGTH), [0.05, turn])
 
 
+def followed(to_go: PoseField, pose: np.ndarray, goal: np.ndarray, *, step: float, steps: int) -> np.ndarray:
+    """The way [steps + 1, 3] that a cost-to-go leads."""
+    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
+    way = wp.zeros((1, steps + 1), dtype=wp.vec3, device="cpu")
+    wp.launch(kernels.follow_down, dim=1, inputs=[to_go, start, end, YAW_LENGTH, step], outputs=[way], device="cpu")
+    return way.numpy()[0].astype(float)
+
+
 def test_following_the_cost_to_go_brings_the_object_around_an_obstacle_to_its_goal():
     clearance = build_geometry(task(box(0.40, 0.0, (0.14, 0.06, 0.1)), pushed=block()), "cpu").clearance
     goal = np.array([0.42, 0.2, 0.5])
     to_go = build_to_go(clearance, goal, yaw_length=YAW_LENGTH, device="cpu")
-    way = descend(to_go, np.array([0.40, -0.2, 0.0]), yaw_length=YAW_LENGTH, step=0.006, steps=150)
-    np.testing.assert_allclose(way[0], [0.40, -0.2, 0.0])
-    assert np.linalg.norm(way[-1, :2] - goal[:2]) < 0.02
-    assert abs(reference.wrap_angle(way[-1, 2] - goal[2])) < 0.15
+    pose = np.array([0.40, -0.2, 0.0])
+    way = followed(to_go, pose, goal, step=0.006, steps=150)
+    np.testing.assert_allclose(way[0], pose, atol=1e-6)
+    np.testing.assert_allclose(way[-1], goal, atol=1e-3)
     grid = pose_grid(clearance)
     assert min(grid.at(pose)[0] for pose in way) > 0.0
-    assert (path_lengths(way, YAW_LENGTH) < 0.006 + 1e-9).all()
+    assert (path_lengths(way, YAW_LENGTH) < 0.006 + 1e-6).all()
+    arrived = int(np.argmax(np.linalg.norm(way[:, :2] - goal[:2], axis=1) < 1e-3))
+    straight = pose_field_at(to_go, pose)
+    assert path_lengths(way[: arrived + 1], YAW_LENGTH).sum() < 1.1 * straight
+
+
+def test_a_way_down_stops_nowhere_on_its_way():
+    """From all over the table, corners of obstacles included: wherever it is, it gets on."""
+    clearance = build_geometry(task(box(0.40, 0.0, (0.14, 0.06, 0.1)), pushed=block()), "cpu").clearance
+    goal = np.array([0.42, 0.2, 0.5])
+    to_go = build_to_go(clearance, goal, yaw_length=YAW_LENGTH, device="cpu")
+    random = np.random.default_rng(2)
+    for pose in random.uniform([0.2, -0.3, -np.pi], [0.6, 0.3, np.pi], (60, 3)):
+        way = followed(to_go, pose, goal, step=0.006, steps=250)
+        left = np.linalg.norm((way[-1] - goal)[:2])
+        assert left < 0.01, (pose, way[-1])
+        assert abs(reference.wrap_angle(way[-1, 2] - goal[2])) < 0.05
+
+
+def test_a_bound_to_start_from_changes_nothing():
+    way = np.array([[0.02, 0.09, 3.0], [0.05, 0.09, 3.4], [0.09, 0.085, 3.9], [0.121, 0.033, 5.0]])
+    bound = build_to_go(field_of(walled()), way[-1], yaw_length=YAW_LENGTH, reach=REACH, device="cpu")
+    found, expected = (
+        build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, reach=REACH, bound=known, device="cpu")
+        for known in (bound, None)
+    )
+    np.testing.assert_allclose(found.values.numpy(), expected.values.numpy(), atol=1e-3)

@@ -58,11 +58,13 @@ class RobotDynamics(Dynamics, Protocol):
         terms: Names of the cost terms.
         reference: Where the object should be at each step from now, poses of its friction centre, an input of the step
             (:class:`oimppi_warp.compute.Compute`); its length is the number of poses that the engine needs.
+        guide: Where the tip is called to and the weight of that, an input [1] of (x, y, z [m], weight [1/m^2]).
     """
 
     one_graph: bool
     terms: tuple[str, ...]
     reference: Slot
+    guide: Slot
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
         """The state to plan from, and the goal [3] of the object's friction centre."""

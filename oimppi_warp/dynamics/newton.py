@@ -90,6 +90,7 @@ class NewtonDynamics(ABC):
         self._rollouts = level.mppi.samples * draws.per_sample
         self._goal = compute.input(1, wp.vec3)
         self.reference = compute.input(self._horizon + 1 + cost.align_ahead, wp.vec3)
+        self.guide = compute.input(1, wp.vec4)
         size = (self._rollouts, self._horizon)
         self.forces = wp.zeros(size, dtype=wp.vec2, device=device)
         self.tips = wp.zeros(size, dtype=wp.vec3, device=device)
@@ -141,6 +142,7 @@ class NewtonDynamics(ABC):
             wp.vec2(*self._surface.center),
             self._goal.array,
             self.reference.array,
+            self.guide.array,
             self._align_ahead,
             controls,
             draws.per_sample,

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import warp as wp
 
-from oimppi_warp.clearance import Geometry
+from oimppi_warp.clearance import Geometry, pose_field_at
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import ObjectCost, ObjectLevel
 from oimppi_warp.dynamics.packing import object_model
@@ -29,6 +29,7 @@ class ObjectDynamics:
         compute: Where to compute.
 
     Attributes:
+        to_go: The cost-to-go, empty where it does not count [m].
         path: The poses that :meth:`trace` found, an output of shape [horizon + 1].
         setup_seconds: Wall time of making or reading the cost-to-go [s].
     """
@@ -52,12 +53,13 @@ class ObjectDynamics:
         self._weights.reach_lower, self._weights.reach_upper = cost.reach
         began = time.perf_counter()
         if cost.w_to_go > 0.0:
-            self._to_go = build_to_go(
+            self.to_go = build_to_go(
                 geometry.clearance, goal, yaw_length=level.yaw_length, reach=cost.reach, device=device
             )
         else:
-            self._to_go = PoseField()
-            self._to_go.values = wp.zeros((0, 0, 0), dtype=float, device=device)
+            self.to_go = PoseField()
+            self.to_go.values = wp.zeros((0, 0, 0), dtype=float, device=device)
+        self._to_go_values = self.to_go.values.numpy()
         self.setup_seconds = time.perf_counter() - began
         self._start = compute.input(1, wp.vec3)
         self._goal = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=device)
@@ -69,6 +71,10 @@ class ObjectDynamics:
         """Where the object is: pose [3] of its friction centre."""
         self._start.host[0] = pose
 
+    def to_go_at(self, pose: np.ndarray) -> float | None:
+        """The cost-to-go at a pose [3] [m]; ``None`` where there is none."""
+        return None if self._to_go_values.size == 0 else pose_field_at(self.to_go, pose, self._to_go_values)
+
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         """Prepares the cost of each wrench sequence; see :class:`oimppi_warp.dynamics.base.Dynamics`."""
         return self.launch(controls, costs, self._unused)
@@ -79,5 +85,5 @@ class ObjectDynamics:
 
     def launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> Launch:
         """Prepares costs [sample] and poses [sample, horizon + 1] (or none) of wrenches [sample, horizon]."""
-        inputs = [self._model, self._weights, self._to_go, self._start.array, self._goal, controls, self._dt]
+        inputs = [self._model, self._weights, self.to_go, self._start.array, self._goal, controls, self._dt]
         return self.compute.launch_samples(object_rollout, controls.shape[0], inputs, [costs, poses])

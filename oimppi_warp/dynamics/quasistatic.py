@@ -69,6 +69,7 @@ class QuasistaticDynamics:
         self._object = compute.input(1, wp.vec3)
         self._goal = compute.input(1, wp.vec3)
         self.reference = compute.input(horizon + 1 + cost.align_ahead, wp.vec3)
+        self.guide = compute.input(1, wp.vec4)
         self._no_terms = wp.zeros(0, dtype=CostTerms, device=device)
         self._no_poses = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self._trace_cost = wp.zeros(1, dtype=float, device=device)
@@ -126,6 +127,7 @@ class QuasistaticDynamics:
             self._object.array,
             self._goal.array,
             self.reference.array,
+            self.guide.array,
             self._align_ahead,
             controls,
             self._dt,
