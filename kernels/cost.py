@@ -192,7 +192,8 @@ def robot_cost(
         speed_squared: Squared norm of the joint velocities [rad^2/s^2].
         collision: Contact force of robot and environment, lambda_3 [N].
         guide: Where the tip is called to while the object is let go, and the weight of that [1/m^2]; a weight of zero
-            is none. The tip's height is the guide's matter then.
+            is none. Where the tip is and how high are the guide's matter then, not those of ``approach``, ``align`` and
+            ``height``.
     """
     terms = CostTerms()
     terms[0] = w.w_d * pose_distance_squared(pose, goal, w.w_theta)
@@ -205,6 +206,8 @@ def robot_cost(
     terms[5] = w.w_tilt * tilt_cost(up)
     if guide[3] > 0.0:
         terms[13] = guide[3] * wp.length_sq(tip - wp.vec3(guide[0], guide[1], guide[2]))
+        terms[3] = 0.0
+        terms[4] = 0.0
     else:
         terms[6] = w.w_height * squared(tip[2] - w.height)
     terms[7] = w.w_clearance * shortfall(room, w.clearance)

@@ -136,34 +136,45 @@ def sweep_to_go(
 
 @wp.func
 def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) -> wp.vec3:
-    """The pose a step further down the cost-to-go: along the gradient, or where that has a kink, the best way around.
+    """The pose a step further down the cost-to-go.
 
-    The 26-neighbour metric and the edges of obstacles give the field kinks at which a gradient step does not get on.
+    Along the gradient where that gets on. Where it does not (at kinks of the field, and in ways as narrow as the grid,
+    where the values between the nodes are spoiled by the obstacles beside them), towards the node around the pose from
+    which least is left, the way to it counted: by the way the field is made, one of them always leads on.
     """
     field = pose_field(to_go, pose)
     scale = wp.vec3(1.0, 1.0, 1.0 / yaw_length)
     slope = wp.vec3(field[1], field[2], field[3] / yaw_length)
-    best = pose
-    least = field[0]
     size = wp.length(slope)
     if size > 1.0e-6:
         ahead = pose - (step / size) * wp.cw_mul(scale, slope)
-        value = pose_field(to_go, ahead)[0]
-        if value < field[0] - 0.7 * step:
-            best = ahead
-            least = -1.0
-    if least >= 0.0:
-        reach = wp.max(step, 1.0 / to_go.inv_step)
-        steepest = float(0.0)
-        for k in range(27):
-            d = wp.vec3(float(k / 9 - 1), float((k / 3) % 3 - 1), float(k % 3 - 1))
-            if k != 13:
-                d = wp.normalize(d)
-                value = pose_field(to_go, pose + reach * wp.cw_mul(scale, d))[0]
-                if value - field[0] < steepest:
-                    steepest = value - field[0]
-                    best = pose + step * wp.cw_mul(scale, d)
-    return best
+        if pose_field(to_go, ahead)[0] < field[0] - 0.7 * step:
+            return ahead
+    turns = to_go.values.shape[0]
+    x = (pose[0] - to_go.origin[0]) * to_go.inv_step
+    y = (pose[1] - to_go.origin[1]) * to_go.inv_step
+    t = pose[2] * to_go.inv_yaw_step
+    i0 = int(wp.floor(x)) - 1
+    j0 = int(wp.floor(y)) - 1
+    t0 = int(wp.floor(t)) - 1
+    least = float(1.0e9)
+    way = wp.vec3()
+    for a in range(4):
+        for b in range(4):
+            for c in range(4):
+                i = i0 + b
+                j = j0 + c
+                if i >= 0 and i < to_go.values.shape[1] and j >= 0 and j < to_go.values.shape[2]:
+                    to = wp.vec3(
+                        (float(i) - x) / to_go.inv_step,
+                        (float(j) - y) / to_go.inv_step,
+                        yaw_length * (float(t0 + a) - t) / to_go.inv_yaw_step,
+                    )
+                    value = to_go.values[((t0 + a) % turns + turns) % turns, i, j] + 0.4 * wp.length(to)
+                    if value < least:
+                        least = value
+                        way = to
+    return pose + wp.min(1.0, step / wp.max(wp.length(way), 1.0e-6)) * wp.cw_mul(scale, way)
 
 
 @wp.kernel

@@ -218,7 +218,7 @@ class Regrasp:
 
     stall_seconds: float = 3.0
     headway: float = 0.01
-    w_guide: float = 100.0
+    w_guide: float = 400.0
     longest_seconds: float = 4.0
 
 

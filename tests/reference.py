@@ -275,8 +275,10 @@ def robot_cost(
         "goal": w.w_d * pose_distance_squared(pose, goal, w.w_theta),
         "contact": w.w_f * max(force - w.f_0, 0.0) ** 2,
         "reference": w.w_reference * pose_distance_squared(pose, reference, w.w_theta),
-        "approach": w.w_ee * max(np.sum((tip - center) ** 2) - w.r_0**2, 0.0),
-        "align": w.w_align * align_cost(tip[:2], pose[:2], target[:2], w.gamma_0, w.align_fade),
+        "approach": 0.0 if guide[3] > 0.0 else w.w_ee * max(np.sum((tip - center) ** 2) - w.r_0**2, 0.0),
+        "align": 0.0
+        if guide[3] > 0.0
+        else w.w_align * align_cost(tip[:2], pose[:2], target[:2], w.gamma_0, w.align_fade),
         "tilt": w.w_tilt * tilt_cost(rotation),
         "height": 0.0 if guide[3] > 0.0 else w.w_height * (tip[2] - w.height) ** 2,
         "clearance": w.w_clearance * max(w.clearance - room, 0.0) ** 2,

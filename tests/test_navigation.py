@@ -159,6 +159,23 @@ def test_a_way_down_stops_nowhere_on_its_way():
         assert abs(reference.wrap_angle(way[-1, 2] - goal[2])) < 0.05
 
 
+def test_a_way_down_leads_through_a_gap_as_narrow_as_the_grid():
+    """A free way one node wide that winds through the grid; beside it every node is blocked."""
+    clearance = np.full((8, 30, 12), -0.01)
+    free = [(2, i, 5) for i in range(3, 12)] + [(3, i, 6) for i in range(12, 18)] + [(2, i, 7) for i in range(18, 27)]
+    for node in free:
+        clearance[node] = 0.001
+    field = field_of(clearance)
+    goal, pose = (np.array([0.01 * i, 0.01 * j, t * np.pi / 4.0]) for t, i, j in (free[-1], free[0]))
+    to_go = build_to_go(field, goal, yaw_length=0.01, device="cpu")
+    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
+    way = wp.zeros((1, 121), dtype=wp.vec3, device="cpu")
+    wp.launch(kernels.follow_down, dim=1, inputs=[to_go, start, end, 0.01, 0.006], outputs=[way], device="cpu")
+    np.testing.assert_allclose(way.numpy()[0, -1], goal, atol=1e-3)
+    left = np.linalg.norm(way.numpy()[0, :, :2] - goal[:2], axis=1)
+    assert (left[5:] < left[:-5] + 1e-6).all(), "it does not turn around"
+
+
 def test_a_bound_to_start_from_changes_nothing():
     way = np.array([[0.02, 0.09, 3.0], [0.05, 0.09, 3.4], [0.09, 0.085, 3.9], [0.121, 0.033, 5.0]])
     bound = build_to_go(field_of(walled()), way[-1], yaw_length=YAW_LENGTH, reach=REACH, device="cpu")
