@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg, subcommand
 
+from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.config import Config, Method
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.task import make_config, make_task, parse_pose, parse_start
@@ -176,6 +177,9 @@ class Scenes:
 
 Command = (
     Annotated[Run, subcommand("run", prefix_name=False)]
+    | Annotated[Bench, subcommand("bench", prefix_name=False)]
+    | Annotated[Report, subcommand("report", prefix_name=False)]
+    | Annotated[Compare, subcommand("compare", prefix_name=False)]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]

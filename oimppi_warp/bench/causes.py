@@ -90,7 +90,9 @@ def _left_again(log: EpisodeLog) -> Cause | None:
     if not inside.any():
         return None
     last = float(log["time"][np.flatnonzero(inside)[-1]])
-    return Cause("at the goal, but did not stay", f"last within tolerance at {last:.1f} s, {_to_go(log)} to go at the end")
+    return Cause(
+        "at the goal, but did not stay", f"last within tolerance at {last:.1f} s, {_to_go(log)} to go at the end"
+    )
 
 
 def _yaw_only(log: EpisodeLog) -> Cause | None:
@@ -140,7 +142,9 @@ def _wrong_side(log: EpisodeLog) -> Cause | None:
 def _on_its_way(log: EpisodeLog) -> Cause | None:
     last = _last(log)
     if _gained(log, last) > MOVED:
-        return Cause("time was up on the way", f"{_to_go(log)} to go, {_gained(log, last):.2f} m gained in the last {LAST:g} s")
+        return Cause(
+            "time was up on the way", f"{_to_go(log)} to go, {_gained(log, last):.2f} m gained in the last {LAST:g} s"
+        )
     if _way(log, last) > 2 * MOVED:
         text = f"moved {_way(log, last):.2f} m in the last {LAST:g} s and came no nearer, {_to_go(log)} to go"
         return Cause("pushed to and fro", text)

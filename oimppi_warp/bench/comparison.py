@@ -1,4 +1,4 @@
-"""Two sets of results in pairs: the same task, method and start on both sides, so that a hard start is hard for both."""
+"""Two sets of results in pairs: the same task, method and start on both sides, so that a hard start is so for both."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """p of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947): a fair coin for each pair that differs."""
+    """The p of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947): a fair coin for each pair that differs."""
     if only_first + only_second == 0:
         return 1.0
     from scipy.stats import binomtest
@@ -119,7 +119,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def signed_rank(first: np.ndarray, second: np.ndarray) -> float:
-    """p of the Wilcoxon signed-rank test, two-sided; pairs without a difference are left out (Wilcoxon's own way)."""
+    """The p of the Wilcoxon signed-rank test, two-sided; pairs without a difference are left out, as Wilcoxon did."""
     if not len(first):
         return math.nan
     if not np.any(first != second):

@@ -1,4 +1,4 @@
-"""With what a result was made: the machine, the versions, and a hash of our own code. No names of machines or people."""
+"""With what a result was made: the machine and a hash of our own code. It names no machine and nobody."""
 
 from __future__ import annotations
 

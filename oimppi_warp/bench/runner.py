@@ -180,11 +180,15 @@ def cluster_backend(backend: str, cluster: str, jobs: int | None) -> Iterator[No
             if backend == "dask":
                 import distributed
 
-                options: dict[str, Any] = {"address": cluster} if cluster else {
-                    "n_workers": jobs or joblib.cpu_count(),
-                    "threads_per_worker": 1,
-                    "dashboard_address": None,
-                }
+                options: dict[str, Any] = (
+                    {"address": cluster}
+                    if cluster
+                    else {
+                        "n_workers": jobs or joblib.cpu_count(),
+                        "threads_per_worker": 1,
+                        "dashboard_address": None,
+                    }
+                )
                 stack.enter_context(distributed.Client(**options))
             elif backend == "ray":
                 import ray  # pyright: ignore[reportMissingImports]

@@ -61,7 +61,7 @@ class Statistics:
     Attributes:
         success, tight: Rates at the task's tolerance and at the tight one.
         tight_counts: Whether all trials went on to the tight tolerance.
-        error, error_success: Position error averaged over the whole episode, mean over all trials and over successes [m].
+        error, error_success: Position error averaged over the whole episode: mean of all trials, of successes [m].
         error_until, error_until_success: The same until success, which is the paper's epsilon_d [m].
         steps, time: Control steps and simulated time [s] to success, median over successes.
         total_time: The paper's T, mean over successes [s]: planning and moving until success.

@@ -51,6 +51,7 @@ class Entry:
         max_sim_seconds: Time limit of an episode [simulated s], if another than the preset's.
         mode: ``lockstep``, or ``realtime``: trials that run against the clock run one at a time.
         plant: ``ideal`` or ``lab``.
+        label: Tells entries with the same tasks and methods apart: it is put behind the task's name.
     """
 
     tasks: tuple[str, ...] = ()
@@ -65,6 +66,7 @@ class Entry:
     max_sim_seconds: float | None = None
     mode: str = "lockstep"
     plant: str = "ideal"
+    label: str = ""
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,12 @@ class Suite:
         """The suite with the same changes in all entries; those that are ``None`` are left out."""
         wanted = {name: value for name, value in changes.items() if value is not None}
         suite = replace(self, entries=tuple(replace(entry, **wanted) for entry in self.entries))
+        _check_settings(suite)
+        return suite
+
+    def assigned(self, assignments: tuple[str, ...]) -> Suite:
+        """The suite with settings (``NAME=VALUE``) changed in all entries, after their own."""
+        suite = replace(self, entries=tuple(replace(each, set=(*each.set, *assignments)) for each in self.entries))
         _check_settings(suite)
         return suite
 
@@ -174,8 +182,12 @@ def _find(suite: str | Path) -> Path:
     if file.is_file():
         return file.resolve()
     near = difflib.get_close_matches(file.stem, names, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]}?" if near else "`oimppi bench` without a name lists them; docs/bench.md has the keys"
-    raise ConfigError(f"{suite}: no such suite\n  allowed: a TOML file, or one of {', '.join(names)}\n  to do:   {hint}")
+    hint = (
+        f"did you mean {near[0]}?" if near else "`oimppi bench` without a name lists them; docs/bench.md has the keys"
+    )
+    raise ConfigError(
+        f"{suite}: no such suite\n  allowed: a TOML file, or one of {', '.join(names)}\n  to do:   {hint}"
+    )
 
 
 def _texts(value: Any) -> bool:
@@ -214,6 +226,7 @@ _KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "max_sim_seconds": (lambda value: _number(value) and value > 0, "a number of seconds above zero"),
     "mode": _one_of(MODES),
     "plant": _one_of(PLANTS),
+    "label": (lambda value: isinstance(value, str) and value.replace("_", "").isalnum(), "letters, digits and _"),
 }
 """For each key: whether a value may stand there, and what is allowed."""
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from oimppi_warp.bench.suite import MODES, MOST, PLANTS, Entry, Suite
 from oimppi_warp.config import Config, Method
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.log import to_json
 from oimppi_warp.task import make_config, make_task
 
@@ -24,7 +25,7 @@ class Trial:
     """One episode that is to be run.
 
     Attributes:
-        task: Short name of the scene.
+        task: Short name of the scene, with the entry's label behind it if it has one.
         scene: What to load it by: the name of a shipped scene, or a file.
         content: Hash of the scene's files.
         method, preset, engine, device, threads, mode, plant: As in the suite.
@@ -59,9 +60,7 @@ class Trial:
     @property
     def config(self) -> Config:
         """All settings."""
-        return make_config(
-            self.preset, self.method, assignments=self.assignments, max_sim_seconds=self.max_sim_seconds
-        )
+        return make_config(self.preset, self.method, assignments=self.assignments, max_sim_seconds=self.max_sim_seconds)
 
     @property
     def key(self) -> str:
@@ -70,7 +69,14 @@ class Trial:
         Threads count only in real time: they change no bit of a plan.
         """
         facts = asdict(self) | {"config": to_json(self.config)}
-        for name in ("scene", "number", "preset", "assignments", "max_sim_seconds", *(["threads"] * (not self.real_time))):
+        for name in (
+            "scene",
+            "number",
+            "preset",
+            "assignments",
+            "max_sim_seconds",
+            *(["threads"] * (not self.real_time)),
+        ):
             del facts[name]
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -130,24 +136,33 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
 
     Raises:
         SceneError: A scene cannot be read, or no start can be drawn.
+        ConfigError: Two entries have the same task and method, and no labels to tell them apart.
     """
     from oimppi_warp.usd import load_scene, scene_content
 
-    trials: dict[str, Trial] = {}
+    trials: list[Trial] = []
     scenes: dict[str, Scene] = {}
+    known: set[tuple[str, str]] = set()
     for entry in suite.entries:
         for task in entry.tasks:
             path = _scene_path(suite, task)
             scene = load_scene(path)
-            scenes.setdefault(scene.name, scene)
+            name = f"{scene.name}-{entry.label}" if entry.label else scene.name
+            for method in entry.methods:
+                if (name, method) in known:
+                    raise ConfigError(
+                        f"{suite.file}: {method} on {name} stands there twice\n"
+                        '  to do:   give one of its entries a label = "..."'
+                    )
+                known.add((name, method))
+            scenes[name] = scene
             content = scene_content(scene.file)
             for number in range(entry.trials):
                 seed = MOST * entry.seed + number
                 start = _start(scene, number, seed)
                 for method in entry.methods:
-                    trial = _trial(entry, scene.name, path, content, method, number, seed, start)
-                    trials.setdefault(trial.key, trial)  # two entries may overlap
-    return list(trials.values()), scenes
+                    trials.append(_trial(entry, name, path, content, method, number, seed, start))
+    return trials, scenes
 
 
 def _scene_path(suite: Suite, task: str) -> str:

@@ -7,6 +7,7 @@ import signal
 import time
 import traceback
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 
 from oimppi_warp.bench.provenance import code_content, machine, without_paths
@@ -45,10 +46,8 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
         KeyboardInterrupt: Ctrl-C, in the leading process.
     """
     if os.getpid() != leader:
-        try:
+        with suppress(ValueError):  # a thread of a cluster's worker may not
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        except ValueError:
-            pass  # a thread of a cluster's worker may not
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     import warp as wp
