@@ -55,14 +55,10 @@ def likely_cause(log: EpisodeLog, *, reach: float = math.inf) -> Cause:
         return Cause("the simulation diverged", f"after {_seconds(log)}")
     if not len(log):
         return Cause("nothing was run", "the log has no steps")
-    for rule in (_out_of_reach, _not_reached, _left_again, _yaw_only, _jammed, _arm_blocked, _wrong_side, _on_its_way):
-        if rule is _out_of_reach:
-            cause = _out_of_reach(log, reach)
-        else:
-            cause = rule(log)
-        if cause is not None:
-            return cause
-    return Cause("stood still", f"{_to_go(log)} to go, nothing in the way")
+    cause = _out_of_reach(log, reach)
+    for rule in (_not_reached, _left_again, _yaw_only, _jammed, _arm_blocked, _wrong_side, _on_its_way):
+        cause = cause or rule(log)
+    return cause or Cause("stood still", f"{_to_go(log)} to go, nothing in the way")
 
 
 def _fell(log: EpisodeLog) -> Cause:

@@ -245,15 +245,16 @@ def _summary(results: ResultSet, folder: Path) -> None:
 def _print_table(table: Table) -> None:
     """A table to the terminal; as wide as it is where the output is no terminal."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table as Grid
 
     if not table.rows:
         return
-    grid = Grid(title=table.title, title_justify="left", box=None, header_style="dim", padding=(0, 2, 0, 0))
+    grid = Grid(title=escape(table.title), title_justify="left", box=None, header_style="dim", padding=(0, 2, 0, 0))
     for index, name in enumerate(table.header):
-        grid.add_column(name, justify="left" if index < 2 else "right", overflow="fold")
+        grid.add_column(escape(name), justify="left" if index < 2 else "right", overflow="fold")
     for row in table.rows:
-        grid.add_row(*row)
+        grid.add_row(*map(escape, row))
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=1000)

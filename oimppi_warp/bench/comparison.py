@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,7 +126,8 @@ def signed_rank(first: np.ndarray, second: np.ndarray) -> float:
         return 1.0
     from scipy.stats import wilcoxon
 
-    return float(wilcoxon(second, first, zero_method="wilcox").pvalue)
+    _, p = wilcoxon(second, first, zero_method="wilcox")
+    return float(p)  # pyright: ignore[reportArgumentType]
 
 
 def _paired(pairs: Sequence[Pair], key: str, name: str, both_succeed: bool) -> Paired:
@@ -135,11 +136,11 @@ def _paired(pairs: Sequence[Pair], key: str, name: str, both_succeed: bool) -> P
     first, second = values[np.isfinite(values).all(axis=1)].T
     if not len(first):
         return Paired(name, 0, math.nan, math.nan, math.nan, math.nan)
-    middle = (float(np.median(values)) for values in (first, second, second - first))
-    return Paired(name, len(first), *middle, signed_rank(first, second))
+    middle = [float(np.median(values)) for values in (first, second, second - first)]
+    return Paired(name, len(first), middle[0], middle[1], middle[2], signed_rank(first, second))
 
 
-def _matched(first: Sequence[Result], second: Sequence[Result], identity) -> list[Pair]:
+def _matched(first: Sequence[Result], second: Sequence[Result], identity: Callable[[Result], Hashable]) -> list[Pair]:
     """Pairs of results with the same identity, in the first one's order."""
     others = {identity(result): result for result in second}
     return [(result, others[identity(result)]) for result in first if identity(result) in others]

@@ -9,9 +9,11 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter, StrMethodFormatter
 
 from oimppi_warp.bench.paper import REPORTED
 from oimppi_warp.bench.place import moved
@@ -67,7 +69,7 @@ def success_figure(results: ResultSet) -> Figure:
                 continue
             stats, x = summarize_results(found), place + (index - (len(methods) - 1) / 2) * width
             rate = stats.success
-            axes.bar(x, rate.share, 0.88 * width, color=(*matplotlib.colors.to_rgb(color), 0.35))
+            axes.bar(x, rate.share, 0.88 * width, color=(*to_rgb(color), 0.35))
             if stats.tight_counts:
                 axes.bar(x, stats.tight.share, 0.88 * width, color=color)
             spread = [[rate.share - rate.low], [rate.high - rate.share]]
@@ -88,7 +90,7 @@ def success_figure(results: ResultSet) -> Figure:
     axes.set(ylim=(0, 1.04), ylabel="success rate", xlim=(-0.6, len(tasks) - 0.4))
     axes.set_xticks(range(len(tasks)), tasks)
     axes.tick_params(axis="x", length=0, pad=14)
-    axes.yaxis.set_major_formatter(matplotlib.ticker.PercentFormatter(1.0))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.grid(visible=False, axis="x")
     handles: list[Any] = [Patch(color=METHOD_COLORS[method], label=method.upper()) for method in methods]
     if beside:
@@ -140,18 +142,17 @@ def plan_figure(results: ResultSet) -> Figure:
         middle = int(np.searchsorted(np.cumsum(share), share.sum() / 2))
         at = math.sqrt(PLAN_BINS[middle] * PLAN_BINS[middle + 1])
         axes.axvline(at, color=INK, lw=1.2)
-        label = f"{at:.0f} ms" if at >= 10 else f"{at:.1f} ms"
-        where: Any = ("data", "axes fraction")
-        axes.annotate(label, (at, 0.92), (5, 0), xycoords=where, textcoords="offset points", va="top", fontsize=8)
+        text = f"median {at:.0f} ms" if at >= 10 else f"median {at:.1f} ms"
+        axes.set_title(text, loc="right", fontsize=8, fontweight="normal")
         used = np.flatnonzero(share > 0.001 * share.sum())
-        shown += [PLAN_BINS[used[0]], PLAN_BINS[used[-1] + 1]]
+        shown += [float(PLAN_BINS[used[0]]), float(PLAN_BINS[used[-1] + 1])]
     panels[-1].set(xscale="log", xlabel="wall time of a plan [ms]")
     if shown:
         panels[-1].set_xlim(0.7 * min(shown), 1.4 * max(shown))
     ticks = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
-    panels[-1].xaxis.set_major_locator(matplotlib.ticker.FixedLocator(ticks))
-    panels[-1].xaxis.set_major_formatter(matplotlib.ticker.StrMethodFormatter("{x:g}"))
-    panels[-1].xaxis.set_minor_locator(matplotlib.ticker.NullLocator())
+    panels[-1].xaxis.set_major_locator(FixedLocator(ticks))
+    panels[-1].xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    panels[-1].xaxis.set_minor_locator(NullLocator())
     return figure
 
 
@@ -195,7 +196,7 @@ def _draw_run(axes: Axes, place: dict[str, Any], run: Result) -> None:
     axes.plot(way[:, 0], way[:, 1], color=color, lw=1.1, alpha=0.8, zorder=4)
     axes.plot(*way[0, :2], marker="o", ms=2.5, color=color, zorder=4)
     rings = moved(place["object"], way[-1])
-    add_rings(axes, rings, fc=(*matplotlib.colors.to_rgb(color), 0.06), ec=color, lw=0.7, alpha=0.7, zorder=3)
+    add_rings(axes, rings, fc=(*to_rgb(color), 0.05), ec=(*to_rgb(color), 0.75), lw=0.8, zorder=3)
 
 
 def _frame(place: dict[str, Any], runs: Sequence[Result]) -> tuple[np.ndarray, np.ndarray]:

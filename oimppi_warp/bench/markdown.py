@@ -56,15 +56,10 @@ def facts(results: ResultSet) -> list[str]:
             f"**Made by {len(results.codes)} versions of the code** ({', '.join(results.codes)}); run the suite into a "
             "new folder to have them all by one."
         )
-    for name, values in (
-        ("Preset", [result.preset for result in found]),
-        ("Engine", [result.engine for result in found]),
-        ("Mode", [f"{result.mode}, {result.plant} plant" for result in found]),
-        ("Machine", [result.machine for result in found]),
-    ):
-        text.append(f"{name}: {'; '.join(dict.fromkeys(values))}.")
+    kinds = dict.fromkeys(f"{r.preset}, engine {r.engine}, {r.mode}, {r.plant} plant" for r in found)
+    machines = dict.fromkeys(result.machine for result in found)
     packages = ", ".join(f"{name} {version}" for name, version in results.versions.items())
-    text.append(f"Code {', '.join(results.codes)}; {packages}.")
+    text.append(f"Preset {'; '.join(kinds)}. On {'; '.join(machines)}. Code {', '.join(results.codes)}; {packages}.")
     return text
 
 

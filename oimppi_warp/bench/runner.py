@@ -225,7 +225,9 @@ def _outcomes(trials: list[Trial], *, jobs: int, backend: str) -> Iterator[Outco
             with parallel_config(backend=backend, n_jobs=jobs):
                 for batch, way in _batches(list(todo.values()), backend):
                     calls = (delayed(run_trial)(trial, os.getpid()) for trial in batch)
-                    for outcome in Parallel(return_as=way, batch_size=1, pre_dispatch="2*n_jobs")(calls):
+                    one: Any = 1  # a trial at a time
+                    parallel: Any = Parallel(return_as=way, batch_size=one, pre_dispatch="2*n_jobs")
+                    for outcome in parallel(calls):
                         del todo[outcome.trial.key]
                         yield outcome
         except TerminatedWorkerError as error:
