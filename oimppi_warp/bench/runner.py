@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
@@ -63,10 +64,9 @@ class SuiteRun:
 
         self.trials, scenes = make_trials(self.suite)
         self.places = {name: place_of(scene) for name, scene in scenes.items()}
-        for trial in self.trials:
-            result = self._kept(trial)
-            if result is not None and not (self.retry and result.error):
-                self.finished[trial.key] = result
+        self._read_kept()
+        if self.retry:
+            self.finished = {key: result for key, result in self.finished.items() if not result.error}
 
     @property
     def open(self) -> list[Trial]:
@@ -107,6 +107,7 @@ class SuiteRun:
                             self.results().save(self.folder / FILE)
                             saved = time.monotonic()
         finally:
+            self._read_kept()  # Ctrl-C may have come just after a trial was written
             found = self.results()
             found.save(self.folder / FILE)
         return found
@@ -146,6 +147,11 @@ class SuiteRun:
 
     def _folder(self, trial: Trial) -> Path:
         return self.folder / "trials" / trial.name
+
+    def _read_kept(self) -> None:
+        for trial in self.trials:
+            if trial.key not in self.finished and (result := self._kept(trial)) is not None:
+                self.finished[trial.key] = result
 
     def _kept(self, trial: Trial) -> Result | None:
         """The result of a finished trial; a file that cannot be read counts as none."""
@@ -222,7 +228,8 @@ def _outcomes(trials: list[Trial], *, jobs: int, backend: str) -> Iterator[Outco
     while todo:
         before = len(todo)
         try:
-            with parallel_config(backend=backend, n_jobs=jobs):
+            with parallel_config(backend=backend, n_jobs=jobs), warnings.catch_warnings():
+                warnings.filterwarnings("ignore", message=".*tasks which were still being processed")  # after Ctrl-C
                 for batch, way in _batches(list(todo.values()), backend):
                     calls = (delayed(run_trial)(trial, os.getpid()) for trial in batch)
                     one: Any = 1  # a trial at a time

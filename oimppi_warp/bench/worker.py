@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 import traceback
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 
 from oimppi_warp.bench.provenance import code_content, machine, without_paths
 from oimppi_warp.bench.trial import Trial, make_episode
@@ -48,6 +50,8 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
     if os.getpid() != leader:
         with suppress(ValueError):  # a thread of a cluster's worker may not
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if os.getppid() == leader:
+            _end_with_leader()
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     import warp as wp
@@ -64,3 +68,16 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
     if log is not None and log.header["ended"] == "interrupted":
         raise KeyboardInterrupt
     return Outcome(trial, log, error, time.perf_counter() - began, code_content(), machine())
+
+
+@cache
+def _end_with_leader() -> None:
+    """From now on this process ends when the one that started it does, even if that one is killed."""
+    leader = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == leader:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
