@@ -34,7 +34,7 @@ def test_an_object_in_the_middle_of_nothing_stood_still():
 
 
 @pytest.mark.parametrize(
-    ("ended", "name"), [("object fell", "the object fell"), ("diverged", "the simulation diverged")]
+    ("ended", "name"), [("object fell", "the object fell or tipped over"), ("diverged", "the simulation diverged")]
 )
 def test_how_the_episode_ended_comes_first(ended: str, name: str):
     log = stuck()
@@ -61,6 +61,13 @@ def test_an_object_that_was_at_its_goal_and_left_it():
     log["position_error"][50:53] = 0.1
     log["yaw_error"][50:53] = 0.1
     assert cause(log) == "at the goal, but did not stay"
+
+
+def test_time_that_was_up_when_the_object_had_just_arrived():
+    log = stuck()
+    log["position_error"][-3:] = 0.1
+    log["yaw_error"][-3:] = 0.1
+    assert cause(log) == "time was up at the goal"
 
 
 def test_an_object_that_is_there_but_turned_wrong():

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from made_results import make_one, make_set
 
 from oimppi_warp.bench import paper
+from oimppi_warp.bench.markdown import facts
 from oimppi_warp.bench.report import write_report
 from oimppi_warp.bench.results import ResultSet, load_results
 from oimppi_warp.bench.tables import every_table, failures, paper_table
@@ -80,6 +82,19 @@ def test_what_is_missing_and_what_raised_is_said(written: tuple[str, str, Path])
     assert "**Not complete:** 3 of 40 trials are still to be run." in markdown
     assert "<b>1 trials raised an error</b>" in page
     assert "A made-up suite &amp; its &lt;results&gt;" in page
+
+
+def test_changed_settings_are_said(results: ResultSet):
+    entries = [{}, {"set": ["cost.w_d=3"], "max_sim_seconds": 5.0, "label": "short"}]
+    text = "\n".join(facts(replace(results, entries=entries)))
+    assert "Changed settings: `cost.w_d=3`, at most 5 simulated seconds (short)." in text
+    assert "Changed settings" not in "\n".join(facts(results))
+
+
+def test_results_of_two_codes_are_said(results: ResultSet):
+    other = replace(results.results[0], code="other")
+    text = "\n".join(facts(replace(results, results=[other, *results.results[1:]])))
+    assert "**Made by 2 versions of the code** (c0de, other)" in text
 
 
 def test_the_pictures_of_the_markdown_are_there(written: tuple[str, str, Path]):

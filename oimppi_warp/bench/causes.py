@@ -63,7 +63,7 @@ def likely_cause(log: EpisodeLog, *, reach: float = math.inf) -> Cause:
 
 def _fell(log: EpisodeLog) -> Cause:
     x, y = log["object_pose"][-1, :2] if len(log) else log.header["start"][:2]
-    return Cause("the object fell", f"at ({x:.2f}, {y:.2f}) m after {_seconds(log)}")
+    return Cause("the object fell or tipped over", f"at ({x:.2f}, {y:.2f}) m after {_seconds(log)}")
 
 
 def _out_of_reach(log: EpisodeLog, reach: float) -> Cause | None:
@@ -85,6 +85,8 @@ def _left_again(log: EpisodeLog) -> Cause | None:
     inside = within(log, log.header["tolerance"])
     if not inside.any():
         return None
+    if inside[-1]:
+        return Cause("time was up at the goal", f"within tolerance, but not for long enough; {_to_go(log)} to go")
     last = float(log["time"][np.flatnonzero(inside)[-1]])
     return Cause(
         "at the goal, but did not stay", f"last within tolerance at {last:.1f} s, {_to_go(log)} to go at the end"

@@ -15,7 +15,7 @@ Pair = tuple[Result, Result]
 
 NUMBERS = {
     "success_time_s": ("time to success [s]", True),
-    "error_until_success_m": ("position error until success [m]", False),
+    "error_until_success_m": ("error until success [m]", False),
     "plan_ms_median": ("plan time [ms]", False),
 }
 """What is compared besides success: its name, and whether only pairs that succeed on both sides have it."""

@@ -46,9 +46,9 @@ def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
             ),
         }
         for task in results.tasks:
-            title = results.places[task]["title"]
+            title = results.places[task]["title"].rstrip(".")
             found[f"ways_{task}"] = (
-                f"{task}. {title} Ways of the object from above, a dot at the start, the object drawn where it ended; "
+                f"{task}. {title}. Ways of the object from above, a dot at the start, the object drawn where it ended; "
                 "failures in red. Dashed: the goal; dotted: its tolerance.",
                 ways_figure(results, task),
             )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from oimppi_warp.bench.results import ResultSet
 from oimppi_warp.bench.statistics import wilson
 from oimppi_warp.bench.tables import Table, every_table, failures, rate
@@ -57,10 +59,23 @@ def facts(results: ResultSet) -> list[str]:
             "new folder to have them all by one."
         )
     kinds = dict.fromkeys(f"{r.preset}, engine {r.engine}, {r.mode}, {r.plant} plant" for r in found)
+    changed = dict.fromkeys(filter(None, map(_changed, results.entries)))
+    if changed:
+        text.append(f"Changed settings: {'; '.join(changed)}.")
     machines = dict.fromkeys(result.machine for result in found)
     packages = ", ".join(f"{name} {version}" for name, version in results.versions.items())
     text.append(f"Preset {'; '.join(kinds)}. On {'; '.join(machines)}. Code {', '.join(results.codes)}; {packages}.")
     return text
+
+
+def _changed(entry: dict[str, Any]) -> str:
+    """What an entry of the suite changes, in words."""
+    changes = [f"`{assignment}`" for assignment in entry.get("set", [])]
+    if (limit := entry.get("max_sim_seconds")) is not None:
+        changes.append(f"at most {limit:g} simulated seconds")
+    if not changes:
+        return ""
+    return ", ".join(changes) + (f" ({entry['label']})" if entry.get("label") else "")
 
 
 def _failures(results: ResultSet) -> list[str]:

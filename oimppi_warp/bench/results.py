@@ -25,7 +25,7 @@ FORMAT = 1
 
 FILE = "results.json"
 
-WAY_POINTS = 40
+WAY_POINTS = 60
 """Points of an episode that are kept of its way."""
 
 PLAN_BINS = np.geomspace(0.5, 5000.0, 61)
