@@ -7,12 +7,11 @@ known to be good, so that help and mistakes answer at once.
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -20,9 +19,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg, subcommand
 
-from oimppi_warp.config import Config, Method, set_option, validate
+from oimppi_warp.bench.commands import Bench, Compare, Report
+from oimppi_warp.config import Config, Method
 from oimppi_warp.errors import ConfigError, OimppiError
-from oimppi_warp.presets import PRESETS
+from oimppi_warp.task import make_config, make_task, parse_pose, parse_start
 from oimppi_warp.upkeep import Doctor, Warmup
 
 if TYPE_CHECKING:
@@ -30,11 +30,7 @@ if TYPE_CHECKING:
 
     from oimppi_warp.log import EpisodeLog
     from oimppi_warp.metrics import Metrics
-    from oimppi_warp.scene import PlanarPose, Scene
 
-
-RANDOMIZED_DRAWS = 4
-"""Draws of the world that ``--randomize`` asks for."""
 
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
@@ -93,7 +89,7 @@ class Run:
     def execute(self) -> int:
         """Run the episode; returns the exit status."""
         config = self.settings()
-        start, goal = _start(self.start), None if self.goal is None else _pose("--goal", self.goal)
+        start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
         _check_outputs(self.record, self.json)
 
         import warp as wp
@@ -108,7 +104,7 @@ class Run:
         wp.set_logger(device.CompileNotice(say))
         where = device.pick_device(self.device)
         with console.status("reading the scene"):
-            scene = self.task(start, goal)
+            scene = make_task(self.scene, start=start, goal=goal, seed=self.seed)
         with console.status("loading kernels"):
             if not device.kernels_are_cached():
                 say("First run on this machine: compiling kernels, which takes about half a minute and is done once.")
@@ -152,39 +148,13 @@ class Run:
             raise ConfigError(f"--seed {self.seed}: cannot be used\n  allowed: 0 or more")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"--threads {self.threads}: cannot be used\n  allowed: 1 or more")
-        config = PRESETS[self.preset](self.method)
-        if self.randomize:
-            config = set_option(config, f"robot.uncertainty.draws={RANDOMIZED_DRAWS}")
-        for assignment in (assignment for group in self.assignments for assignment in group):
-            config = set_option(config, assignment)
-        if self.max_sim_seconds is not None:
-            config = replace(config, episode=replace(config.episode, max_sim_seconds=self.max_sim_seconds))
-        return validate(config)
-
-    def task(self, start: PlanarPose | int | None, goal: PlanarPose | None) -> Scene:
-        """The scene with the start and the goal asked for, checked.
-
-        Args:
-            start: A pose, the number of one of the scene's starts, or ``None`` to draw one with the seed.
-            goal: A pose, or ``None`` for the scene's.
-
-        Raises:
-            SceneError: The scene cannot be run so.
-            ConfigError: The scene has fewer starts.
-        """
-        from oimppi_warp.feasibility import check_task, draw_start
-        from oimppi_warp.usd import load_scene
-
-        scene = load_scene(self.scene)
-        if goal is not None:
-            scene = scene.with_goal(goal)
-        if start is None:
-            start = draw_start(scene, self.seed)
-        elif isinstance(start, int):
-            start = _listed_start(scene, start)
-        scene = scene.with_start(start)
-        check_task(scene)
-        return scene
+        return make_config(
+            self.preset,
+            self.method,
+            assignments=[assignment for group in self.assignments for assignment in group],
+            max_sim_seconds=self.max_sim_seconds,
+            randomize=self.randomize,
+        )
 
 
 @dataclass(frozen=True)
@@ -207,6 +177,9 @@ class Scenes:
 
 Command = (
     Annotated[Run, subcommand("run", prefix_name=False)]
+    | Annotated[Bench, subcommand("bench", prefix_name=False)]
+    | Annotated[Report, subcommand("report", prefix_name=False)]
+    | Annotated[Compare, subcommand("compare", prefix_name=False)]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
@@ -231,33 +204,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("oimppi: stopped before the first step", file=sys.stderr)
         return 130
-
-
-def _pose(option: str, text: str) -> PlanarPose:
-    """A planar pose from "x,y,yaw"."""
-    try:
-        x, y, yaw = (float(part) for part in text.split(","))
-    except ValueError:
-        x = y = yaw = math.nan
-    if not all(map(math.isfinite, (x, y, yaw))):
-        raise ConfigError(f"{option} {text}: not a pose\n  allowed: x,y,yaw in metres and radians, like 0.3,-0.45,3.14")
-    return x, y, yaw
-
-
-def _start(text: str | None) -> PlanarPose | int | None:
-    """The number of a start, or a pose."""
-    if text is None:
-        return None
-    return int(text) if text.strip().isdecimal() else _pose("--start", text)
-
-
-def _listed_start(scene: Scene, index: int) -> PlanarPose:
-    """One of the scene's starts by its number."""
-    count = len(scene.starts)
-    if index >= count:
-        raise ConfigError(f"--start {index}: {scene.name} has {count} starts\n  allowed: 0 to {count - 1}, or x,y,yaw")
-    x, y, yaw = map(float, scene.starts[index])
-    return x, y, yaw
 
 
 def _check_outputs(record: Path | None, json: Path | None) -> None:

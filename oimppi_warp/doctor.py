@@ -103,7 +103,7 @@ def examine() -> Facts:
     return Facts(
         python=platform.python_version(),
         system=platform.platform(),
-        cpu=_cpu(),
+        cpu=processor(),
         cores=os.cpu_count() or 1,
         usable_cores=core_count(),
         memory=_memory(),
@@ -154,7 +154,8 @@ def judge(facts: Facts) -> list[Finding]:
     return found
 
 
-def _cpu() -> str:
+def processor() -> str:
+    """The processor's name, as far as the system tells."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text().splitlines():

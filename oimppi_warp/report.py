@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -14,35 +13,16 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, PathPatch, Rectangle
-from matplotlib.path import Path as Outline
+from matplotlib.patches import Circle, Rectangle
 
+from oimppi_warp.drawing import FAINT, GOAL, INK, START, STYLE, WALL, add_rings, rendered
 from oimppi_warp.footprint import Piece, footprint, outline
 from oimppi_warp.log import EpisodeLog, write_whole
 from oimppi_warp.metrics import hold_steps, within
 from oimppi_warp.scene import Scene
 
 _TIME = matplotlib.colormaps["viridis"]
-_INK, _FAINT, _WALL, _GOAL, _START = "#26323a", "#b8c2c9", "#5d6a73", "#c2410c", "#3b0f70"
 _TERMS = ["#34558b", "#8fb4d8", "#d08c60", "#efc9a5", "#5f8a6b", "#b3cfa8", "#7d5a7f", "#c9b3cb"]
-_STYLE: Any = {
-    "font.size": 9,
-    "axes.edgecolor": _FAINT,
-    "axes.labelcolor": _INK,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e9edf0",
-    "grid.linewidth": 0.8,
-    "legend.frameon": False,
-    "text.color": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-}
 
 
 def draw(log: EpisodeLog, scene: Scene, folder: str | Path) -> tuple[Path, ...]:
@@ -58,11 +38,9 @@ def draw(log: EpisodeLog, scene: Scene, folder: str | Path) -> tuple[Path, ...]:
         ``plan_times.png``.
     """
     files = []
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         for name, figure in (("way", way(log, scene)), ("errors", errors(log)), ("plan_times", plan_times(log))):
-            picture = io.BytesIO()
-            figure.savefig(picture, format="png", dpi=150)
-            write_whole(Path(folder) / f"{name}.png", picture.getvalue())
+            write_whole(Path(folder) / f"{name}.png", rendered(figure))
             files.append(Path(folder) / f"{name}.png")
     return tuple(files)
 
@@ -81,10 +59,10 @@ def way(log: EpisodeLog, scene: Scene) -> Figure:
         bar = figure.colorbar(ScalarMappable(norm, _TIME), ax=axes, fraction=0.04, pad=0.02)
         bar.set_label("time [s]")
         bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue, reportAttributeAccessIssue]
-    _draw_shape(axes, pieces, start, fc="none", ec=_START, lw=1.8, label="start", zorder=6)
-    _draw_shape(axes, pieces, goal, fc="none", ec=_GOAL, lw=1.8, ls=(0, (4, 2)), label="goal", zorder=6)
+    _draw_shape(axes, pieces, start, fc="none", ec=START, lw=1.8, label="start", zorder=6)
+    _draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.8, ls=(0, (4, 2)), label="goal", zorder=6)
     radius = log.header["tolerance"]["position"]
-    circle = Circle((goal[0], goal[1]), radius, fill=False, ec=_GOAL, lw=0.9, ls=":", label="tolerance", zorder=2)
+    circle = Circle((goal[0], goal[1]), radius, fill=False, ec=GOAL, lw=0.9, ls=":", label="tolerance", zorder=2)
     axes.add_patch(circle)
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=_title(log))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=4)
@@ -101,16 +79,16 @@ def errors(log: EpisodeLog) -> Figure:
         (position, "position_error", "position", "position error [m]"),
         (yaw, "yaw_error", "yaw", "yaw error [rad]"),
     ):
-        axes.plot(time, log[name], color=_INK, lw=1.4)
+        axes.plot(time, log[name], color=INK, lw=1.4)
         for limit, style, text in ((tolerance[key], "--", "tolerance"), (tight[key], ":", "tight tolerance")):
             if limit is not None and np.isfinite(limit):
-                axes.axhline(limit, color=_GOAL, lw=1.0, ls=style, label=text)
-        axes.fill_between(time, 0, 1, where=inside, transform=axes.get_xaxis_transform(), color=_GOAL, alpha=0.07, lw=0)
+                axes.axhline(limit, color=GOAL, lw=1.0, ls=style, label=text)
+        axes.fill_between(time, 0, 1, where=inside, transform=axes.get_xaxis_transform(), color=GOAL, alpha=0.07, lw=0)
         axes.set(ylabel=label, ylim=(0, None))
     position.set_title(_title(log))
     _legend(position)
-    clearance.plot(time, 1000 * log["clearance"], color=_INK, lw=1.2)
-    clearance.axhline(0.0, color=_WALL, lw=1.0)
+    clearance.plot(time, 1000 * log["clearance"], color=INK, lw=1.2)
+    clearance.axhline(0.0, color=WALL, lw=1.0)
     clearance.set(ylabel="clearance [mm]")
     _draw_costs(cost, log)
     cost.set(xlabel="time [s]", ylabel="cost of the nominal")
@@ -122,14 +100,14 @@ def plan_times(log: EpisodeLog) -> Figure:
     figure = Figure(figsize=(7.0, 4.8), layout="constrained")
     plan, samples = figure.subplots(2, 1, sharex=True)
     time = log["time"]
-    for name, color, label in (("plan_ms", _INK, "plan"), ("object_plan_ms", _TIME(0.55), "object level")):
+    for name, color, label in (("plan_ms", INK, "plan"), ("object_plan_ms", _TIME(0.55), "object level")):
         finite = log[name][np.isfinite(log[name])]
         if len(finite):
             median, p95 = np.percentile(finite, (50, 95))
             plan.plot(time, log[name], color=color, lw=0.9, label=f"{label} (median {median:.1f}, p95 {p95:.1f} ms)")
     plan.set(ylabel="wall time of a plan [ms]", ylim=(0, None))
     for name, color, label in (
-        ("effective_samples", _INK, "robot level"),
+        ("effective_samples", INK, "robot level"),
         ("object_effective_samples", _TIME(0.55), "object level"),
     ):
         if np.isfinite(log[name]).any():
@@ -155,12 +133,12 @@ def _legend(axes: Axes) -> None:
 def _draw_place(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]:
     """Table, robot base and obstacles, and the frame around what matters; the frame's width and height [m]."""
     lower, upper = np.asarray(scene.table.lower), np.asarray(scene.table.upper)
-    axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=_FAINT, lw=1.0, zorder=0))
+    axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=FAINT, lw=1.0, zorder=0))
     base = footprint(scene.robot.base.colliders)
-    _draw_shape(axes, base, np.zeros(3), fc="#dfe5e9", ec=_WALL, lw=1.0, label="robot base", zorder=3)
+    _draw_shape(axes, base, np.zeros(3), fc="#dfe5e9", ec=WALL, lw=1.0, label="robot base", zorder=3)
     obstacles = [footprint(obstacle.colliders) for obstacle in scene.obstacles]
     for index, pieces in enumerate(obstacles):
-        _draw_shape(axes, pieces, np.zeros(3), fc=_WALL, ec="none", label="obstacle" if index == 0 else None, zorder=3)
+        _draw_shape(axes, pieces, np.zeros(3), fc=WALL, ec="none", label="obstacle" if index == 0 else None, zorder=3)
     corners = [shapely.bounds(outline(pieces)) for pieces in obstacles]
     poses = np.vstack([np.asarray([log.header["start"], log.header["goal"]], float), log["object_pose"].reshape(-1, 3)])
     reach = 0.05 + max(0.15, float(log.header["tolerance"]["position"]))
@@ -177,7 +155,7 @@ def _draw_way(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Norm
     axes.plot(tool[:, 0], tool[:, 1], color="#8b98a1", lw=0.6, label="tool", zorder=1)
     if log.references and log.header["method"] == "soi":
         plan = log.references[0][1]
-        axes.plot(plan[:, 0], plan[:, 1], color=_INK, lw=1.0, ls=(0, (1, 1.5)), label="object plan", zorder=4)
+        axes.plot(plan[:, 0], plan[:, 1], color=INK, lw=1.0, ls=(0, (1, 1.5)), label="object plan", zorder=4)
     for row in _rows_along(poses, count=12):
         color = _TIME(norm(time[row]))
         _draw_shape(axes, pieces, poses[row], fc=(*color[:3], 0.10), ec=color, lw=0.9, zorder=4)
@@ -197,8 +175,7 @@ def _draw_shape(axes: Axes, pieces: tuple[Piece, ...], pose: np.ndarray, **style
     """The union of the pieces at a planar pose, as one patch."""
     shape = outline(piece.moved(pose) for piece in pieces)
     rings = [np.asarray(part.exterior.coords) for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
-    if rings:
-        axes.add_patch(PathPatch(Outline.make_compound_path(*(Outline(ring, closed=True) for ring in rings)), **style))
+    add_rings(axes, rings, **style)
 
 
 def _draw_costs(axes: Axes, log: EpisodeLog) -> None:

@@ -24,6 +24,7 @@ from pathlib import Path
 
 import warp
 import oimppi_warp
+from oimppi_warp.bench.suite import shipped_suites
 from oimppi_warp.clearance import build_geometry
 from oimppi_warp.usd import shipped_scenes
 
@@ -32,8 +33,10 @@ home = Path(oimppi_warp.__file__).parent
 assert home.is_relative_to({prefix!r}), home
 names = [scene.name for scene in shipped_scenes()]
 assert len(names) >= 8, names
+suites = [suite.name for suite in shipped_suites()]
+assert len(suites) >= 4, suites
 geometry = build_geometry(oimppi_warp.load_scene("task02"), device="cpu")
-print(f"installed in {{home}}: {{len(names)}} scenes, phi_2 of task02 computed by a kernel")
+print(f"installed in {{home}}: {{len(names)}} scenes, {{len(suites)}} suites, phi_2 of task02 computed by a kernel")
 """
 
 

@@ -7,6 +7,7 @@ friction of a pair of shapes is the larger of their materials' coefficients, as 
 from __future__ import annotations
 
 import difflib
+import hashlib
 import math
 import os
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, v
 from oimppi_warp.usd.robot import read_mass, read_robot
 from oimppi_warp.usd.stage import SCENES, SceneStage, single, transform
 
-__all__ = ["ShippedScene", "load_scene", "shipped_scenes"]
+__all__ = ["ShippedScene", "load_scene", "scene_content", "shipped_scenes"]
 
 FLOATING = 1e-3
 """How far an object may stand above or in the table in the file [m]."""
@@ -88,6 +89,18 @@ def load_scene(scene: str | Path) -> Scene:
         tolerance=_read_tolerance(stage, world, "oimppi:tolerance"),
         tight_tolerance=_read_tolerance(stage, world, "oimppi:tightTolerance"),
     )
+
+
+def scene_content(file: Path) -> str:
+    """Hash of a scene's file and of every USD file that it refers to, wherever they are.
+
+    Raises:
+        SceneError: It is not USD.
+    """
+    opened = SceneStage(file)  # kept, because its layers live as long as it does
+    files = [Path(layer.realPath) for layer in opened.stage.GetUsedLayers() if layer.realPath]
+    found = sorted(hashlib.sha256(each.read_bytes()).hexdigest() for each in files)
+    return hashlib.sha256("".join(found).encode()).hexdigest()[:24]
 
 
 def _find(scene: str | Path) -> Path:

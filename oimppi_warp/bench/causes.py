@@ -1,0 +1,178 @@
+"""Why a trial failed, as far as its log tells: a few rules, the first that fits counts.
+
+They look at the last :data:`LAST` seconds of the episode. A cause is a guess with its evidence beside it, not a proof.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from oimppi_warp.log import EpisodeLog
+from oimppi_warp.metrics import within
+
+LAST = 5.0
+"""How much of an episode's end is looked at [s]."""
+MOVED = 0.02
+"""Way of the object below which it counts as standing still [m]; a radian counts as 0.1 m."""
+TOUCH = 0.5
+"""Contact force from which on two things touch [N]."""
+PRESS = 20.0
+"""Force of the arm on obstacles or table from which on it is blocked [N]."""
+CLOSE = 0.005
+"""Clearance below which the object is at an obstacle [m]."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A likely cause.
+
+    Attributes:
+        name: Which, in a few words that are the same for every trial.
+        evidence: What of the log speaks for it.
+    """
+
+    name: str
+    evidence: str
+
+
+RAISED = "an error was raised"
+
+
+def likely_cause(log: EpisodeLog, *, reach: float = math.inf) -> Cause:
+    """The likely cause of a failure.
+
+    Args:
+        log: Of an episode that did not succeed.
+        reach: How far from the base the arm gets [m].
+    """
+    ended = log.header.get("ended", "interrupted")
+    if ended == "object fell":
+        return _fell(log)
+    if ended == "diverged":
+        return Cause("the simulation diverged", f"after {_seconds(log)}")
+    if not len(log):
+        return Cause("nothing was run", "the log has no steps")
+    cause = _out_of_reach(log, reach)
+    for rule in (_not_reached, _left_again, _yaw_only, _jammed, _arm_blocked, _wrong_side, _on_its_way):
+        cause = cause or rule(log)
+    return cause or Cause("stood still", f"{_to_go(log)} to go, nothing in the way")
+
+
+def _fell(log: EpisodeLog) -> Cause:
+    x, y = log["object_pose"][-1, :2] if len(log) else log.header["start"][:2]
+    return Cause("the object fell or tipped over", f"at ({x:.2f}, {y:.2f}) m after {_seconds(log)}")
+
+
+def _out_of_reach(log: EpisodeLog, reach: float) -> Cause | None:
+    away = math.hypot(*log["object_pose"][-1, :2])
+    if away <= reach:
+        return None
+    return Cause("out of reach", f"the object ended {away:.2f} m from the base, the tool reaches {reach:.2f} m")
+
+
+def _not_reached(log: EpisodeLog) -> Cause | None:
+    touched = np.nan_to_num(log["contact_tool_object"]) > TOUCH
+    if touched.any():
+        return None
+    nearest = np.linalg.norm(log["tool_position"][:, :2] - log["object_pose"][:, :2], axis=1).min()
+    return Cause("never reached the object", f"the tool came within {nearest:.2f} m of its frame")
+
+
+def _left_again(log: EpisodeLog) -> Cause | None:
+    inside = within(log, log.header["tolerance"])
+    if not inside.any():
+        return None
+    if inside[-1]:
+        return Cause("time was up at the goal", f"within tolerance, but not for long enough; {_to_go(log)} to go")
+    last = float(log["time"][np.flatnonzero(inside)[-1]])
+    return Cause(
+        "at the goal, but did not stay", f"last within tolerance at {last:.1f} s, {_to_go(log)} to go at the end"
+    )
+
+
+def _yaw_only(log: EpisodeLog) -> Cause | None:
+    tolerance = log.header["tolerance"]
+    if tolerance["yaw"] is None or log["position_error"][-1] > tolerance["position"]:
+        return None
+    return Cause("turned wrong", f"within the position's tolerance, {log['yaw_error'][-1]:.2f} rad to turn")
+
+
+def _jammed(log: EpisodeLog) -> Cause | None:
+    last = _last(log)
+    pressed = np.nan_to_num(log["contact_object_obstacle"][last]) > TOUCH
+    close = log["clearance"][last] < CLOSE
+    share = float(np.mean(pressed | close))
+    if _way(log, last) > 2 * MOVED or share < 0.5:
+        return None
+    force = float(np.nanmax(log["contact_object_obstacle"][last], initial=0.0))
+    return Cause(
+        "jammed against an obstacle",
+        f"at one for {100 * share:.0f} % of the last {LAST:g} s with up to {force:.0f} N, {_to_go(log)} to go",
+    )
+
+
+def _arm_blocked(log: EpisodeLog) -> Cause | None:
+    last = _last(log)
+    pressed = np.nan_to_num(log["contact_robot_obstacle"][last]) > PRESS
+    if _way(log, last) > MOVED or pressed.mean() < 0.5:
+        return None
+    force = float(np.nanmax(log["contact_robot_obstacle"][last]))
+    return Cause("the arm pressed on an obstacle or the table", f"with up to {force:.0f} N, {_to_go(log)} to go")
+
+
+def _wrong_side(log: EpisodeLog) -> Cause | None:
+    """The tool is on the side of the object that faces the goal, from where it cannot push it there."""
+    last = _last(log)
+    if _gained(log, last) > MOVED:
+        return None
+    to_goal = np.asarray(log.header["goal"], float)[:2] - log["object_pose"][last, :2]
+    to_tool = log["tool_position"][last, :2] - log["object_pose"][last, :2]
+    share = float(np.mean(np.sum(to_goal * to_tool, axis=1) > 0.0))
+    if share < 0.6 or np.linalg.norm(to_goal[-1]) < MOVED:
+        return None
+    text = f"between object and goal for {100 * share:.0f} % of the last {LAST:g} s, {_to_go(log)} to go"
+    return Cause("the tool on the wrong side", text)
+
+
+def _on_its_way(log: EpisodeLog) -> Cause | None:
+    last = _last(log)
+    if _gained(log, last) > MOVED:
+        return Cause(
+            "time was up on the way", f"{_to_go(log)} to go, {_gained(log, last):.2f} m gained in the last {LAST:g} s"
+        )
+    if _way(log, last) > 2 * MOVED:
+        text = f"moved {_way(log, last):.2f} m in the last {LAST:g} s and came no nearer, {_to_go(log)} to go"
+        return Cause("pushed to and fro", text)
+    return None
+
+
+def _last(log: EpisodeLog) -> slice:
+    """The rows of the last seconds."""
+    return slice(int(np.searchsorted(log["time"], log["time"][-1] - LAST)), None)
+
+
+def _way(log: EpisodeLog, rows: slice) -> float:
+    """Extent of the object's motion [m]; a radian counts as 0.1 m."""
+    poses = log["object_pose"][rows].copy()
+    poses[:, 2] = 0.1 * np.unwrap(poses[:, 2])
+    return float(np.linalg.norm(np.ptp(poses, axis=0)))
+
+
+def _gained(log: EpisodeLog, rows: slice) -> float:
+    """By how much the object came nearer to its goal [m]; a radian counts as 0.1 m, where yaw counts."""
+    error = log["position_error"][rows].copy()
+    if log.header["tolerance"]["yaw"] is not None:
+        error += 0.1 * log["yaw_error"][rows]
+    return float(error[0] - error[-1])
+
+
+def _to_go(log: EpisodeLog) -> str:
+    text = f"{log['position_error'][-1]:.2f} m"
+    return text if log.header["tolerance"]["yaw"] is None else f"{text} and {log['yaw_error'][-1]:.2f} rad"
+
+
+def _seconds(log: EpisodeLog) -> str:
+    return f"{log['time'][-1]:.1f} s" if len(log) else "0 s"

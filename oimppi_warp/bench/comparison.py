@@ -1,0 +1,146 @@
+"""Two sets of results in pairs: the same task, method and start on both sides, so that a hard start is so for both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oimppi_warp.bench.results import Result, ResultSet
+from oimppi_warp.errors import ConfigError
+
+Pair = tuple[Result, Result]
+
+NUMBERS = {
+    "success_time_s": ("time to success [s]", True),
+    "error_until_success_m": ("error until success [m]", False),
+    "plan_ms_median": ("plan time [ms]", False),
+}
+"""What is compared besides success: its name, and whether only pairs that succeed on both sides have it."""
+
+
+@dataclass(frozen=True)
+class Paired:
+    """A number compared in pairs.
+
+    Attributes:
+        name: What it is, with its unit.
+        count: Pairs that have it on both sides.
+        first, second: Its median on either side.
+        difference: Median of second minus first.
+        p: Of the Wilcoxon signed-rank test, two-sided; 1 where nothing differs, NaN without pairs.
+    """
+
+    name: str
+    count: int
+    first: float
+    second: float
+    difference: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two sets of paired trials.
+
+    Attributes:
+        name: What is compared.
+        pairs: Number of pairs.
+        successes: On either side.
+        only_first, only_second: The pairs that succeed on one side only.
+        p: Of McNemar's exact test on these, two-sided.
+        numbers: See :data:`NUMBERS`.
+    """
+
+    name: str
+    pairs: int
+    successes: tuple[int, int]
+    only_first: tuple[Pair, ...]
+    only_second: tuple[Pair, ...]
+    p: float
+    numbers: tuple[Paired, ...]
+
+
+def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
+    """Compare two result sets: all pairs together, then each task and method.
+
+    Raises:
+        ConfigError: They have no task, method and start in common.
+    """
+    pairs = _matched(first.results, second.results, lambda r: (r.task, r.method, r.start))
+    if not pairs:
+        raise ConfigError(
+            f"{first.suite} and {second.suite} have nothing in common\n"
+            "  allowed: two results with some of the same tasks, methods and starts"
+        )
+    groups: dict[tuple[str, str], list[Pair]] = {}
+    for pair in pairs:
+        groups.setdefault((pair[0].task, pair[0].method), []).append(pair)
+    parts = [compare(f"{task}, {method.upper()}", found) for (task, method), found in groups.items()]
+    return (compare("all", pairs), *parts)
+
+
+def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
+    """Compare the methods of one set with each other, over all its tasks."""
+    methods = results.methods
+    found = []
+    for index, first in enumerate(methods):
+        for second in methods[index + 1 :]:
+            pairs = _matched(results.of(method=first), results.of(method=second), lambda r: (r.task, r.start, r.seed))
+            if pairs:
+                found.append(compare(f"{first.upper()} and {second.upper()}", pairs))
+    return tuple(found)
+
+
+def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
+    """Compare paired trials."""
+    only_first = tuple((a, b) for a, b in pairs if a.success and not b.success)
+    only_second = tuple((a, b) for a, b in pairs if b.success and not a.success)
+    return Comparison(
+        name=name,
+        pairs=len(pairs),
+        successes=(sum(a.success for a, _ in pairs), sum(b.success for _, b in pairs)),
+        only_first=only_first,
+        only_second=only_second,
+        p=mcnemar(len(only_first), len(only_second)),
+        numbers=tuple(_paired(pairs, key, *about) for key, about in NUMBERS.items()),
+    )
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """The p of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947): a fair coin for each pair that differs."""
+    if only_first + only_second == 0:
+        return 1.0
+    from scipy.stats import binomtest
+
+    return float(binomtest(only_first, only_first + only_second, 0.5).pvalue)
+
+
+def signed_rank(first: np.ndarray, second: np.ndarray) -> float:
+    """The p of the Wilcoxon signed-rank test, two-sided; pairs without a difference are left out, as Wilcoxon did."""
+    if not len(first):
+        return math.nan
+    if not np.any(first != second):
+        return 1.0
+    from scipy.stats import wilcoxon
+
+    _, p = wilcoxon(second, first, zero_method="wilcox")
+    return float(p)  # pyright: ignore[reportArgumentType]
+
+
+def _paired(pairs: Sequence[Pair], key: str, name: str, both_succeed: bool) -> Paired:
+    wanted = [(a, b) for a, b in pairs if not both_succeed or (a.success and b.success)]
+    values = np.array([(a.value(key), b.value(key)) for a, b in wanted], dtype=float).reshape(-1, 2)
+    first, second = values[np.isfinite(values).all(axis=1)].T
+    if not len(first):
+        return Paired(name, 0, math.nan, math.nan, math.nan, math.nan)
+    middle = [float(np.median(values)) for values in (first, second, second - first)]
+    return Paired(name, len(first), middle[0], middle[1], middle[2], signed_rank(first, second))
+
+
+def _matched(first: Sequence[Result], second: Sequence[Result], identity: Callable[[Result], Hashable]) -> list[Pair]:
+    """Pairs of results with the same identity, in the first one's order."""
+    others = {identity(result): result for result in second}
+    return [(result, others[identity(result)]) for result in first if identity(result) in others]

@@ -1,0 +1,76 @@
+"""What the paper reports, to stand beside ours.
+
+Source: Tables I and II of N. Raicevic, B. R. Radhakrishnan, C. Yu, K. M. B. Lee, N. Atanasov, *Object-Informed Model
+Predictive Path Integral Control for Non-Prehensile Robot Manipulation*. Ten trials a task in simulation (Table I), five
+on the real arm (Table II), where we have simulated lab tasks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TRIALS = {"I": 10, "II": 5}
+"""Trials of a task and method in each table."""
+
+
+@dataclass(frozen=True)
+class Reported:
+    """One cell of a table.
+
+    Attributes:
+        table: ``I`` or ``II``.
+        success: Success rate.
+        error_m: Position error averaged over time (epsilon_d); ``None`` where it is not reported for a task.
+        control_hz: Control frequency (f).
+        total_time_s: Total time (T).
+        preplan_time_s: SOI's planning in it.
+    """
+
+    table: str
+    success: float
+    error_m: float | None = None
+    control_hz: float | None = None
+    total_time_s: float | None = None
+    preplan_time_s: float | None = None
+
+
+REPORTED: dict[tuple[str, str], Reported] = {
+    ("task01", "mppi"): Reported("I", 0.9, 0.35, 2.51, 117),
+    ("task01", "cloi"): Reported("I", 1.0, 0.27, 3.25, 153),
+    ("task01", "soi"): Reported("I", 1.0, 0.33, 2.49, 108, 71),
+    ("task02", "mppi"): Reported("I", 0.4, 0.37, 2.42, 249),
+    ("task02", "cloi"): Reported("I", 0.9, 0.30, 3.00, 167),
+    ("task02", "soi"): Reported("I", 1.0, 0.34, 2.39, 134, 87),
+    ("task03", "mppi"): Reported("I", 0.0, 0.42, 2.19, 345),
+    ("task03", "cloi"): Reported("I", 0.3, 0.35, 5.64, 272),
+    ("task03", "soi"): Reported("I", 0.9, 0.34, 2.23, 181, 131),
+    ("task04", "mppi"): Reported("I", 0.2, 0.62, 2.23, 313),
+    ("task04", "cloi"): Reported("I", 0.7, 0.36, 2.80, 222),
+    ("task04", "soi"): Reported("I", 0.9, 0.30, 2.27, 235, 104),
+    ("task05", "mppi"): Reported("I", 0.6, 0.34, 2.52, 153),
+    ("task05", "cloi"): Reported("I", 0.7, 0.31, 3.00, 160),
+    ("task05", "soi"): Reported("I", 0.3, 0.29, 2.47, 256, 111),
+    ("lab01", "mppi"): Reported("II", 1.0),
+    ("lab01", "cloi"): Reported("II", 1.0),
+    ("lab01", "soi"): Reported("II", 1.0),
+    ("lab02", "mppi"): Reported("II", 0.4),
+    ("lab02", "cloi"): Reported("II", 0.8),
+    ("lab02", "soi"): Reported("II", 0.8),
+}
+"""By task and method. The wide third task is not the paper's."""
+
+MEANS: dict[tuple[str, str], Reported] = {
+    ("I", "mppi"): Reported("I", 0.42, 0.42, 2.38, 236),
+    ("I", "cloi"): Reported("I", 0.72, 0.32, 3.01, 195),
+    ("I", "soi"): Reported("I", 0.82, 0.32, 2.37, 183, 101),
+    ("II", "mppi"): Reported("II", 0.7, control_hz=3.92),
+    ("II", "cloi"): Reported("II", 0.9, control_hz=2.77),
+    ("II", "soi"): Reported("II", 0.9, control_hz=3.98),
+}
+"""By table and method, as printed; the rates of Table II are the means of its two tasks."""
+
+TABLES = {
+    "I": ("task01", "task02", "task03", "task04", "task05"),
+    "II": ("lab01", "lab02"),
+}
+"""The tasks of each table."""

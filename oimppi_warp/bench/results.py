@@ -1,0 +1,233 @@
+"""The results of a suite, small enough to be committed: metrics of every trial, how to make it again, and its way.
+
+A :class:`ResultSet` is one JSON file from which tables, comparisons and the whole report are made; neither records nor
+scenes are needed for that. NaN is ``null`` in the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.bench.causes import RAISED, Cause, likely_cause
+from oimppi_warp.bench.trial import Trial
+from oimppi_warp.log import EpisodeLog, LogError, to_json, write_whole
+from oimppi_warp.metrics import first_hold, hold_steps, summarize, within
+
+FORMAT = 1
+"""Version of the file; a reader refuses others."""
+
+FILE = "results.json"
+
+WAY_POINTS = 60
+"""Points of an episode that are kept of its way."""
+
+PLAN_BINS = np.geomspace(0.5, 5000.0, 61)
+"""Edges in which plan times are counted [ms]; the first and the last bin take what is beyond."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came out of one trial.
+
+    Attributes:
+        key: Hash of what decides the result, see :class:`Trial`.
+        task, method, number, seed, start, preset, engine, mode, plant: Of the trial.
+        command: Runs it again.
+        code, machine: See :mod:`oimppi_warp.bench.provenance`.
+        wall_s: How long it took.
+        metrics: See :class:`oimppi_warp.metrics.Metrics`; empty if the trial raised.
+        success_steps: Control steps until success; NaN without.
+        error_until_success_m: Position error averaged over time until success (without success: to the end), which is
+            the paper's epsilon_d, whose episodes end there.
+        tight_counts: Whether the episode went on to the tight tolerance, so that missing it means something.
+        time, pose, position_error: Of the way, at even times: [n] [s], [n, 3] (x, y [m], yaw [rad]), [n] [m].
+        plan_counts: Plans by their time, in the bins of :data:`PLAN_BINS`.
+        cause, evidence: Why it failed; empty after a success.
+        error: The traceback, if it raised.
+    """
+
+    key: str
+    task: str
+    method: str
+    number: int
+    seed: int
+    start: tuple[float, float, float]
+    preset: str
+    engine: str
+    mode: str
+    plant: str
+    command: str
+    code: str
+    machine: str
+    wall_s: float
+    metrics: dict[str, Any] = field(default_factory=dict)
+    success_steps: float = math.nan
+    error_until_success_m: float = math.nan
+    tight_counts: bool = True
+    time: list[float] = field(default_factory=list)
+    pose: list[list[float]] = field(default_factory=list)
+    position_error: list[float] = field(default_factory=list)
+    plan_counts: list[int] = field(default_factory=list)
+    cause: str = ""
+    evidence: str = ""
+    error: str = ""
+
+    @property
+    def success(self) -> bool:
+        """Within the tolerance, held."""
+        return bool(self.metrics.get("success", False))
+
+    @property
+    def success_tight(self) -> bool:
+        """Within the tight tolerance, held."""
+        return bool(self.metrics.get("success_tight", False))
+
+    def value(self, name: str) -> float:
+        """A number of the metrics or of this class; NaN where there is none."""
+        found = self.metrics.get(name, getattr(self, name, None))
+        return math.nan if found is None else float(found)
+
+
+@dataclass(frozen=True)
+class ResultSet:
+    """The results of a suite.
+
+    Attributes:
+        suite, title: Of the suite.
+        planned: Number of trials that the suite has; more than the results of a run that is not finished.
+        versions: Of Python and of the packages that took part.
+        entries: The suite's entries as they were run.
+        places: By task, what pictures from above need, see :mod:`oimppi_warp.bench.place`.
+        results: One a trial.
+    """
+
+    suite: str
+    title: str
+    planned: int
+    versions: dict[str, str]
+    entries: list[dict[str, Any]]
+    places: dict[str, Any]
+    results: list[Result]
+
+    @property
+    def tasks(self) -> list[str]:
+        """In the order of the suite."""
+        return list(dict.fromkeys(result.task for result in self.results))
+
+    @property
+    def methods(self) -> list[str]:
+        """In the order of the suite."""
+        return list(dict.fromkeys(result.method for result in self.results))
+
+    def of(self, task: str | None = None, method: str | None = None) -> list[Result]:
+        """The results of a task and a method; ``None`` means all."""
+        return [r for r in self.results if task in (None, r.task) and method in (None, r.method)]
+
+    def groups(self) -> Iterator[tuple[str, str, list[Result]]]:
+        """Task, method and results, for all that there are."""
+        for task in self.tasks:
+            for method in self.methods:
+                if found := self.of(task, method):
+                    yield task, method, found
+
+    @property
+    def codes(self) -> list[str]:
+        """Hashes of the code that made the results; more than one is worth a warning."""
+        return sorted({result.code for result in self.results})
+
+    def save(self, path: Path) -> None:
+        """Write the file, whole."""
+        facts = {"format": FORMAT} | to_json({item.name: getattr(self, item.name) for item in fields(self)})
+        head = {name: value for name, value in facts.items() if name != "results"}
+        rows = ",\n".join("  " + json.dumps(row, allow_nan=False) for row in facts["results"])
+        text = json.dumps(head, indent=1, allow_nan=False).removesuffix("\n}")
+        write_whole(path, f'{text},\n "results": [\n{rows}\n ]\n}}\n'.encode())
+
+
+def load_results(path: str | Path) -> ResultSet:
+    """Read results.
+
+    Args:
+        path: The file, or the folder that it is in.
+
+    Raises:
+        LogError: There are none, or another version wrote them.
+    """
+    path = Path(path)
+    file = path / FILE if path.is_dir() else path
+    try:
+        facts = json.loads(file.read_text(encoding="utf-8"))
+        if facts.pop("format") != FORMAT:
+            raise ValueError(f"its format is not {FORMAT}")
+        facts["results"] = [result_from(row) for row in facts["results"]]
+        return ResultSet(**facts)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise LogError(
+            f"{path}: no results of a suite ({error})\n  allowed: a folder that oimppi bench wrote, or its {FILE}"
+        ) from None
+
+
+def result_from(row: dict[str, Any]) -> Result:
+    """A result from its JSON; the opposite of :func:`dataclasses.asdict`."""
+    row = dict(row)
+    row["start"] = tuple(row["start"])
+    for name in ("success_steps", "error_until_success_m"):
+        row[name] = math.nan if row[name] is None else row[name]
+    return Result(**row)
+
+
+def result_row(result: Result) -> dict[str, Any]:
+    """A result as JSON knows it."""
+    return to_json(asdict(result))
+
+
+def make_result(
+    trial: Trial, log: EpisodeLog | None, *, error: str, wall_s: float, code: str, machine: str, reach: float
+) -> Result:
+    """What is kept of a trial.
+
+    Args:
+        trial: The trial.
+        log: Its record; ``None`` if it raised.
+        error: The traceback, if it raised.
+        wall_s: How long it took [s].
+        code, machine: What made it.
+        reach: How far the arm gets [m].
+    """
+    common: dict[str, Any] = {
+        name: getattr(trial, name)
+        for name in (
+            *("key", "task", "method", "number", "seed", "start", "preset", "engine", "mode", "plant", "command"),
+        )
+    }
+    common |= {"code": code, "machine": machine, "wall_s": round(wall_s, 2)}
+    if log is None:
+        return Result(**common, cause=RAISED, evidence=error.strip().rpartition("\n")[2], error=error)
+    metrics = to_json(summarize(log))
+    cause = Cause("", "") if metrics["success"] else likely_cause(log, reach=reach)
+    held = hold_steps(log.header["hold_seconds"], log.header["control_period"])
+    arrived = first_hold(within(log, log.header["tolerance"]), held)
+    until = len(log) if arrived is None else arrived + 1
+    rows = np.unique(np.linspace(0, len(log) - 1, min(WAY_POINTS, len(log))).round().astype(int))
+    plans = np.clip(log["plan_ms"][np.isfinite(log["plan_ms"])], PLAN_BINS[0], PLAN_BINS[-1] * (1 - 1e-9))
+    del metrics["versions"]
+    return Result(
+        **common,
+        metrics=metrics,
+        success_steps=math.nan if arrived is None else arrived + 1,
+        error_until_success_m=float(np.mean(log["position_error"][:until])) if until else math.nan,
+        tight_counts=trial.config.episode.tight,
+        time=log["time"][rows].round(3).tolist(),
+        pose=log["object_pose"][rows].round(4).tolist(),
+        position_error=log["position_error"][rows].round(4).tolist(),
+        plan_counts=np.histogram(plans, PLAN_BINS)[0].tolist(),
+        cause=cause.name,
+        evidence=cause.evidence,
+    )

@@ -1,0 +1,259 @@
+"""Runs the trials of a suite in parallel, and keeps what is finished: a suite that was stopped goes on where it was.
+
+Workers compute, this process writes. Each trial has a folder with its record and, written last, ``trial.json``; a
+folder that has it is finished and is never run again. ``results.json`` is made from these files.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from oimppi_warp.bench.results import FILE, Result, ResultSet, make_result, result_from, result_row
+from oimppi_warp.bench.suite import Suite
+from oimppi_warp.bench.trial import Trial, make_trials
+from oimppi_warp.bench.worker import Outcome, run_trial
+from oimppi_warp.errors import OimppiError
+from oimppi_warp.log import to_json, versions, write_whole
+
+BACKENDS = ("loky", "dask", "ray")
+
+SAVE_EVERY = 10.0
+"""``results.json`` is written no more often than that while trials run [s]."""
+
+_TRIAL = "trial.json"
+
+
+class BenchError(OimppiError):
+    """A suite that cannot be run here."""
+
+
+@dataclass
+class SuiteRun:
+    """A suite in its folder.
+
+    Args:
+        suite: What is to be run.
+        folder: Where to; made if need be.
+        retry: Forget the trials that raised, so that they run again.
+
+    Attributes:
+        trials: Every trial of the suite.
+        finished: The results so far by the trial's key.
+
+    Raises:
+        OimppiError: The suite names a scene that cannot be read.
+    """
+
+    suite: Suite
+    folder: Path
+    retry: bool = False
+    trials: list[Trial] = field(init=False)
+    finished: dict[str, Result] = field(init=False, default_factory=dict)
+    places: dict[str, Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        from oimppi_warp.bench.place import place_of
+
+        self.trials, scenes = make_trials(self.suite)
+        self.places = {name: place_of(scene) for name, scene in scenes.items()}
+        self._read_kept()
+        if self.retry:
+            self.finished = {key: result for key, result in self.finished.items() if not result.error}
+
+    @property
+    def open(self) -> list[Trial]:
+        """The trials that are not finished; those in real time last."""
+        return sorted((t for t in self.trials if t.key not in self.finished), key=lambda trial: trial.real_time)
+
+    def execute(
+        self,
+        *,
+        jobs: int | None = None,
+        backend: str = "loky",
+        cluster: str = "",
+        on_result: Callable[[Result], None] | None = None,
+    ) -> ResultSet:
+        """Run what is open, and write the results.
+
+        Args:
+            jobs: Trials at the same time; by default as many as there are cores, and one in real time.
+            backend: Of joblib.
+            cluster: Address of a running cluster; without one, dask and ray start a local one.
+            on_result: Called after each trial.
+
+        Raises:
+            BenchError: The backend is not there, or a worker process dies again and again.
+            KeyboardInterrupt: Ctrl-C; what is finished is written.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        saved = 0.0
+        try:
+            with cluster_backend(backend, cluster, jobs):
+                for real_time in (False, True):
+                    batch = [trial for trial in self.open if trial.real_time is real_time]
+                    for outcome in _outcomes(batch, jobs=jobs or (1 if real_time else -1), backend=backend):
+                        result = self.keep(outcome)
+                        if on_result is not None:
+                            on_result(result)
+                        if time.monotonic() - saved > SAVE_EVERY:
+                            self.results().save(self.folder / FILE)
+                            saved = time.monotonic()
+        finally:
+            self._read_kept()  # Ctrl-C may have come just after a trial was written
+            found = self.results()
+            found.save(self.folder / FILE)
+        return found
+
+    def keep(self, outcome: Outcome) -> Result:
+        """Write what came out of a trial: its record first, what makes it finished last."""
+        trial = outcome.trial
+        result = make_result(
+            trial,
+            outcome.log,
+            error=outcome.error,
+            wall_s=outcome.wall_s,
+            code=outcome.code,
+            machine=outcome.machine,
+            reach=self.places[trial.task]["reach"],
+        )
+        folder = self._folder(trial)
+        folder.mkdir(parents=True, exist_ok=True)
+        if outcome.log is not None:
+            outcome.log.save(folder)
+        facts = {"trial": asdict(trial), "result": result_row(result), "versions": versions()}
+        write_whole(folder / _TRIAL, (json.dumps(to_json(facts), indent=1, allow_nan=False) + "\n").encode())
+        self.finished[trial.key] = result
+        return result
+
+    def results(self) -> ResultSet:
+        """What is finished, in the order of the suite."""
+        return ResultSet(
+            suite=self.suite.name,
+            title=self.suite.title,
+            planned=len(self.trials),
+            versions=versions(),
+            entries=[to_json(asdict(entry)) for entry in self.suite.entries],
+            places=self.places,
+            results=[self.finished[trial.key] for trial in self.trials if trial.key in self.finished],
+        )
+
+    def _folder(self, trial: Trial) -> Path:
+        return self.folder / "trials" / trial.name
+
+    def _read_kept(self) -> None:
+        for trial in self.trials:
+            if trial.key not in self.finished and (result := self._kept(trial)) is not None:
+                self.finished[trial.key] = result
+
+    def _kept(self, trial: Trial) -> Result | None:
+        """The result of a finished trial; a file that cannot be read counts as none."""
+        try:
+            result = result_from(json.loads((self._folder(trial) / _TRIAL).read_text(encoding="utf-8"))["result"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return result if result.key == trial.key else None
+
+
+def prepare(trials: Iterable[Trial]) -> None:
+    """Compile what the trials need, once and not in every worker; nothing where that was done before."""
+    from oimppi_warp.bench.trial import make_episode
+    from oimppi_warp.device import kernels_are_cached
+
+    if not kernels_are_cached():
+        for trial in {(trial.method, trial.engine): trial for trial in trials}.values():
+            make_episode(trial)
+
+
+@contextmanager
+def cluster_backend(backend: str, cluster: str, jobs: int | None) -> Iterator[None]:
+    """Connects to a cluster of dask or ray, or starts a local one, and makes it joblib's backend while it lasts.
+
+    Raises:
+        BenchError: The backend is not installed, or the cluster is not there.
+    """
+    import joblib
+
+    with ExitStack() as stack:
+        try:
+            if backend == "dask":
+                import distributed
+
+                options: dict[str, Any] = (
+                    {"address": cluster}
+                    if cluster
+                    else {
+                        "n_workers": jobs or joblib.cpu_count(),
+                        "threads_per_worker": 1,
+                        "dashboard_address": None,
+                    }
+                )
+                stack.enter_context(distributed.Client(**options))
+            elif backend == "ray":
+                import ray  # pyright: ignore[reportMissingImports]
+                from ray.util.joblib import register_ray  # pyright: ignore[reportMissingImports]
+
+                options = {"address": cluster} if cluster else {"num_cpus": jobs or joblib.cpu_count()}
+                ray.init(**options, include_dashboard=False, log_to_driver=False)
+                stack.callback(ray.shutdown)
+                register_ray()
+        except ImportError as error:
+            raise BenchError(
+                f"--backend {backend}: {error.name} is not installed\n  allowed: loky, or what is installed\n"
+                f"  to do:   pip install {'ray' if backend == 'ray' else 'oimppi-warp[cluster]'}"
+            ) from None
+        except (OSError, ConnectionError, RuntimeError) as error:
+            raise BenchError(f"--cluster {cluster}: no cluster there ({error})") from None
+        yield
+
+
+def _outcomes(trials: list[Trial], *, jobs: int, backend: str) -> Iterator[Outcome]:
+    """Runs trials and yields what came out, as soon as it is there.
+
+    Raises:
+        BenchError: A worker died twice without a trial finished in between.
+    """
+    from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    todo = {trial.key: trial for trial in trials}
+    died = False
+    while todo:
+        before = len(todo)
+        try:
+            with parallel_config(backend=backend, n_jobs=jobs), warnings.catch_warnings():
+                warnings.filterwarnings("ignore", message=".*tasks which were still being processed")  # after Ctrl-C
+                for batch, way in _batches(list(todo.values()), backend):
+                    calls = (delayed(run_trial)(trial, os.getpid()) for trial in batch)
+                    one: Any = 1  # a trial at a time
+                    parallel: Any = Parallel(return_as=way, batch_size=one, pre_dispatch="2*n_jobs")
+                    for outcome in parallel(calls):
+                        del todo[outcome.trial.key]
+                        yield outcome
+        except TerminatedWorkerError as error:
+            if died and len(todo) == before:
+                reason = str(error).split("\n")[0]
+                raise BenchError(
+                    f"a worker process died twice in a row ({reason})\n"
+                    "  to do:   fewer of them (--jobs 1), in case memory runs out; finished trials are kept"
+                ) from None
+            died = len(todo) == before
+
+
+def _batches(trials: list[Trial], backend: str) -> Iterator[tuple[list[Trial], str]]:
+    """Trials that go to joblib together, and how it gives results back: ray's backend cannot do so one by one."""
+    import joblib
+
+    if backend != "ray":
+        yield trials, "generator_unordered"
+        return
+    step = 2 * max(1, joblib.cpu_count())
+    for first in range(0, len(trials), step):
+        yield trials[first : first + step], "list"

@@ -1,0 +1,148 @@
+"""Numbers over the trials of a task and a method, with what ten trials leave uncertain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oimppi_warp.bench.results import Result
+
+DEEP = -0.005
+"""Clearance below which an object counts as having gone into an obstacle [m]: contacts give by about as much."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of trials with its 95 % interval.
+
+    Attributes:
+        count, total: Of how many.
+        low, high: Wilson's interval; 0 and 1 where there are no trials.
+    """
+
+    count: int
+    total: int
+    low: float
+    high: float
+
+    @property
+    def share(self) -> float:
+        """Count over total; NaN where there are no trials."""
+        return self.count / self.total if self.total else math.nan
+
+
+def wilson(count: int, total: int, *, confidence: float = 0.95) -> Rate:
+    """A rate with Wilson's score interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927), without continuity correction.
+
+    With z the normal quantile and p = count / total it is
+
+        (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
+    """
+    if not total:
+        return Rate(0, 0, 0.0, 1.0)
+    from scipy.stats import norm
+
+    z = float(norm.ppf(0.5 + confidence / 2))
+    p, n = count / total, total
+    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    scale = 1 + z * z / n
+    low = 0.0 if count == 0 else (middle - half) / scale
+    high = 1.0 if count == total else (middle + half) / scale
+    return Rate(count, total, low, high)
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Numbers over some trials. Those that raised count as failures, and in nothing else. NaN where there are none.
+
+    Attributes:
+        success, tight: Rates at the task's tolerance and at the tight one.
+        tight_counts: Whether all trials went on to the tight tolerance.
+        error, error_success: Position error averaged over the whole episode: mean of all trials, of successes [m].
+        error_until, error_until_success: The same until success, which is the paper's epsilon_d [m].
+        steps, time: Control steps and simulated time [s] to success, median over successes.
+        total_time: The paper's T, mean over successes [s]: planning and moving until success.
+        preplan_time: Of that, what was planned before the first step, mean over successes [s].
+        plan_ms, plan_ms_p95: Median over the trials of each one's median and 95th percentile [ms].
+        control_hz: Mean of the trials' control frequencies.
+        samples, object_samples: Mean effective sample sizes of the two levels.
+        clearance: Smallest of all trials [m].
+        clear: Share of the successes whose clearance never went below :data:`DEEP`.
+        object_force, robot_force: Largest force of the object, and of the robot, on an obstacle [N].
+        raised: Number of trials that raised.
+    """
+
+    success: Rate
+    tight: Rate
+    tight_counts: bool
+    error: float
+    error_success: float
+    error_until: float
+    error_until_success: float
+    steps: float
+    time: float
+    total_time: float
+    preplan_time: float
+    plan_ms: float
+    plan_ms_p95: float
+    control_hz: float
+    samples: float
+    object_samples: float
+    clearance: float
+    clear: Rate
+    object_force: float
+    robot_force: float
+    raised: int
+
+
+def summarize_results(results: Sequence[Result]) -> Statistics:
+    """The statistics of some trials."""
+    good = [result for result in results if result.success]
+    clear = sum(result.value("min_clearance_m") >= DEEP for result in good)
+    return Statistics(
+        success=wilson(len(good), len(results)),
+        tight=wilson(sum(result.success_tight for result in results), len(results)),
+        tight_counts=all(result.tight_counts for result in results),
+        error=_mean(results, "mean_position_error_m"),
+        error_success=_mean(good, "mean_position_error_m"),
+        error_until=_mean(results, "error_until_success_m"),
+        error_until_success=_mean(good, "error_until_success_m"),
+        steps=_median(good, "success_steps"),
+        time=_median(good, "success_time_s"),
+        total_time=_mean(good, "total_time_s"),
+        preplan_time=_mean(good, "preplan_time_s"),
+        plan_ms=_median(results, "plan_ms_median"),
+        plan_ms_p95=_median(results, "plan_ms_p95"),
+        control_hz=_mean(results, "control_hz"),
+        samples=_mean(results, "mean_effective_samples"),
+        object_samples=_mean(results, "mean_object_effective_samples"),
+        clearance=-_largest(results, "min_clearance_m", -1.0),
+        clear=wilson(clear, len(good)),
+        object_force=_largest(results, "max_contact_object_obstacle_n"),
+        robot_force=_largest(results, "max_contact_robot_obstacle_n"),
+        raised=sum(bool(result.error) for result in results),
+    )
+
+
+def finite(results: Sequence[Result], name: str) -> np.ndarray:
+    """The finite values of a number, shape [n]."""
+    values = np.array([result.value(name) for result in results], dtype=float)
+    return values[np.isfinite(values)]
+
+
+def _mean(results: Sequence[Result], name: str) -> float:
+    values = finite(results, name)
+    return float(values.mean()) if len(values) else math.nan
+
+
+def _median(results: Sequence[Result], name: str) -> float:
+    values = finite(results, name)
+    return float(np.median(values)) if len(values) else math.nan
+
+
+def _largest(results: Sequence[Result], name: str, sign: float = 1.0) -> float:
+    values = sign * finite(results, name)
+    return float(values.max()) if len(values) else math.nan

@@ -1,0 +1,254 @@
+"""The report's tables as text in cells; the page and the Markdown say how they look."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from oimppi_warp.bench.comparison import Comparison, compare_methods
+from oimppi_warp.bench.paper import MEANS, REPORTED, TABLES, Reported
+from oimppi_warp.bench.results import Result, ResultSet
+from oimppi_warp.bench.statistics import Rate, Statistics, summarize_results
+
+ORDER = ("mppi", "cloi", "soi")
+"""Methods in the order of the paper's tables."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes:
+        title: Its heading.
+        note: How to read it.
+        header: One a column; the first two columns are words, the others numbers.
+        rows: Cells.
+    """
+
+    title: str
+    note: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def every_table(results: ResultSet) -> list[Table]:
+    """The tables of a report, without those that would be empty."""
+    tables = [
+        success_table(results),
+        *(paper_table(results, table) for table in TABLES),
+        time_table(results),
+        safety_table(results),
+        comparison_table(compare_methods(results), title="Methods against each other", sides=("first", "second")),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def brief_table(results: ResultSet) -> Table:
+    """What a terminal has room for."""
+    rows = []
+    for task, method, s in _groups(results):
+        tight = rate(s.tight) if s.tight_counts else "-"
+        numbers = (number(s.time, 1), number(s.error_until, 2), number(s.plan_ms, 1))
+        rows.append((task, method.upper(), rate(s.success), interval(s.success), tight, *numbers))
+    header = ("task", "method", "success", "95 %", "tight", "time [s]", "ε_d [m]", "plan [ms]")
+    return Table(results.title, "", header, tuple(rows))
+
+
+def success_table(results: ResultSet) -> Table:
+    """Success at both tolerances and position errors."""
+    rows = []
+    for task, method, stats in _groups(results):
+        errors = [stats.error_until, stats.error_until_success, stats.error, stats.error_success]
+        cells = [rate(stats.success), interval(stats.success)]
+        cells += [rate(stats.tight), interval(stats.tight)] if stats.tight_counts else ["not tried", "-"]
+        rows.append((task, method.upper(), *cells, *(number(error, 3) for error in errors)))
+    return Table(
+        "Success and position error",
+        "Trials that held the task's tolerance, and the tight one, for the hold time, with Wilson's 95 % interval. The "
+        "error is the object's distance to its goal averaged over time and then over trials, in metres: until success "
+        "(ε_d of the paper, whose episodes end there), and over the whole episode.",
+        (
+            *("task", "method", "success", "95 %", "tight", "95 %"),
+            *("ε_d", "ε_d of successes", "error, whole", "error of successes, whole"),
+        ),
+        tuple(rows),
+    )
+
+
+def paper_table(results: ResultSet, table: str) -> Table:
+    """One of the paper's tables with ours beside it."""
+    rows = []
+    tasks = [task for task in TABLES[table] if task in results.tasks]
+    methods = _methods(results)
+    for task in tasks:
+        for method in methods:
+            if found := results.of(task, method):
+                rows.append((task, method.upper(), *_beside(REPORTED[task, method], summarize_results(found))))
+    if len(tasks) == len(TABLES[table]):
+        for method in methods:
+            groups = [summarize_results(results.of(task, method)) for task in tasks]
+            if all(group.success.total for group in groups):
+                rows.append(("mean", method.upper(), *_beside(MEANS[table, method], *groups)))
+    where = "in simulation" if table == "I" else "on the real arm; ours are simulated"
+    return Table(
+        f"The paper's Table {table}",
+        f"The paper's figures are {where}. ε_d is the position error averaged over time, f the control frequency, T "
+        "the total time to success with planning, in brackets SOI's planning ahead. The paper's T and f were measured "
+        "on its own computer. The mean is over tasks.",
+        (
+            "task",
+            "method",
+            "success, paper",
+            "ours",
+            "ε_d [m], paper",
+            "ours",
+            "f [Hz], paper",
+            "ours",
+            "T [s], paper",
+            "ours",
+        ),
+        tuple(rows),
+    )
+
+
+def time_table(results: ResultSet) -> Table:
+    """Times to success and of plans."""
+    rows = []
+    for task, method, s in _groups(results):
+        total = number(s.total_time, 1) + (f" ({number(s.preplan_time, 1)})" if method == "soi" else "")
+        cells = (number(s.steps, 0), number(s.time, 1), total, number(s.plan_ms, 1), number(s.plan_ms_p95, 1))
+        samples = (number(s.samples, 1), number(s.object_samples, 1))
+        rows.append((task, method.upper(), *cells, number(s.control_hz, 1), *samples))
+    return Table(
+        "Time and planning",
+        "Steps and simulated time to success are medians over successful trials, T is the mean of their times with "
+        "planning (in brackets what SOI planned ahead). Plan times are medians over trials of each trial's median and "
+        "95th percentile. The effective sample sizes are means.",
+        (
+            *("task", "method", "steps", "time [s]", "T [s]", "plan [ms]", "p95 [ms]", "f [Hz]"),
+            *("effective samples", "of the object level"),
+        ),
+        tuple(rows),
+    )
+
+
+def safety_table(results: ResultSet) -> Table:
+    """Clearance and forces."""
+    rows = []
+    for task, method, s in _groups(results):
+        clear = f"{rate(s.clear)}" if s.clear.total else "-"
+        forces = (number(s.object_force, 0), number(s.robot_force, 0))
+        rows.append((task, method.upper(), number(1000 * s.clearance, 1), clear, *forces))
+    return Table(
+        "Clearance and forces",
+        "The smallest clearance of the object (negative: it was pressed into an obstacle), the successful trials in "
+        "which it never went below -5 mm, and the largest contact forces of the object on an obstacle and of the robot "
+        "on an obstacle or the table.",
+        ("task", "method", "least clearance [mm]", "clear successes", "object's force [N]", "robot's force [N]"),
+        tuple(rows),
+    )
+
+
+def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[str, str]) -> Table:
+    """Paired comparisons, one a row."""
+    rows = []
+    for each in found:
+        cells = [f"{each.successes[0]}", f"{each.successes[1]}", f"{len(each.only_first)}", f"{len(each.only_second)}"]
+        cells.append(p_value(each.p))
+        for item in each.numbers:
+            cells.append(
+                f"{number(item.first, 2)} → {number(item.second, 2)} ({p_value(item.p)})" if item.count else "-"
+            )
+        rows.append((each.name, f"{each.pairs}", *cells))
+    names = [item.name for item in found[0].numbers] if found else []
+    return Table(
+        title,
+        "Pairs of trials with the same start. p is that of McNemar's exact test on the pairs that succeed on one side "
+        "only. Behind it medians on either side, with p of the Wilcoxon signed-rank test in brackets; times to success "
+        "are of pairs that succeed on both sides. The p are not corrected for how many there are.",
+        ("compared", "pairs", *sides, f"only {sides[0]}", f"only {sides[1]}", "p", *names),
+        tuple(rows),
+    )
+
+
+def differing(found: Comparison) -> Table:
+    """The pairs that succeed on one side only, named, with the command that runs the failed one again."""
+    rows = []
+    for pairs, side in ((found.only_first, "A"), (found.only_second, "B")):
+        for a, b in pairs:
+            failed = b if side == "A" else a
+            rows.append((f"{a.task}, {a.method.upper()}", f"{a.number}", side, failed.cause, failed.command))
+    return Table(
+        "Pairs that differ",
+        "Which side succeeded, why the other failed, and what runs the failed trial again.",
+        ("trial", "start", "succeeds", "the other", "command of the other"),
+        tuple(rows),
+    )
+
+
+def failures(results: ResultSet) -> list[Result]:
+    """The trials that did not succeed, in the order of the suite."""
+    return [result for result in results.results if not result.success]
+
+
+def rate(found: Rate) -> str:
+    """Count of total."""
+    return f"{found.count}/{found.total}"
+
+
+def interval(found: Rate) -> str:
+    """From and to, in percent."""
+    return f"{100 * found.low:.0f} to {100 * found.high:.0f} %"
+
+
+def number(value: float, digits: int) -> str:
+    """A number; a dash for NaN."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def p_value(p: float) -> str:
+    """A p value with as many digits as it is worth."""
+    if not math.isfinite(p):
+        return "-"
+    return "< 0.001" if p < 0.001 else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
+
+
+def _methods(results: ResultSet) -> list[str]:
+    return [method for method in ORDER if method in results.methods]
+
+
+def _groups(results: ResultSet) -> list[tuple[str, str, Statistics]]:
+    return [
+        (task, method, summarize_results(found))
+        for task in results.tasks
+        for method in _methods(results)
+        if (found := results.of(task, method))
+    ]
+
+
+def _beside(reported: Reported, *groups: Statistics) -> tuple[str, ...]:
+    """The paper's numbers and the mean of ours, in pairs."""
+
+    def mean(values: list[float]) -> float:
+        known = [value for value in values if math.isfinite(value)]
+        return sum(known) / len(known) if known else math.nan
+
+    total = _reported(reported.total_time_s, 0)
+    ours = number(mean([group.total_time for group in groups]), 1)
+    if reported.preplan_time_s is not None:
+        total += f" ({reported.preplan_time_s:.0f})"
+        ours += f" ({number(mean([group.preplan_time for group in groups]), 1)})"
+    success = f"{mean([group.success.share for group in groups]):.2f}"
+    if len(groups) == 1:
+        success += f" ({interval(groups[0].success)})"
+    return (
+        *(f"{reported.success:.2f}" if len(groups) > 1 else f"{reported.success:.1f}", success),
+        *(_reported(reported.error_m, 2), number(mean([group.error_until for group in groups]), 2)),
+        *(_reported(reported.control_hz, 2), number(mean([group.control_hz for group in groups]), 1)),
+        *(total, ours),
+    )
+
+
+def _reported(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,83 @@
+"""What a worker process does: one trial, from nothing to its log, whatever happens on the way."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+import traceback
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+
+from oimppi_warp.bench.provenance import code_content, machine, without_paths
+from oimppi_warp.bench.trial import Trial, make_episode
+from oimppi_warp.log import EpisodeLog
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out of a trial in a worker.
+
+    Attributes:
+        trial: The trial.
+        log: Its record; ``None`` if it raised.
+        error: The traceback, if it raised.
+        wall_s: How long it took [s].
+        code, machine: What made it.
+    """
+
+    trial: Trial
+    log: EpisodeLog | None
+    error: str
+    wall_s: float
+    code: str
+    machine: str
+
+
+def run_trial(trial: Trial, leader: int) -> Outcome:
+    """Run a trial.
+
+    Args:
+        trial: The trial.
+        leader: Process that started the suite. In others Ctrl-C is left to it.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, in the leading process.
+    """
+    if os.getpid() != leader:
+        with suppress(ValueError):  # a thread of a cluster's worker may not
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if os.getppid() == leader:
+            _end_with_leader()
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    began = time.perf_counter()
+    log, error = None, ""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            log = make_episode(trial).run()
+    except Exception:
+        error = without_paths(traceback.format_exc())
+    if log is not None and log.header["ended"] == "interrupted":
+        raise KeyboardInterrupt
+    return Outcome(trial, log, error, time.perf_counter() - began, code_content(), machine())
+
+
+@cache
+def _end_with_leader() -> None:
+    """From now on this process ends when the one that started it does, even if that one is killed."""
+    leader = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == leader:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

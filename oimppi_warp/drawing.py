@@ -1,0 +1,53 @@
+"""What all pictures share: style, colours, and shapes seen from above."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+
+INK, FAINT, WALL, GOAL, START = "#26323a", "#b8c2c9", "#5d6a73", "#c2410c", "#3b0f70"
+METHOD_COLORS = {"mppi": "#8592a6", "cloi": "#0f766e", "soi": "#d97706"}
+"""One colour a method, in every picture."""
+
+STYLE: Any = {
+    "font.size": 9,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e9edf0",
+    "grid.linewidth": 0.8,
+    "legend.frameon": False,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "svg.hashsalt": "oimppi",  # the same picture is the same file
+}
+
+
+def rendered(figure: Figure, *, kind: str = "png", dpi: int = 150) -> bytes:
+    """A figure as the content of a file: ``png`` or ``svg``."""
+    picture = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(picture, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
+    return picture.getvalue()
+
+
+def add_rings(axes: Axes, rings: Iterable[np.ndarray], **style: Any) -> None:
+    """Closed rings [n, 2] as one patch."""
+    paths = [Outline(np.asarray(ring), closed=True) for ring in rings]
+    if paths:
+        axes.add_patch(PathPatch(Outline.make_compound_path(*paths), **style))

@@ -1,0 +1,117 @@
+"""What a run is made of, from words: a preset with changes becomes a config, a scene with a start becomes a task.
+
+The commands ``run`` and ``bench`` share it, so that a trial of a benchmark is exactly the run that its command makes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oimppi_warp.config import Config, Method, set_option, validate
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.presets import PRESETS
+
+if TYPE_CHECKING:
+    from oimppi_warp.scene import PlanarPose, Scene
+
+RANDOMIZED_DRAWS = 4
+"""Draws of the world that ``--randomize`` asks for."""
+
+
+def make_config(
+    preset: str,
+    method: Method,
+    *,
+    assignments: Iterable[str] = (),
+    max_sim_seconds: float | None = None,
+    randomize: bool = False,
+) -> Config:
+    """A preset with changes, validated.
+
+    Args:
+        preset: Name of the preset.
+        method: Who plans.
+        assignments: Settings as ``NAME=VALUE``, in the order in which they are applied.
+        max_sim_seconds: Time limit in simulated seconds, if another than the preset's.
+        randomize: Try each sample in :data:`RANDOMIZED_DRAWS` draws of the world.
+
+    Raises:
+        ConfigError: A setting is wrong.
+    """
+    config = PRESETS[preset](method)
+    if randomize:
+        config = set_option(config, f"robot.uncertainty.draws={RANDOMIZED_DRAWS}")
+    for assignment in assignments:
+        config = set_option(config, assignment)
+    if max_sim_seconds is not None:
+        config = replace(config, episode=replace(config.episode, max_sim_seconds=max_sim_seconds))
+    return validate(config)
+
+
+def make_task(
+    scene: str | Path, *, start: PlanarPose | int | None = None, goal: PlanarPose | None = None, seed: int = 0
+) -> Scene:
+    """A scene with the start and the goal asked for, checked.
+
+    Args:
+        scene: A USD file, or the name of a shipped scene.
+        start: A pose, the number of one of the scene's starts, or ``None`` to draw one with the seed.
+        goal: A pose, or ``None`` for the scene's.
+        seed: Of the start, if it is drawn.
+
+    Raises:
+        SceneError: The scene cannot be run so.
+        ConfigError: The scene has fewer starts.
+    """
+    from oimppi_warp.feasibility import check_task, draw_start
+    from oimppi_warp.usd import load_scene
+
+    loaded = load_scene(scene)
+    if goal is not None:
+        loaded = loaded.with_goal(goal)
+    if start is None:
+        start = draw_start(loaded, seed)
+    elif isinstance(start, int):
+        start = _listed_start(loaded, start)
+    loaded = loaded.with_start(start)
+    check_task(loaded)
+    return loaded
+
+
+def parse_pose(option: str, text: str) -> PlanarPose:
+    """A planar pose from "x,y,yaw", metres and radians.
+
+    Raises:
+        ConfigError: It is none; the message names the option.
+    """
+    try:
+        x, y, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise ConfigError(f"{option} {text}: not a pose\n  allowed: x,y,yaw in metres and radians, like 0.3,-0.45,3.14")
+    return x, y, yaw
+
+
+def parse_start(text: str | None) -> PlanarPose | int | None:
+    """The number of a start, or a pose.
+
+    Raises:
+        ConfigError: It is neither.
+    """
+    if text is None:
+        return None
+    return int(text) if text.strip().isdecimal() else parse_pose("--start", text)
+
+
+def _listed_start(scene: Scene, index: int) -> PlanarPose:
+    """One of the scene's starts by its number."""
+    count = len(scene.starts)
+    if index >= count:
+        raise ConfigError(f"--start {index}: {scene.name} has {count} starts\n  allowed: 0 to {count - 1}, or x,y,yaw")
+    x, y, yaw = map(float, scene.starts[index])
+    return x, y, yaw

@@ -1,0 +1,194 @@
+"""Suites: what stands in them, which trials they make, and what is said about bad ones."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_results import make_trial
+
+from oimppi_warp.bench.suite import SUITES, Suite, load_suite, shipped_suites
+from oimppi_warp.bench.trial import make_trials
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.usd import load_scene
+
+SMALL = """
+tasks = ["task01", "task02"]
+methods = ["soi", "mppi"]
+trials = 3
+"""
+
+
+def suite_of(folder: Path, text: str) -> Suite:
+    file = folder / "mine.toml"
+    file.write_text(text)
+    return load_suite(file)
+
+
+def test_the_shipped_suites_have_the_trials_that_they_promise():
+    found = {suite.name: suite for suite in shipped_suites()}
+    assert set(found) == {"best-sim", "lab", "paper-sim", "smoke"}
+    for name, preset in (("paper-sim", "paper"), ("best-sim", "best")):
+        trials, scenes = make_trials(found[name])
+        assert len(trials) == 6 * 3 * 10
+        assert set(scenes) == {"task01", "task02", "task03", "task03_wide", "task04", "task05"}
+        assert {(trial.preset, trial.engine, trial.mode) for trial in trials} == {(preset, "quasistatic", "lockstep")}
+    lab, _ = make_trials(found["lab"])
+    assert all(trial.real_time and trial.plant == "lab" for trial in lab)
+    assert lab[0].config.robot.mppi.samples == 2000
+
+
+def test_the_first_trials_use_the_scenes_own_starts_and_all_methods_share_them(tmp_path: Path):
+    trials, scenes = make_trials(suite_of(tmp_path, SMALL + "seed = 7\n").changed(trials=13))
+    assert len(trials) == 2 * 2 * 13
+    for task, scene in scenes.items():
+        for number in range(13):
+            found = [trial for trial in trials if (trial.task, trial.number) == (task, number)]
+            assert len({trial.start for trial in found}) == len({trial.seed for trial in found}) == 1
+            assert {trial.method for trial in found} == {"soi", "mppi"}
+            if number < 10:
+                assert found[0].start == tuple(map(float, scene.starts[number]))
+    assert len({trial.seed for trial in trials}) == 13
+    starts = {trial.start for trial in trials if trial.task == "task01" and trial.number >= 10}
+    assert len(starts) == 3
+    again, _ = make_trials(suite_of(tmp_path, SMALL + "seed = 7\n").changed(trials=13))
+    assert [trial.key for trial in again] == [trial.key for trial in trials]
+    other, _ = make_trials(suite_of(tmp_path, SMALL).changed(trials=13))
+    assert starts.isdisjoint(trial.start for trial in other)
+
+
+def test_an_entry_has_what_stands_at_the_top_unless_it_says_otherwise(tmp_path: Path):
+    suite = suite_of(
+        tmp_path, SMALL + '[[entry]]\n[[entry]]\nmethods = ["cloi"]\nmode = "realtime"\nset = ["cost.w_d=3"]\n'
+    )
+    first, second = suite.entries
+    assert (first.methods, first.mode, first.set) == (("soi", "mppi"), "lockstep", ())
+    assert (second.methods, second.mode, second.set) == (("cloi",), "realtime", ("cost.w_d=3",))
+    assert second.tasks == first.tasks
+
+
+def test_the_same_task_and_method_twice_need_labels(tmp_path: Path):
+    twice = SMALL + '[[entry]]\n[[entry]]\nmethods = ["soi"]\nset = ["cost.w_d=3"]\n'
+    with pytest.raises(ConfigError, match="soi on task01 stands there twice"):
+        make_trials(suite_of(tmp_path, twice))
+    trials, scenes = make_trials(suite_of(tmp_path, twice + 'label = "far"\n'))
+    assert set(scenes) == {"task01", "task02", "task01-far", "task02-far"}
+    assert len({trial.key for trial in trials}) == len(trials) == 18
+
+
+def test_a_scene_beside_the_suite_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    scene = load_scene("task01").file
+    for part in ("robots", "objects", "schema"):
+        shutil.copytree(scene.parent / part, tmp_path / part)
+    shutil.copy(scene, tmp_path / "mine.usda")
+    suite = suite_of(tmp_path, 'tasks = ["mine.usda"]\nmethods = ["mppi"]\ntrials = 1\n')
+    (trial,), _ = make_trials(suite)
+    assert trial.task == "mine"
+    monkeypatch.chdir(tmp_path)
+    (here,), _ = make_trials(suite)
+    assert here.scene == "mine.usda"
+    assert here.key == trial.key
+
+    used = tmp_path / "objects" / "t_block.usda"
+    used.write_text(used.read_text() + "\n# a file that the scene refers to\n")
+    (changed,), _ = make_trials(suite)
+    assert changed.key != trial.key
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"content": "c1"},
+        {"method": "soi"},
+        {"seed": 1},
+        {"start": (0.3, -0.45, 0.01)},
+        {"engine": "newton"},
+        {"device": "cuda:0"},
+        {"preset": "paper"},
+        {"assignments": ("cost.w_d=3",)},
+        {"max_sim_seconds": 3.0},
+        {"plant": "lab"},
+        {"mode": "realtime"},
+    ],
+)
+def test_what_decides_the_result_changes_the_key(change: dict):
+    assert replace(make_trial(), **change).key != make_trial().key
+
+
+def test_what_does_not_decide_the_result_leaves_the_key():
+    trial = make_trial()
+    assert replace(trial, threads=8).key == trial.key
+    assert replace(trial, scene="elsewhere/task01.usda").key == trial.key
+    same = f"robot.mppi.samples={trial.config.robot.mppi.samples}"
+    assert replace(trial, assignments=(same,)).key == trial.key
+    clock = replace(trial, mode="realtime")
+    assert replace(clock, threads=8).key != clock.key
+
+
+def test_the_command_says_everything_and_mode_and_plant_only_when_they_are_special():
+    command = make_trial(assignments=("cost.w_d=3", "reference=time"), max_sim_seconds=2.5).command
+    assert command == (
+        "oimppi run task01 --method cloi --preset best --engine quasistatic --device cpu --threads 1 --seed 0 "
+        "--start 0.3,-0.45,0.0 --max-sim-seconds 2.5 --set cost.w_d=3 reference=time"
+    )
+    assert "--mode realtime --plant lab" in make_trial(mode="realtime", plant="lab").command
+
+
+BAD = {
+    "no TOML": ("tasks = [", "not a TOML file"),
+    "no tasks": ("trials = 2", "no tasks"),
+    "empty tasks": ("tasks = []", "a list of scenes"),
+    "a word for a list": ('tasks = "task01"', "a list of scenes"),
+    "unknown key": (SMALL + "sead = 1", "did you mean seed?"),
+    "unknown method": ('tasks = ["task01"]\nmethods = ["rrt"]', "a list out of mppi, soi, cloi"),
+    "no trials": (SMALL.replace("3", "0"), "a whole number from 1"),
+    "trials that are none": (SMALL.replace("3", "true"), "a whole number from 1"),
+    "timed engine": (SMALL + 'engine = "auto"', '"quasistatic" or "newton"'),
+    "unknown mode": (SMALL + 'mode = "fast"', '"lockstep" or "realtime"'),
+    "unknown preset": (SMALL + 'preset = "bset"', '"best" or "paper"'),
+    "unknown setting": (SMALL + 'set = ["cost.w_aling=2"]', "did you mean cost.w_align?"),
+    "bad setting of one method": (SMALL + 'set = ["robot.mppi.horizon=3"]', "no such spline"),
+    "time that is none": (SMALL + "max_sim_seconds = 0", "above zero"),
+    "entry that is a table": (SMALL + "[entry]\nseed = 1", "[[entry]]"),
+    "bad key in an entry": (SMALL + "[[entry]]\n[[entry]]\nseed = -1", "entry 2: seed = -1"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_suite_is_refused_with_what_is_allowed(case: str, tmp_path: Path):
+    text, said = BAD[case]
+    with pytest.raises(ConfigError) as error:
+        suite_of(tmp_path, text)
+    assert said in str(error.value)
+    assert "mine.toml" in str(error.value)
+
+
+def test_a_name_that_is_no_suite_is_answered_with_those_there_are():
+    with pytest.raises(ConfigError, match=r"paper-sim[\s\S]*did you mean best-sim\?"):
+        load_suite("best-sin")
+
+
+def test_a_part_of_a_suite_can_be_run():
+    suite = load_suite("paper-sim").only(tasks=("task02",), methods=("soi",))
+    assert [(entry.tasks, entry.methods) for entry in suite.entries] == [(("task02",), ("soi",))]
+    with pytest.raises(ConfigError, match="allowed: task01"):
+        suite_all = load_suite("paper-sim")
+        suite_all.only(tasks=("task09",))
+
+
+def test_suites_are_package_data():
+    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 4
+    import tomllib
+
+    project = tomllib.loads((Path(__file__).resolve().parents[1] / "pyproject.toml").read_text())
+    assert "*.toml" in project["tool"]["setuptools"]["package-data"]["*"]
+
+
+def test_starts_are_given_to_the_last_digit(tmp_path: Path):
+    trials, _ = make_trials(suite_of(tmp_path, SMALL))
+    for trial in trials:
+        text = trial.arguments[trial.arguments.index("--start") + 1]
+        np.testing.assert_array_equal([float(part) for part in text.split(",")], trial.start)
