@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from oimppi_warp.episode import Episode
     from oimppi_warp.errors import ConfigError, DeviceError, OimppiError, SceneError
     from oimppi_warp.log import EpisodeLog
+    from oimppi_warp.methods import make_planner
     from oimppi_warp.metrics import Metrics, summarize
-    from oimppi_warp.planner import make_planner
     from oimppi_warp.plant import SimulatedPlant
     from oimppi_warp.presets import best, paper
     from oimppi_warp.scene import Scene
@@ -37,7 +37,7 @@ _MODULES = {
     "World": "world",
     "best": "presets",
     "load_scene": "usd",
-    "make_planner": "planner",
+    "make_planner": "methods",
     "paper": "presets",
     "summarize": "metrics",
 }

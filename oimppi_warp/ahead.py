@@ -15,9 +15,9 @@ from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
 from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
 from oimppi_warp.kernels import navigation
+from oimppi_warp.methods import METHODS, make_planner
 from oimppi_warp.mppi import Mppi
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planner import METHODS, make_planner
 from oimppi_warp.scene import Scene
 
 Variant = tuple[wp.Module, int]

@@ -14,9 +14,10 @@ from oimppi_warp.config import Config, Method
 from oimppi_warp.feasibility import check_task
 from oimppi_warp.kinematics import tip_frame
 from oimppi_warp.log import EpisodeLog, to_json, versions
+from oimppi_warp.methods import make_planner
 from oimppi_warp.metrics import hold_steps, pose_error
 from oimppi_warp.observation import Observation
-from oimppi_warp.planner import Planner, make_planner
+from oimppi_warp.planner import Planner
 from oimppi_warp.plant import SimulatedPlant
 from oimppi_warp.scene import Scene, Tolerance
 from oimppi_warp.world import World
@@ -35,7 +36,7 @@ class Episode:
     Args:
         scene: The task, with the start and the goal to use.
         config: All settings.
-        method, engine, device, threads, seed: As for :func:`oimppi_warp.planner.make_planner`.
+        method, engine, device, threads, seed: As for :func:`oimppi_warp.methods.make_planner`.
 
     Raises:
         SceneError: The task cannot be done: its start or goal is in an obstacle, off the table or out of reach.

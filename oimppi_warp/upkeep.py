@@ -46,7 +46,7 @@ class Warmup:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
         from oimppi_warp import device
-        from oimppi_warp.planner import METHODS, make_planner
+        from oimppi_warp.methods import METHODS, make_planner
         from oimppi_warp.plant import SimulatedPlant
         from oimppi_warp.presets import best
         from oimppi_warp.usd import load_scene

@@ -7,7 +7,7 @@ import tasks
 
 from oimppi_warp import choice as module
 from oimppi_warp.choice import choose
-from oimppi_warp.planner import make_planner
+from oimppi_warp.methods import make_planner
 from oimppi_warp.presets import best
 
 

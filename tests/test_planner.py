@@ -14,8 +14,9 @@ from oimppi_warp.config import Config, Method, ObjectLevel, RobotLevel
 from oimppi_warp.config import Mppi as MppiSettings
 from oimppi_warp.errors import ConfigError, DeviceError
 from oimppi_warp.kinematics import tip_jacobian
+from oimppi_warp.methods import METHODS, ClosedLoopPlanner, SequentialPlanner, make_planner
 from oimppi_warp.observation import Observation
-from oimppi_warp.planner import METHODS, ClosedLoopPlanner, Plan, Planner, SequentialPlanner, make_planner
+from oimppi_warp.planner import Plan, Planner
 from oimppi_warp.scene import Scene
 
 SMALL = Config(

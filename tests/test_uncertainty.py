@@ -11,7 +11,7 @@ import warp as wp
 
 from oimppi_warp.config import Uncertainty
 from oimppi_warp.kernels.uncertainty import combine_costs
-from oimppi_warp.planner import make_planner
+from oimppi_warp.methods import make_planner
 from oimppi_warp.presets import best
 from oimppi_warp.uncertainty import CERTAIN, draw
 

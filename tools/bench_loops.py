@@ -13,9 +13,11 @@ import warp as wp
 
 from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config, Method
+from oimppi_warp.methods import make_planner
 from oimppi_warp.mppi import Mppi
+from oimppi_warp.object_level import ObjectLevel
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planner import ObjectLevel, Planner, make_planner
+from oimppi_warp.planner import Planner
 from oimppi_warp.scene import Scene
 
 WARM_UP = 3
@@ -57,7 +59,7 @@ class PlannerLoop:
     Args:
         scene: The task.
         config: All settings.
-        method, engine, device, threads: As for :func:`oimppi_warp.planner.make_planner`.
+        method, engine, device, threads: As for :func:`oimppi_warp.methods.make_planner`.
     """
 
     def __init__(

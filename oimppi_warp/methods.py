@@ -1,0 +1,212 @@
+"""MPPI, SOI and CLOI: who replans when, and what the robot tracks (the paper's Algorithms 1 to 3).
+
+All three are one robot-level MPPI that tracks a reference of object poses; they differ in where the reference comes
+from. MPPI's is the goal itself, SOI's a plan made once before the robot moves, CLOI's a plan renewed every step.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.choice import choose, median_seconds
+from oimppi_warp.clearance import pose_field_at, to_center
+from oimppi_warp.compute import Compute, Launch, Stopwatch
+from oimppi_warp.config import Config, Method, validate
+from oimppi_warp.dynamics.engines import ENGINES
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.kernels import navigation
+from oimppi_warp.kernels.geometry import PoseField
+from oimppi_warp.kernels.object import follow_path
+from oimppi_warp.mppi import Update
+from oimppi_warp.navigation import build_to_go
+from oimppi_warp.object_level import ObjectLevel, pose_difference
+from oimppi_warp.observation import Observation
+from oimppi_warp.planner import Planner
+from oimppi_warp.scene import Scene
+
+METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
+
+_ARRIVED = 0.01
+"""Distance from the goal, turning counted, at which SOI's object plan is complete [m]."""
+
+
+class SequentialPlanner(Planner):
+    """SOI-MPPI (Algorithm 3): one object plan to the goal before the robot moves, then tracked.
+
+    By time, the reference is the plan as it was made. By progress, it is the way from the object's pose down a
+    cost-to-go that is made once, with the plan: along the plan, and where a push went astray a free way back to it.
+    """
+
+    method: Method = "soi"
+
+    def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
+        super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
+        # Its plan is made before the robot moves: a step of its own, with inputs and outputs of its own.
+        alone = Compute(compute.device, threads=compute.threads)
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=alone, seed=2 * seed + 2)
+        self._object_step = alone.step(self._object.launches)
+        self._path = self.goal[None]
+        self._step_of_path = 0
+
+    def warm_up(self) -> None:
+        """Compiles and loads every kernel, so that the first plan is as fast as the others."""
+        super().warm_up()
+        self._improve(self._path[0])
+        wp.load_module(navigation, device="cpu")
+
+    def start(self, observation: Observation) -> float:
+        """Plans the object's whole way; returns the wall time that took, the cost-to-go included [s]."""
+        super().start(observation)
+        began = time.perf_counter()
+        self._object.mppi.reset()
+        self._step_of_path = 0
+        self._path = self._whole_way(to_center(self.geometry.surface, observation.object_pose))
+        if self.config.reference == "progress":
+            level = self.config.object
+            found = build_to_go(
+                self.geometry.clearance,
+                self._path[::-3][::-1],
+                yaw_length=level.yaw_length,
+                reach=self.config.object_cost.reach,
+                bound=self._object.to_go,
+                device=self.compute.device,
+            )
+            wp.copy(self._to_go.values, found.values)
+            self._to_go_values = found.values.numpy()
+        return time.perf_counter() - began + self._object.setup_seconds
+
+    def _object_launches(self, seed: int) -> list[Launch]:
+        if self.config.reference == "time":
+            return []
+        clearance, level = self.geometry.clearance, self.config.object
+        self._to_go = PoseField()
+        self._to_go.values = wp.zeros_like(clearance.values)
+        self._to_go_values = self._to_go.values.numpy()
+        self._to_go.origin, self._to_go.inv_step = clearance.origin, clearance.inv_step
+        self._to_go.inv_yaw_step = clearance.inv_yaw_step
+        self._start = self.compute.input(1, wp.vec3)
+        reference = self.dynamics.reference
+        self._way = self.compute.output((1, len(reference.host)), wp.vec3)
+        goal = wp.array(self.goal[None].astype(np.float32), dtype=wp.vec3, device=self.compute.device)
+        step = level.speed_limit[0] * self.config.control_period
+        inputs = [self._to_go, self._start.array, goal, level.yaw_length, step]
+        down = self.compute.launch(navigation.follow_down, 1, inputs, [self._way.array])
+        hand_over = self.compute.launch(follow_path, len(reference.host), [self._way.array], [reference.array])
+        return [down, hand_over]
+
+    def _whole_way(self, pose: np.ndarray) -> np.ndarray:
+        """The object's way to the goal, as the object level would drive it in closed loop."""
+        way = [pose]
+        for _ in range(self.config.object.plan_steps):
+            way.append(self._improve(way[-1])[1])
+            left = pose_difference(self.goal, way[-1]) * [1.0, 1.0, self.config.object.yaw_length]
+            if np.linalg.norm(left) < _ARRIVED:
+                break
+        return np.array([*way, self.goal])
+
+    def _improve(self, pose: np.ndarray) -> np.ndarray:
+        """One update of the object plan from a pose [3], and the path [horizon + 1, 3] that it then takes."""
+        self._object.set_state(pose)
+        self._object_step()
+        return self._object.path.host[0].astype(float)
+
+    def _set_reference(self, pose: np.ndarray) -> None:
+        if self.config.reference == "progress":
+            self._start.host[0] = pose
+            return
+        self._track(self._path[self._step_of_path :])
+        self._step_of_path = min(self._step_of_path + 1, len(self._path) - 1)
+
+    def _reference(self) -> np.ndarray:
+        return self._way.host[0].astype(float) if self.config.reference == "progress" else self._tracked
+
+    def _to_go_from(self, pose: np.ndarray) -> float:
+        if self.config.reference == "time":
+            return super()._to_go_from(pose)
+        return pose_field_at(self._to_go, pose, self._to_go_values)
+
+
+class ClosedLoopPlanner(Planner):
+    """CLOI-MPPI (Algorithm 2): the object plan is renewed from every observation."""
+
+    method: Method = "cloi"
+
+    def start(self, observation: Observation) -> float:
+        """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""
+        self._object.mppi.reset()
+        return super().start(observation) + self._object.setup_seconds
+
+    def _object_launches(self, seed: int) -> list[Launch]:
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
+        reference = self.dynamics.reference
+        hand_over = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
+        self._watch = Stopwatch()
+        return [*self._object.launches, hand_over, self._watch]
+
+    def _set_reference(self, pose: np.ndarray) -> None:
+        self._object.set_state(pose)
+
+    def _reference(self) -> np.ndarray:
+        return self._object.path.host[0].astype(float)
+
+    def _object_update(self) -> Update | None:
+        return self._object.mppi.found()
+
+    def _object_done(self) -> float:
+        return self._watch.take()
+
+    def _to_go_from(self, pose: np.ndarray) -> float:
+        return self._object.to_go_from(pose)
+
+
+def make_planner(
+    scene: Scene,
+    config: Config,
+    *,
+    method: Method = "cloi",
+    engine: str = "auto",
+    device: str = "auto",
+    threads: int | None = None,
+    seed: int = 0,
+) -> Planner:
+    """A planner for a scene.
+
+    Args:
+        scene: The task.
+        config: All settings.
+        method: ``"mppi"``, ``"soi"`` or ``"cloi"``.
+        engine: Rollout engine of the robot level: ``"quasistatic"``, ``"newton"``, or ``"auto"`` for the best one that
+            keeps up with the control period on this machine (a few plans are timed).
+        device: Warp device; ``"auto"`` takes the first GPU, or the CPU where there is none.
+        threads: Threads on the CPU; default: as many as the cores that the process may use.
+        seed: Of all noise.
+
+    Raises:
+        ConfigError: Unknown method or engine, or a setting that cannot be used.
+        DeviceError: The device is not there.
+    """
+    validate(config)
+    planners = {kind.method: kind for kind in (Planner, SequentialPlanner, ClosedLoopPlanner)}
+    if method not in planners:
+        raise ConfigError(f"method {method!r} does not exist\n  allowed: {', '.join(METHODS)}")
+    if engine not in (*ENGINES, "auto"):
+        raise ConfigError(f"engine {engine!r} does not exist\n  allowed: auto, {', '.join(ENGINES)}")
+
+    def make(engine: str) -> Planner:
+        return planners[method](scene, config, engine=engine, compute=Compute(device, threads=threads), seed=seed)
+
+    if engine != "auto":
+        return make(engine)
+    made: dict[str, Planner] = {}
+
+    def plan_seconds(engine: str) -> float:
+        made[engine] = make(engine)
+        return median_seconds(made[engine].warm_up)
+
+    choice = choose(method, config.control_period, plan_seconds)
+    planner = made[choice.engine]
+    planner.engine_reason = choice.reason
+    return planner
