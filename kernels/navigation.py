@@ -10,6 +10,9 @@ wp.set_module_options({"enable_backward": False})
 HOME = wp.constant(0.05)
 """Distance from the goal, turning counted, within which a way down the cost-to-go is straight [m]."""
 
+ON_PLAN = wp.constant(0.02)
+"""Distance from a plan's poses, turning counted, within which a way is on the plan [m]."""
+
 
 @wp.struct
 class Tolls:
@@ -135,6 +138,13 @@ def sweep_to_go(
 
 
 @wp.func
+def turned_distance(a: wp.vec3, b: wp.vec3, yaw_length: float) -> float:
+    """Distance of two poses, turning counted [m]."""
+    d = b - a
+    return wp.length(wp.vec3(d[0], d[1], yaw_length * wrap_angle(d[2])))
+
+
+@wp.func
 def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) -> wp.vec3:
     """The pose a step further down the cost-to-go.
 
@@ -181,6 +191,7 @@ def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) ->
 def follow_down(
     # in:
     to_go: PoseField,
+    plan: wp.array[wp.vec3],
     start: wp.array[wp.vec3],
     goal: wp.array[wp.vec3],
     yaw_length: float,
@@ -188,19 +199,28 @@ def follow_down(
     # out:
     way: wp.array2d[wp.vec3],
 ):
-    """The way that a cost-to-go leads from a pose, at an even speed; one thread.
+    """The way to the goal from a pose, at an even speed: onto a plan and along it; one thread.
 
-    Shapes: ``start`` and ``goal`` [1], ``way`` [1, n]. Within ``HOME`` of the goal, the rest of the way is straight.
+    Off the plan it leads down the cost-to-go. On it, that is within ``ON_PLAN`` of one of its poses, it leads on from
+    the last of those. Within ``HOME`` of the goal, the rest of the way is straight. Shapes: ``plan`` [m] or empty,
+    ``start`` and ``goal`` [1], ``way`` [1, n].
     """
     pose = start[0]
     way[0, 0] = pose
     for i in range(1, way.shape[1]):
-        left = goal[0] - pose
-        left[2] = wrap_angle(left[2])
-        turn = yaw_length * left[2]
-        straight = wp.sqrt(left[0] * left[0] + left[1] * left[1] + turn * turn)
-        if straight < HOME:
-            pose = pose + wp.min(1.0, step / wp.max(straight, 1.0e-6)) * left
+        target = goal[0]
+        straight = bool(turned_distance(pose, target, yaw_length) < HOME)
+        if not straight:
+            for k in range(plan.shape[0]):
+                m = plan.shape[0] - 1 - k
+                if turned_distance(pose, plan[m], yaw_length) < ON_PLAN:
+                    target = plan[wp.min(m + 1, plan.shape[0] - 1)]
+                    straight = True
+                    break
+        if straight:
+            left = target - pose
+            left[2] = wrap_angle(left[2])
+            pose = pose + wp.min(1.0, step / wp.max(turned_distance(pose, target, yaw_length), 1.0e-6)) * left
         else:
             pose = downhill(to_go, pose, yaw_length, step)
         way[0, i] = pose

@@ -31,13 +31,15 @@ METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
 
 _ARRIVED = 0.01
 """Distance from the goal, turning counted, at which SOI's object plan is complete [m]."""
+_EVERY = 3
+"""Poses of SOI's plan are followed in steps of so many."""
 
 
 class SequentialPlanner(Planner):
     """SOI-MPPI (Algorithm 3): one object plan to the goal before the robot moves, then tracked.
 
-    By time, the reference is the plan as it was made. By progress, it is the way from the object's pose down a
-    cost-to-go that is made once, with the plan: along the plan, and where a push went astray a free way back to it.
+    By time, the reference is the plan as it was made. By progress, it leads on from where the object is on the plan.
+    Where a push went astray, it leads a free way back, down a cost-to-go that is made once, with the plan.
     """
 
     method: Method = "soi"
@@ -68,7 +70,7 @@ class SequentialPlanner(Planner):
             level = self.config.object
             found = build_to_go(
                 self.geometry.clearance,
-                self._path[::-3][::-1],
+                self._path[::-_EVERY][::-1],
                 yaw_length=level.yaw_length,
                 reach=self.config.object_cost.reach,
                 bound=self._object.to_go,
@@ -76,6 +78,9 @@ class SequentialPlanner(Planner):
             )
             wp.copy(self._to_go.values, found.values)
             self._to_go_values = found.values.numpy()
+            plan = np.vstack([self._path[1::_EVERY], self.goal])
+            plan = plan[np.minimum(np.arange(len(self._plan)), len(plan) - 1)]
+            self._plan.assign(plan.astype(np.float32))
         return time.perf_counter() - began + self._object.setup_seconds
 
     def _object_launches(self, seed: int) -> list[Launch]:
@@ -92,7 +97,8 @@ class SequentialPlanner(Planner):
         self._way = self.compute.output((1, len(reference.host)), wp.vec3)
         goal = wp.array(self.goal[None].astype(np.float32), dtype=wp.vec3, device=self.compute.device)
         step = level.speed_limit[0] * self.config.control_period
-        inputs = [self._to_go, self._start.array, goal, level.yaw_length, step]
+        self._plan = wp.zeros(level.plan_steps // _EVERY + 2, dtype=wp.vec3, device=self.compute.device)
+        inputs = [self._to_go, self._plan, self._start.array, goal, level.yaw_length, step]
         down = self.compute.launch(navigation.follow_down, 1, inputs, [self._way.array])
         hand_over = self.compute.launch(follow_path, len(reference.host), [self._way.array], [reference.array])
         return [down, hand_over]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,10 @@ from oimppi_warp.navigation import build_to_go, path_lengths
 
 YAW_LENGTH = 0.1
 """Length that turning by one radian counts as [m]."""
+
+
+def no_plan() -> wp.array:
+    return wp.zeros(0, dtype=wp.vec3, device="cpu")
 
 
 @pytest.fixture(autouse=True)
@@ -126,7 +131,9 @@ def followed(to_go: PoseField, pose: np.ndarray, goal: np.ndarray, *, step: floa
     """The way [steps + 1, 3] that a cost-to-go leads."""
     start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
     way = wp.zeros((1, steps + 1), dtype=wp.vec3, device="cpu")
-    wp.launch(kernels.follow_down, dim=1, inputs=[to_go, start, end, YAW_LENGTH, step], outputs=[way], device="cpu")
+    wp.launch(
+        kernels.follow_down, dim=1, inputs=[to_go, no_plan(), start, end, YAW_LENGTH, step], outputs=[way], device="cpu"
+    )
     return way.numpy()[0].astype(float)
 
 
@@ -170,10 +177,32 @@ def test_a_way_down_leads_through_a_gap_as_narrow_as_the_grid():
     to_go = build_to_go(field, goal, yaw_length=0.01, device="cpu")
     start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
     way = wp.zeros((1, 121), dtype=wp.vec3, device="cpu")
-    wp.launch(kernels.follow_down, dim=1, inputs=[to_go, start, end, 0.01, 0.006], outputs=[way], device="cpu")
+    wp.launch(
+        kernels.follow_down, dim=1, inputs=[to_go, no_plan(), start, end, 0.01, 0.006], outputs=[way], device="cpu"
+    )
     np.testing.assert_allclose(way.numpy()[0, -1], goal, atol=1e-3)
     left = np.linalg.norm(way.numpy()[0, :, :2] - goal[:2], axis=1)
     assert (left[5:] < left[:-5] + 1e-6).all(), "it does not turn around"
+
+
+def test_a_way_leads_along_a_plan_past_a_shorter_one():
+    """The plan makes a detour through free space, and crosses itself."""
+    goal, pose = np.array([0.42, 0.2, 0.0]), np.array([0.39, -0.19, 0.1])
+    corners = np.array([[0.40, -0.2, 0.0], [0.55, -0.05, 0.0], [0.55, 0.08, 0.0], [0.38, 0.08, 0.0], [0.42, 0.2, 0.0]])
+    plan = np.vstack([np.linspace(a, b, 12)[:-1] for a, b in pairwise(corners)] + [goal])
+    clearance = build_geometry(task(pushed=block()), "cpu").clearance
+    to_go = build_to_go(clearance, plan, yaw_length=YAW_LENGTH, device="cpu")
+    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
+    packed = wp.array(plan.astype(np.float32), dtype=wp.vec3, device="cpu")
+    found = wp.zeros((1, 200), dtype=wp.vec3, device="cpu")
+    inputs = [to_go, packed, start, end, YAW_LENGTH, 0.006]
+    wp.launch(kernels.follow_down, dim=1, inputs=inputs, outputs=[found], device="cpu")
+    way = found.numpy()[0].astype(float)
+    np.testing.assert_allclose(way[-1], goal, atol=1e-3)
+    off = [np.linalg.norm(plan[:, :2] - p[:2], axis=1).min() for p in way]
+    assert max(off) < 0.03, "it stays on the plan"
+    passed = [np.linalg.norm(way[:, :2] - corner[:2], axis=1).min() for corner in corners]
+    assert max(passed) < 0.045, "all around the detour"
 
 
 def test_a_bound_to_start_from_changes_nothing():
