@@ -177,6 +177,12 @@ class RobotCost:
         w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2].
         w_control: Squared joint velocity [s^2/rad^2].
         w_collision: Contact force of arm and tool on obstacles and table above ``f_0`` [1/N], in engines that know it.
+        w_overhang: Squared length by which a stick that leans over the object is nearer to its rim than the tip is
+            [1/m^2]. This and the next are for objects that a push may tip (:func:`oimppi_warp.tipping.can_tip`), within
+            ``topple_near`` of them; for others they are off.
+        w_rush: Squared speed of the tool towards the object above ``rush`` [s^2/m^2].
+        rush: Share of the object's tipping speed (:func:`oimppi_warp.tipping.tipping_speed`) that costs nothing.
+        topple_near: [m].
     """
 
     w_d: float = 5.0
@@ -203,6 +209,10 @@ class RobotCost:
     w_press: float = 1e4
     w_control: float = 0.0
     w_collision: float = 0.0
+    w_overhang: float = 3e4
+    w_rush: float = 100.0
+    rush: float = 0.4
+    topple_near: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -337,6 +347,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "speed_limit": (1e-3, math.inf),
     "max_sim_seconds": (0.001, math.inf),
     "gamma_0": (-1, 1),
+    "topple_near": (1e-3, math.inf),
     "look_ahead": (1, 100_000),
 }
 """Smallest and largest value by the name of the field; everything else is finite and not negative."""

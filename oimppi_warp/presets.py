@@ -55,6 +55,8 @@ def paper(method: Method = "cloi") -> Config:
             w_height=20.0,
             w_above=0.0,
             w_reach=0.0,
+            w_overhang=0.0,
+            w_rush=0.0,
         ),
         episode=EpisodeConfig(tight=False),
         object_cost=ObjectCost(w_d=100.0, w_theta=0.08, w_to_go=0.0, w_margin=0.0, w_reach=0.0),

@@ -17,7 +17,7 @@ from tasks import DT, Pushing, block, box, joints_at, object_level, post, roll_w
 
 from oimppi_warp.clearance import pack_pieces, pose_field_at
 from oimppi_warp.config import ObjectCost, RobotCost
-from oimppi_warp.dynamics.packing import object_model, robot_weights
+from oimppi_warp.dynamics.packing import object_model, pack_weights
 from oimppi_warp.footprint import Piece
 from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
@@ -183,7 +183,8 @@ def packed_cases(cases: list[dict[str, Any]], kind: Any) -> wp.array:
     for case in cases:
         struct = kind()
         for name, value in case.items():
-            setattr(struct, name, wp.vec3(*value) if isinstance(value, np.ndarray) else value)
+            vector = wp.vec2 if np.size(value) == 2 else wp.vec3
+            setattr(struct, name, vector(*value) if isinstance(value, np.ndarray) else value)
         structs.append(struct)
     return wp.array(structs, dtype=kind, device="cpu")
 
@@ -214,12 +215,18 @@ def test_the_robots_stage_cost_is_equations_15_to_19_term_by_term(fade):
     rotations = Rotation.random(100, rng=np.random.default_rng(5)).as_matrix()
     for case, rotation in zip(cases, rotations, strict=True):
         case["up"] = rotation[2]
+        case["lean"] = -rotation[:2, 2] / max(-rotation[2, 2], 0.1)
+        case["velocity"] = RANDOM.uniform(-0.5, 0.5, 2)
+        case["top"] = 0.1
         case["speed_squared"] = abs(case["speed_squared"])
     edge = (np.array([-0.2, -0.3]), np.array([0.4, 0.1]))
-    inputs = [robot_weights(weights, edge), packed_cases(cases, probes.RobotCase)]
+    packed = pack_weights(weights, edge)
+    packed.topple_speed, packed.size = 0.15, 0.2
+    inputs = [packed, packed_cases(cases, probes.RobotCase)]
     (found,) = launch(probes.robot_cost_probe, inputs, 100, CostTerms)
     for terms, case, rotation in zip(found, cases, rotations, strict=True):
-        known = {name: value for name, value in case.items() if name != "up"}
+        known = {name: value for name, value in case.items() if name not in ("up", "lean")}
+        known |= {"topple_speed": 0.15, "size": 0.2}
         expected = reference.robot_cost(weights, rotation=rotation, edge=edge, **known)
         np.testing.assert_allclose(
             terms, [expected[name] for name in TERMS], rtol=RELATIVE_TOLERANCE, atol=1e-5, err_msg=str(TERMS)
