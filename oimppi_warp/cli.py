@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg, subcommand
 
-from oimppi_warp.config import Config, Method, set_option, validate
+from oimppi_warp.config import Config, Method, Mode, PlantKind, set_option, validate
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.presets import PRESETS
 from oimppi_warp.upkeep import Doctor, Warmup
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 RANDOMIZED_DRAWS = 4
 """Draws of the world that ``--randomize`` asks for."""
+
+_PACES = {"lockstep": "lock step", "realtime": "real time"}
 
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
@@ -76,6 +78,13 @@ class Run:
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
+
+    plant: PlantKind = "ideal"
+    """The simulated world as it is, or as a laboratory has it: the object seen once a second, with noise, late,
+    sometimes wrongly and not behind the arm; commands late and acceleration limited (`lab` has the settings)."""
+
+    mode: Mode = "lockstep"
+    """Whether the world waits for each plan, or planner and world run side by side on the wall clock."""
 
     randomize: FlagCreatePairsOff[bool] = False
     """Try every sample in four draws of friction, mass, perceived pose and tool; a plan takes four times as long
@@ -122,6 +131,8 @@ class Run:
                 device=where,
                 threads=self.threads,
                 seed=self.seed,
+                plant=self.plant,
+                mode=self.mode,
             )
         if episode.planner.engine_reason:
             say(f"engine {episode.planner.engine}: {episode.planner.engine_reason}")
@@ -282,7 +293,9 @@ def _progress(seconds: float, console: Console) -> Iterator[Callable[[EpisodeLog
 
         def on_step(log: EpisodeLog) -> None:
             to_go = f"{log['position_error'][-1]:.3f} m and {log['yaw_error'][-1]:.2f} rad to go"
-            progress.update(bar, completed=float(log["time"][-1]), state=f"{to_go}  {log['plan_ms'][-1]:.0f} ms a plan")
+            if math.isfinite(took := log["plan_ms"][-1]):
+                to_go += f"  {took:.0f} ms a plan"
+            progress.update(bar, completed=float(log["time"][-1]), state=to_go)
 
         yield on_step
 
@@ -297,6 +310,7 @@ def _print_summary(metrics: Metrics, record: Path | None) -> None:
     tight = "also within the tight tolerance" if metrics.success_tight else "not within the tight tolerance"
     rows = {
         "task": f"{metrics.scene}, {metrics.method.upper()}, preset {metrics.preset}, seed {metrics.seed}, "
+        f"{metrics.plant} plant in {_PACES[metrics.mode]}, "
         f"{metrics.engine} on {metrics.device}",
         "result": f"{result}[/], {tight} ({metrics.ended})",
         "errors": f"{metrics.position_error_m:.3f} m, {metrics.yaw_error_rad:.3f} rad at the end; "
@@ -311,6 +325,17 @@ def _print_summary(metrics: Metrics, record: Path | None) -> None:
         f"{metrics.max_contact_object_obstacle_n:.1f} N, robot on obstacles or table "
         f"{metrics.max_contact_robot_obstacle_n:.1f} N at the most",
     }
+    if metrics.plant == "lab":
+        rows["perception"] = (
+            f"{metrics.detections} detections, {metrics.rejected_detections} rejected, "
+            f"{metrics.recoveries} recoveries; {1000 * metrics.mean_estimate_error_m:.0f} mm off on average, "
+            f"{1000 * metrics.max_estimate_error_m:.0f} mm at the most"
+        )
+    if metrics.mode == "realtime":
+        rows["deadlines"] = (
+            f"{metrics.missed_deadlines} of {metrics.steps} missed, {metrics.stops} stops; "
+            f"at the most {metrics.max_lag_ms:.0f} ms behind the clock"
+        )
     if record is not None:
         rows["record"] = str(record)
     table = Table.grid(padding=(0, 2))

@@ -14,6 +14,8 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 from oimppi_warp.errors import ConfigError
 
 Method = Literal["mppi", "soi", "cloi"]
+PlantKind = Literal["ideal", "lab"]
+Mode = Literal["lockstep", "realtime"]
 T = TypeVar("T")
 
 
@@ -235,6 +237,61 @@ class SoiReference:
 
 
 @dataclass(frozen=True)
+class LabConfig:
+    """How imperfect the simulated lab is (:class:`oimppi_warp.lab.LabPlant`).
+
+    The rate is the paper's; the noise is what fitting a known shape to a depth camera's points at a metre's distance
+    gives, the limits and rates of the arm are the manufacturer's.
+
+    Attributes:
+        rate: Pictures a second.
+        delay: From taking a picture to knowing the pose [s].
+        position_noise, yaw_noise: Standard deviation of a detection in x and in y [m], and in yaw [rad].
+        outlier_probability: Share of the detections that are wrong.
+        outlier_size: Mean distance of a wrong detection from the object [m]; it may have any yaw.
+        camera: Position of the camera [m]: above the far side of the table, looking towards the arm.
+        joint_noise: Standard deviation of each joint's measured position [rad].
+        command_latency: From sending a command to its effect [s].
+        acceleration_limit: Of each joint [rad/s^2]; the xArm's controller has 1145 deg/s^2.
+    """
+
+    rate: float = 1.0
+    delay: float = 0.15
+    position_noise: float = 0.005
+    yaw_noise: float = 0.03
+    outlier_probability: float = 0.05
+    outlier_size: float = 0.15
+    camera: tuple[float, float, float] = (0.9, 0.0, 0.9)
+    joint_noise: float = 0.0005
+    command_latency: float = 0.02
+    acceleration_limit: float = 19.98
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """What the estimator takes for granted of detections and of its own prediction.
+
+    Attributes:
+        position_noise, yaw_noise: Standard deviation of a detection [m], [rad].
+        position_drift, yaw_drift: Error of the predicted push, as a share of how far the object is predicted to move.
+        touch_drift: Error that gathers while the tool is close enough to move the object unnoticed [m/sqrt(s)].
+        touch: How close that is [m].
+        gate: A detection further from the prediction than this many standard deviations of their difference is
+            rejected.
+        memory: How far back joint positions are kept: a detection that is older is of no use [s].
+    """
+
+    position_noise: float = 0.005
+    yaw_noise: float = 0.03
+    position_drift: float = 0.15
+    yaw_drift: float = 0.3
+    touch_drift: float = 0.01
+    touch: float = 0.01
+    gate: float = 4.0
+    memory: float = 3.0
+
+
+@dataclass(frozen=True)
 class EpisodeConfig:
     """The closed loop.
 
@@ -243,11 +300,14 @@ class EpisodeConfig:
         hold_seconds: How long the object must stay within tolerance [s].
         tight: Go on until the tight tolerance is held too (or the time is up). Success is having held the tolerance,
             and both are reported in any case.
+        plan_expires: In real time: how long a command is kept up when the next plan is late; then the arm is told to
+            stop [s].
     """
 
     max_sim_seconds: float = 40.0
     hold_seconds: float = 0.5
     tight: bool = True
+    plan_expires: float = 0.15
 
 
 @dataclass(frozen=True)
@@ -264,6 +324,8 @@ class Config:
         cost: Weights of the robot level.
         object_cost: Weights of the object level.
         episode: The closed loop.
+        lab: The simulated lab.
+        estimator: Where the object is believed to be, in the lab and in real time.
     """
 
     preset: str = "best"
@@ -275,6 +337,8 @@ class Config:
     cost: RobotCost = field(default_factory=RobotCost)
     object_cost: ObjectCost = field(default_factory=ObjectCost)
     episode: EpisodeConfig = field(default_factory=EpisodeConfig)
+    lab: LabConfig = field(default_factory=LabConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
 
 
 def options(config: Any) -> dict[str, Any]:
@@ -347,6 +411,12 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "speed_limit": (1e-3, math.inf),
     "max_sim_seconds": (0.001, math.inf),
     "gamma_0": (-1, 1),
+    "rate": (0.01, 100.0),
+    "outlier_probability": (0, 1),
+    "camera": (-100.0, 100.0),
+    "acceleration_limit": (0.1, math.inf),
+    "gate": (0.1, math.inf),
+    "memory": (0.05, 60.0),
     "topple_near": (1e-3, math.inf),
     "look_ahead": (1, 100_000),
 }
