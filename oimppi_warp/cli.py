@@ -73,8 +73,8 @@ class Run:
     goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="")] = None
     """Another goal than the scene's: metres and radians."""
 
-    preset: Literal["best", "paper"] = "best"
-    """Settings to begin with."""
+    preset: Literal["auto", "best", "paper", "lab"] = "auto"
+    """Settings to begin with; auto takes lab with --plant lab, else best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
@@ -163,7 +163,7 @@ class Run:
             raise ConfigError(f"--seed {self.seed}: cannot be used\n  allowed: 0 or more")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"--threads {self.threads}: cannot be used\n  allowed: 1 or more")
-        config = PRESETS[self.preset](self.method)
+        config = self._preset()(self.method)
         if self.randomize:
             config = set_option(config, f"robot.uncertainty.draws={RANDOMIZED_DRAWS}")
         for assignment in (assignment for group in self.assignments for assignment in group):
@@ -171,6 +171,10 @@ class Run:
         if self.max_sim_seconds is not None:
             config = replace(config, episode=replace(config.episode, max_sim_seconds=self.max_sim_seconds))
         return validate(config)
+
+    def _preset(self) -> Callable[[Method], Config]:
+        """What the settings begin with."""
+        return PRESETS[("lab" if self.plant == "lab" else "best") if self.preset == "auto" else self.preset]
 
     def task(self, start: PlanarPose | int | None, goal: PlanarPose | None) -> Scene:
         """The scene with the start and the goal asked for, checked.

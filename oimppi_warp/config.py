@@ -251,7 +251,7 @@ class LabConfig:
         outlier_size: Mean distance of a wrong detection from the object [m]; it may have any yaw.
         camera: Position of the camera [m]: above the far side of the table, looking towards the arm.
         joint_noise: Standard deviation of each joint's measured position [rad].
-        command_latency: From sending a command to its effect [s].
+        command_latency: From sending a command to its effect, in whole reports of the joints [s].
         acceleration_limit: Of each joint [rad/s^2]; the xArm's controller has 1145 deg/s^2.
     """
 
@@ -269,7 +269,7 @@ class LabConfig:
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """What the estimator takes for granted of detections and of its own prediction.
+    """What the estimator takes for granted of detections and of its own prediction; it is not told how the lab is.
 
     Attributes:
         position_noise, yaw_noise: Standard deviation of a detection [m], [rad].
@@ -278,7 +278,7 @@ class EstimatorConfig:
         touch: How close that is [m].
         gate: A detection further from the prediction than this many standard deviations of their difference is
             rejected.
-        memory: How far back joint positions are kept: a detection that is older is of no use [s].
+        memory: How far back joint positions are kept at the least; a detection that is older is of no use [s].
     """
 
     position_noise: float = 0.005
@@ -416,7 +416,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "camera": (-100.0, 100.0),
     "acceleration_limit": (0.1, math.inf),
     "gate": (0.1, math.inf),
-    "memory": (0.05, 60.0),
+    "memory": (0.05, 5.0),
     "topple_near": (1e-3, math.inf),
     "look_ahead": (1, 100_000),
 }

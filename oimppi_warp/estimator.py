@@ -83,6 +83,7 @@ class Estimator:
         self._range = wp.zeros(2, dtype=int, device="cpu")
         self._ahead = wp.zeros(_AHEAD, dtype=vec, device="cpu")
         self._ahead_track = self._new_track(_AHEAD)
+        self._roll(self._ahead_track, self._ahead, 0, 1)  # compiled now, not while a clock runs
         self.reset()
 
     def reset(self) -> None:
@@ -181,8 +182,6 @@ class Estimator:
         for array in arrays:
             array[:kept] = array[first : self._count].copy()
         self._count = kept
-        if self._rival is not None and self._rival.count < 1:
-            self._rival = None
 
     def _know(self, pose: np.ndarray) -> None:
         """Believe a pose [3] of the friction centre, at present."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from oimppi_warp.camera import Camera
 from oimppi_warp.config import LabConfig
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plant import Contacts, SimulatedPlant
 from oimppi_warp.scene import PlanarPose
@@ -52,6 +53,9 @@ class LabPlant:
         control_period: [s]; a multiple of :data:`TICK`.
         seed: Of noise, wrong detections and nothing else: the same seed and commands give the same observations.
 
+    Raises:
+        ConfigError: The control period is no multiple of :data:`TICK`.
+
     Attributes:
         camera: What sees the object.
         latency: Time from a command to its effect [s].
@@ -68,7 +72,12 @@ class LabPlant:
         seed: int = 0,
     ) -> None:
         self._ticks = round(control_period / TICK)
-        self.control_period = self._ticks * TICK
+        if self._ticks < 1 or abs(self._ticks * TICK - control_period) > 1e-9:
+            raise ConfigError(
+                f"control_period = {control_period:g}: joints are reported every {TICK:g} s in the lab\n"
+                f"  allowed: a multiple of that"
+            )
+        self.control_period = control_period
         self.latency = config.command_latency
         self.camera = Camera(world.scene, config.camera)
         self.wrong_detections = 0

@@ -10,6 +10,7 @@ import pytest
 import tasks
 
 from oimppi_warp.config import LabConfig
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.lab import TICK, LabPlant
 from oimppi_warp.world import World
 
@@ -134,6 +135,11 @@ def test_the_same_seed_and_commands_give_the_same_observations(world: World):
 
     np.testing.assert_array_equal(run(3), run(3))
     assert not np.array_equal(run(3), run(4))
+
+
+def test_a_control_period_that_the_reports_do_not_divide_is_refused(world: World):
+    with pytest.raises(ConfigError, match="multiple"):
+        LabPlant(world, FAR, control_period=0.025)
 
 
 def test_a_command_that_is_not_finite_is_refused(world: World):
