@@ -61,7 +61,9 @@ class Run:
     device: str = "auto"
     """Where the planner computes: cpu, cuda:0, ..., or auto."""
 
-    threads: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: every core)")] = None
+    threads: Annotated[
+        int | None, arg(metavar="N", help_behavior_hint="(default: every core; in real time all but one)")
+    ] = None
     """Threads of the planner on the CPU."""
 
     seed: Annotated[int, arg(metavar="N")] = 0

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.clearance import to_center
+from oimppi_warp.compute import core_count
 from oimppi_warp.config import Config, Method, Mode, PlantKind
 from oimppi_warp.control import Beat, lock_step, real_time
 from oimppi_warp.estimator import Estimator
@@ -61,6 +62,8 @@ class Episode:
         check_task(scene)
         self.scene = scene
         self.config = config
+        if threads is None and mode == "realtime":
+            threads = max(core_count() - 1, 1)  # one is left for the plant
         self.planner: Planner = make_planner(
             scene, config, method=method, engine=engine, device=device, threads=threads, seed=seed
         )

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from oimppi_warp.camera import Camera
-from oimppi_warp.config import LabConfig
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.lab_config import LabConfig
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plant import Contacts, SimulatedPlant
 from oimppi_warp.scene import PlanarPose

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import tasks
 
-from oimppi_warp.config import LabConfig
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.lab import TICK, LabPlant
+from oimppi_warp.lab_config import LabConfig
 from oimppi_warp.world import World
 
 STILL = np.zeros(6)
