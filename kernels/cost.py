@@ -10,7 +10,7 @@ from oimppi_warp.kernels.geometry import wrap_angle
 wp.set_module_options({"enable_backward": False})
 
 TERMS = ("goal", "contact", "reference", "approach", "align", "tilt", "height", "clearance", "above", "reach", "press",
-         "control", "collision", "guide")  # fmt: skip
+         "control", "collision", "topple", "guide")  # fmt: skip
 """Names of the robot level's cost terms, in the order of :class:`CostTerms`."""
 
 OVER = wp.constant(0.01)
@@ -25,7 +25,8 @@ class RobotWeights:
     """Weights of the robot level; see ``oimppi_warp.config.RobotCost`` for each.
 
     ``edge_lower`` and ``edge_upper`` are the corners of the rectangle within which the object's centre keeps all of it
-    on the table [m].
+    on the table [m]; ``topple_speed`` is the speed from which coming close to an object that may tip costs [m/s], and
+    ``size`` the largest distance of its outline from its centre [m].
     """
 
     w_d: float
@@ -53,6 +54,11 @@ class RobotWeights:
     w_press: float
     w_control: float
     w_collision: float
+    w_overhang: float
+    w_rush: float
+    topple_speed: float
+    topple_near: float
+    size: float
 
 
 @wp.struct
@@ -145,6 +151,24 @@ def over_edge(pose: wp.vec3, lower: wp.vec2, upper: wp.vec2) -> float:
 
 
 @wp.func
+def topple_cost(w: RobotWeights, tip: wp.vec3, lean: wp.vec2, velocity: wp.vec2, center: wp.vec2, top: float) -> float:
+    """What may tip an object over instead of pushing it along: touching its rim first, and coming at it fast.
+
+    A stick that leans over the object touches it at its upper rim; ``lean . n`` times the height left to the rim is by
+    how much the rim is nearer to it than the tip is.
+    """
+    to = center - wp.vec2(tip[0], tip[1])
+    distance = wp.max(wp.length(to), 1.0e-6)
+    share = 1.0 - (distance - w.size) / w.topple_near
+    cost = float(0.0)
+    if share > 0.0 and tip[2] < top:
+        overhang = wp.max(wp.dot(lean, to), 0.0) / distance * (top - tip[2])
+        rush = wp.max(wp.dot(velocity, to) / distance - w.topple_speed, 0.0)
+        cost = wp.min(share, 1.0) * (w.w_overhang * squared(overhang) + w.w_rush * squared(rush))
+    return cost
+
+
+@wp.func
 def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, clearance: float, to_go: float) -> float:
     """Stage cost of the object level (equation 15 and our additions)."""
     return (
@@ -161,8 +185,10 @@ def robot_cost(
     w: RobotWeights,
     tip: wp.vec3,
     up: wp.vec3,
+    lean: wp.vec2,
+    velocity: wp.vec2,
     pose: wp.vec3,
-    mid_height: float,
+    top: float,
     goal: wp.vec3,
     reference: wp.vec3,
     target: wp.vec3,
@@ -180,8 +206,10 @@ def robot_cost(
         w: Weights.
         tip: Tool tip [m].
         up: The world's z axis in the tip's frame.
+        lean: How far the stick leans, see ``Placed``.
+        velocity: Of the tip, in x and y [m/s].
         pose: The object's pose.
-        mid_height: Height of the object's middle above the table [m].
+        top: Height of the object's top above the table [m].
         goal: The object's goal.
         reference: Where the object plan has the object at this step.
         target: Where the object plan has it some steps ahead, for the alignment.
@@ -199,13 +227,13 @@ def robot_cost(
     terms[0] = w.w_d * pose_distance_squared(pose, goal, w.w_theta)
     terms[1] = w.w_f * contact_cost(force, w.f_0)
     terms[2] = w.w_reference * pose_distance_squared(pose, reference, w.w_theta)
-    terms[3] = w.w_ee * approach_cost(tip, wp.vec3(pose[0], pose[1], mid_height), w.r_0)
+    terms[3] = w.w_ee * approach_cost(tip, wp.vec3(pose[0], pose[1], 0.5 * top), w.r_0)
     terms[4] = w.w_align * align_cost(
         wp.vec2(tip[0], tip[1]), wp.vec2(pose[0], pose[1]), wp.vec2(target[0], target[1]), w.gamma_0, w.align_fade
     )
     terms[5] = w.w_tilt * tilt_cost(up)
     if guide[3] > 0.0:
-        terms[13] = guide[3] * wp.length_sq(tip - wp.vec3(guide[0], guide[1], guide[2]))
+        terms[14] = guide[3] * wp.length_sq(tip - wp.vec3(guide[0], guide[1], guide[2]))
         terms[3] = 0.0
         terms[4] = 0.0
     else:
@@ -217,4 +245,6 @@ def robot_cost(
     terms[10] = w.w_press * pressed * pressed
     terms[11] = w.w_control * speed_squared
     terms[12] = w.w_collision * wp.max(collision - w.f_0, 0.0)
+    if w.w_overhang > 0.0 or w.w_rush > 0.0:
+        terms[13] = topple_cost(w, tip, lean, velocity, wp.vec2(pose[0], pose[1]), top)
     return terms

@@ -61,11 +61,13 @@ class Placed:
     Attributes:
         tip: The tool's tip [m].
         up: The world's z axis in the tip's frame.
+        lean: How far the stick's other end is from straight above the tip, per metre of height, in x and y.
         room: Clearance of arm and tool to obstacles and table, phi_3 [m]; beyond ``Surroundings.near`` a lower bound.
     """
 
     tip: wp.vec3
     up: wp.vec3
+    lean: wp.vec2
     room: float
 
 
@@ -121,6 +123,8 @@ def make_place_arm(dof: int) -> wp.Function:
         placed = Placed()
         placed.tip = p + r * tip
         placed.up = wp.transpose(arm.tip_rotation) * wp.vec3(r[2, 0], r[2, 1], r[2, 2])
+        stick = r * wp.vec3(-arm.tip_rotation[0, 2], -arm.tip_rotation[1, 2], -arm.tip_rotation[2, 2])
+        placed.lean = wp.vec2(stick[0], stick[1]) / wp.max(stick[2], 0.1)
         placed.room = wp.min(room, placed.tip[2])
         return placed
 

@@ -35,6 +35,8 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
         guide: wp.array[wp.vec4],
         align_ahead: int,
         controls: wp.array2d[vec],
+        dt: float,
+        start_joints: wp.array[vec],
         per_sample: int,
         joints: wp.array2d[joints_type],
         objects: wp.array2d[object_type],
@@ -48,14 +50,15 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
     ):
         """Cost of each rollout, its terms, tips and poses.
 
-        Shapes: ``center`` is the friction centre in the object's frame [m], ``goal`` [1],
-        ``reference`` [horizon + 1 + align_ahead], ``guide`` [1], ``controls`` [sample, horizon] [rad/s], ``joints`` and
-        ``objects`` (position, quaternion wxyz) [rollout, horizon]: states after each control step, ``forces``
-        [rollout, horizon]: lambda_2 and lambda_3 in it [N], ``lost`` [rollout]: 1 where the simulation diverged,
-        ``costs`` and ``terms`` [rollout], ``tips`` and ``poses`` [rollout, horizon].
+        Shapes: ``center`` is the friction centre in the object's frame [m], ``goal`` and ``guide`` [1], ``reference``
+        [horizon + 1 + align_ahead], ``controls`` [sample, horizon] [rad/s], ``start_joints`` [1]: before them,
+        ``joints`` and ``objects`` (position, quaternion wxyz) [rollout, horizon]: states after each control step,
+        ``forces`` [rollout, horizon]: lambda_2 and lambda_3 in it [N], ``lost`` [rollout]: 1 where the simulation
+        diverged, ``costs`` and ``terms`` [rollout], ``tips`` and ``poses`` [rollout, horizon].
         """
         n = first + wp.tid()
         total = CostTerms()
+        last = place_arm(arm, surroundings, arm.tip_position, start_joints[0]).tip
         for h in range(controls.shape[1]):
             q = vec()
             speed_squared = float(0.0)
@@ -85,8 +88,10 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
                 weights,
                 placed.tip,
                 placed.up,
+                placed.lean,
+                wp.vec2(placed.tip[0] - last[0], placed.tip[1] - last[1]) / dt,
                 pose,
-                0.5 * model.top,
+                model.top,
                 goal[0],
                 reference[h + 1],
                 reference[h + 1 + align_ahead],
@@ -98,6 +103,7 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
                 forces[n, h][1],
                 guide[0],
             )
+            last = placed.tip
             tips[n, h] = placed.tip
             poses[n, h] = pose
         terms[n] = total

@@ -7,6 +7,7 @@ known to be good, so that help and mistakes answer at once.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +21,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg, subcommand
 
 from oimppi_warp.bench.commands import Bench, Compare, Report
-from oimppi_warp.config import Config, Method
+from oimppi_warp.config import Config, Method, Mode, PlantKind
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.task import make_config, make_task, parse_pose, parse_start
 from oimppi_warp.upkeep import Doctor, Warmup
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from oimppi_warp.log import EpisodeLog
     from oimppi_warp.metrics import Metrics
 
+
+_PACES = {"lockstep": "lock step", "realtime": "real time"}
 
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
@@ -55,7 +58,9 @@ class Run:
     device: str = "auto"
     """Where the planner computes: cpu, cuda:0, ..., or auto."""
 
-    threads: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: every core)")] = None
+    threads: Annotated[
+        int | None, arg(metavar="N", help_behavior_hint="(default: every core; in real time all but one)")
+    ] = None
     """Threads of the planner on the CPU."""
 
     seed: Annotated[int, arg(metavar="N")] = 0
@@ -67,11 +72,18 @@ class Run:
     goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="")] = None
     """Another goal than the scene's: metres and radians."""
 
-    preset: Literal["best", "paper"] = "best"
-    """Settings to begin with."""
+    preset: Literal["auto", "best", "paper", "lab"] = "auto"
+    """Settings to begin with; auto takes lab with --plant lab, else best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
+
+    plant: PlantKind = "ideal"
+    """The simulated world as it is, or as a laboratory has it: the object seen once a second, with noise, late,
+    sometimes wrongly and not behind the arm; commands late and acceleration limited (`lab` has the settings)."""
+
+    mode: Mode = "lockstep"
+    """Whether the world waits for each plan, or planner and world run side by side on the wall clock."""
 
     randomize: FlagCreatePairsOff[bool] = False
     """Try every sample in four draws of friction, mass, perceived pose and tool; a plan takes four times as long
@@ -118,6 +130,8 @@ class Run:
                 device=where,
                 threads=self.threads,
                 seed=self.seed,
+                plant=self.plant,
+                mode=self.mode,
             )
         if episode.planner.engine_reason:
             say(f"engine {episode.planner.engine}: {episode.planner.engine_reason}")
@@ -148,8 +162,9 @@ class Run:
             raise ConfigError(f"--seed {self.seed}: cannot be used\n  allowed: 0 or more")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"--threads {self.threads}: cannot be used\n  allowed: 1 or more")
+        preset = ("lab" if self.plant == "lab" else "best") if self.preset == "auto" else self.preset
         return make_config(
-            self.preset,
+            preset,
             self.method,
             assignments=[assignment for group in self.assignments for assignment in group],
             max_sim_seconds=self.max_sim_seconds,
@@ -228,7 +243,9 @@ def _progress(seconds: float, console: Console) -> Iterator[Callable[[EpisodeLog
 
         def on_step(log: EpisodeLog) -> None:
             to_go = f"{log['position_error'][-1]:.3f} m and {log['yaw_error'][-1]:.2f} rad to go"
-            progress.update(bar, completed=float(log["time"][-1]), state=f"{to_go}  {log['plan_ms'][-1]:.0f} ms a plan")
+            if math.isfinite(took := log["plan_ms"][-1]):
+                to_go += f"  {took:.0f} ms a plan"
+            progress.update(bar, completed=float(log["time"][-1]), state=to_go)
 
         yield on_step
 
@@ -243,6 +260,7 @@ def _print_summary(metrics: Metrics, record: Path | None) -> None:
     tight = "also within the tight tolerance" if metrics.success_tight else "not within the tight tolerance"
     rows = {
         "task": f"{metrics.scene}, {metrics.method.upper()}, preset {metrics.preset}, seed {metrics.seed}, "
+        f"{metrics.plant} plant in {_PACES[metrics.mode]}, "
         f"{metrics.engine} on {metrics.device}",
         "result": f"{result}[/], {tight} ({metrics.ended})",
         "errors": f"{metrics.position_error_m:.3f} m, {metrics.yaw_error_rad:.3f} rad at the end; "
@@ -257,6 +275,17 @@ def _print_summary(metrics: Metrics, record: Path | None) -> None:
         f"{metrics.max_contact_object_obstacle_n:.1f} N, robot on obstacles or table "
         f"{metrics.max_contact_robot_obstacle_n:.1f} N at the most",
     }
+    if metrics.plant == "lab":
+        rows["perception"] = (
+            f"{metrics.detections} detections, {metrics.rejected_detections} rejected, "
+            f"{metrics.recoveries} recoveries; {1000 * metrics.mean_estimate_error_m:.0f} mm off on average, "
+            f"{1000 * metrics.max_estimate_error_m:.0f} mm at the most"
+        )
+    if metrics.mode == "realtime":
+        rows["deadlines"] = (
+            f"{metrics.missed_deadlines} of {metrics.steps} missed, {metrics.stops} stops; "
+            f"at the most {metrics.max_lag_ms:.0f} ms behind the clock"
+        )
     if record is not None:
         rows["record"] = str(record)
     table = Table.grid(padding=(0, 2))

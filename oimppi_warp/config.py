@@ -12,8 +12,11 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.lab_config import EstimatorConfig, LabConfig
 
 Method = Literal["mppi", "soi", "cloi"]
+PlantKind = Literal["ideal", "lab"]
+Mode = Literal["lockstep", "realtime"]
 T = TypeVar("T")
 
 
@@ -177,6 +180,12 @@ class RobotCost:
         w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2].
         w_control: Squared joint velocity [s^2/rad^2].
         w_collision: Contact force of arm and tool on obstacles and table above ``f_0`` [1/N], in engines that know it.
+        w_overhang: Squared length by which a stick that leans over the object is nearer to its rim than the tip is
+            [1/m^2]. This and the next are for objects that a push may tip (:func:`oimppi_warp.tipping.can_tip`), within
+            ``topple_near`` of them; for others they are off.
+        w_rush: Squared speed of the tool towards the object above ``rush`` [s^2/m^2].
+        rush: Share of the object's tipping speed (:func:`oimppi_warp.tipping.tipping_speed`) that costs nothing.
+        topple_near: [m].
     """
 
     w_d: float = 5.0
@@ -203,6 +212,10 @@ class RobotCost:
     w_press: float = 1e6
     w_control: float = 0.0
     w_collision: float = 0.0
+    w_overhang: float = 3e4
+    w_rush: float = 100.0
+    rush: float = 0.4
+    topple_near: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -231,11 +244,14 @@ class EpisodeConfig:
         hold_seconds: How long the object must stay within tolerance [s].
         tight: Go on until the tight tolerance is held too (or the time is up). Success is having held the tolerance,
             and both are reported in any case.
+        plan_expires: In real time: how long a command is kept up when the next plan is late; then the arm is told to
+            stop [s].
     """
 
     max_sim_seconds: float = 40.0
     hold_seconds: float = 0.5
     tight: bool = True
+    plan_expires: float = 0.15
 
 
 @dataclass(frozen=True)
@@ -252,6 +268,8 @@ class Config:
         cost: Weights of the robot level.
         object_cost: Weights of the object level.
         episode: The closed loop.
+        lab: The simulated lab.
+        estimator: Where the object is believed to be, in the lab and in real time.
     """
 
     preset: str = "best"
@@ -263,6 +281,8 @@ class Config:
     cost: RobotCost = field(default_factory=RobotCost)
     object_cost: ObjectCost = field(default_factory=ObjectCost)
     episode: EpisodeConfig = field(default_factory=EpisodeConfig)
+    lab: LabConfig = field(default_factory=LabConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
 
 
 def options(config: Any) -> dict[str, Any]:
@@ -335,6 +355,13 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "speed_limit": (1e-3, math.inf),
     "max_sim_seconds": (0.001, math.inf),
     "gamma_0": (-1, 1),
+    "rate": (0.01, 100.0),
+    "outlier_probability": (0, 1),
+    "camera": (-100.0, 100.0),
+    "acceleration_limit": (0.1, math.inf),
+    "gate": (0.1, math.inf),
+    "memory": (0.05, 5.0),
+    "topple_near": (1e-3, math.inf),
 }
 """Smallest and largest value by the name of the field; everything else is finite and not negative."""
 

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
 from oimppi_warp.clearance import to_center
-from oimppi_warp.config import Config, Method
+from oimppi_warp.compute import core_count
+from oimppi_warp.config import Config, Method, Mode, PlantKind
+from oimppi_warp.control import Beat, lock_step, real_time
+from oimppi_warp.estimator import Estimator
 from oimppi_warp.feasibility import check_task
 from oimppi_warp.kinematics import tip_frame
-from oimppi_warp.log import EpisodeLog, to_json, versions
+from oimppi_warp.lab import LabPlant
+from oimppi_warp.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.methods import make_planner
 from oimppi_warp.metrics import hold_steps, pose_error
-from oimppi_warp.observation import Observation
-from oimppi_warp.planner import Planner
+from oimppi_warp.planner import Plan, Planner
 from oimppi_warp.plant import SimulatedPlant
-from oimppi_warp.scene import Scene, Tolerance
+from oimppi_warp.scene import Scene
 from oimppi_warp.world import World
 
 _REFERENCE_EVERY = 10
@@ -37,6 +40,8 @@ class Episode:
         scene: The task, with the start and the goal to use.
         config: All settings.
         method, engine, device, threads, seed: As for :func:`oimppi_warp.methods.make_planner`.
+        plant: The simulated world as it is, or as a laboratory would know it and move it.
+        mode: Whether the world waits for the planner, or the planner works beside it on the wall clock.
 
     Raises:
         SceneError: The task cannot be done: its start or goal is in an obstacle, off the table or out of reach.
@@ -52,17 +57,27 @@ class Episode:
         device: str = "auto",
         threads: int | None = None,
         seed: int = 0,
+        plant: PlantKind = "ideal",
+        mode: Mode = "lockstep",
     ) -> None:
         check_task(scene)
         self.scene = scene
         self.config = config
+        if threads is None and mode == "realtime":
+            threads = max(core_count() - 1, 1)  # one is left for the plant
         self.planner: Planner = make_planner(
             scene, config, method=method, engine=engine, device=device, threads=threads, seed=seed
         )
         self.planner.warm_up()
         period = config.control_period
-        substeps = math.ceil(period / _SUBSTEP - 1e-6)
-        self.plant = SimulatedPlant(World(scene), start=scene.start, control_period=period, substeps=substeps)
+        self.plant: SimulatedPlant | LabPlant
+        if plant == "lab":
+            self.plant = LabPlant(World(scene), config.lab, start=scene.start, control_period=period, seed=seed)
+        else:
+            substeps = math.ceil(period / _SUBSTEP - 1e-6)
+            self.plant = SimulatedPlant(World(scene), start=scene.start, control_period=period, substeps=substeps)
+        self._beats = self._loop(plant, mode)
+        self._plans = 0
         self.log = EpisodeLog(
             {
                 "scene": scene.name,
@@ -74,6 +89,8 @@ class Episode:
                 "device": self.planner.compute.device,
                 "preset": config.preset,
                 "seed": seed,
+                "plant": plant,
+                "mode": mode,
                 "config": to_json(asdict(config)),
                 "start": list(scene.start),
                 "goal": list(scene.goal),
@@ -107,16 +124,14 @@ class Episode:
         wanted_steps = hold_steps(settings.hold_seconds, self.config.control_period)
         held = 0
         try:
-            observation = self.plant.observe()
-            self.log.header["preplan_time_s"] = self.planner.start(observation)
             for _ in range(round(settings.max_sim_seconds / self.config.control_period)):
-                observation, arrived = self._step(observation, wanted)
+                position_error, yaw_error = self._record(next(self._beats))
                 if on_step is not None:
                     on_step(self.log)
-                if self.plant.tipped or observation.object_transform[2] < -_FALLEN:
+                if self.plant.tipped or self.plant.truth().object_transform[2] < -_FALLEN:
                     self.log.header["ended"] = "object fell"
                     break
-                held = held + 1 if arrived else 0
+                held = held + 1 if position_error <= wanted.position and yaw_error <= wanted.yaw else 0
                 if held == wanted_steps:
                     self.log.header["ended"] = "success"
                     break
@@ -128,43 +143,63 @@ class Episode:
             self.plant.apply(np.zeros(self.scene.robot.dof))
         except FloatingPointError:
             self.log.header["ended"] = "diverged"
+        finally:
+            self._beats.close()
         return self.log
 
-    def _step(self, observation: Observation, wanted: Tolerance) -> tuple[Observation, bool]:
-        """One control step: plan, apply, observe, log; returns whether the object is within tolerance."""
-        began = time.perf_counter()
-        plan = self.planner.plan(observation)
-        plan_seconds = time.perf_counter() - began
-        step = len(self.log)
-        if (self.planner.method == "cloi" and step % _REFERENCE_EVERY == 0) or (
-            self.planner.method == "soi" and step == 0
-        ):
-            self.log.add_reference(plan.reference)
+    def _loop(self, plant: PlantKind, mode: Mode) -> Generator[Beat]:
+        """The beats of plant and planner; the truth is good enough for the ideal plant in lock step alone."""
+        dof = self.scene.robot.dof
+        if mode == "realtime":
+            estimator = Estimator(self.scene, self.config)
+            return real_time(self.plant, self.planner, estimator, dof=dof, expires=self.config.episode.plan_expires)
+        estimator = Estimator(self.scene, self.config) if plant == "lab" else None
+        return lock_step(self.plant, self.planner, estimator, dof=dof)
 
-        self.plant.apply(plan.command)
-        after = self.plant.observe()
-        position_error, yaw_error = pose_error(after.object_pose, self.scene.goal)
-        contacts = self.plant.contacts
-        geometry = self.planner.geometry
+    def _record(self, beat: Beat) -> tuple[float, float]:
+        """Log a control step; returns the true distance [m] and angle [rad] of the object to its goal."""
+        plan = beat.plan
+        if plan is not None:
+            self.log.header["preplan_time_s"] += beat.preplan_seconds
+            every = {"cloi": _REFERENCE_EVERY, "soi": math.inf}.get(self.planner.method)
+            if every is not None and self._plans % every == 0:
+                self.log.add_reference(plan.reference)
+            self._plans += 1
+        truth = self.plant.truth()
+        position_error, yaw_error = pose_error(truth.object_pose, self.scene.goal)
+        contacts, geometry = self.plant.contacts, self.planner.geometry
+        row = {} if plan is None else _of_plan(plan)
         self.log.append(
-            time=after.time,
-            joint_position=after.joint_position,
-            joint_velocity=after.joint_velocity,
-            command=plan.command,
-            tool_position=tip_frame(self.scene.robot, after.joint_position)[1],
-            object_pose=after.object_pose,
+            time=truth.time,
+            joint_position=truth.joint_position,
+            joint_velocity=truth.joint_velocity,
+            command=beat.command,
+            tool_position=tip_frame(self.scene.robot, truth.joint_position)[1],
+            object_pose=truth.object_pose,
+            estimated_pose=beat.estimate,
+            detection=float(EVENTS.index(beat.event)),
             position_error=position_error,
             yaw_error=yaw_error,
-            clearance=geometry.clearance_at(to_center(geometry.surface, after.object_pose)),
+            clearance=geometry.clearance_at(to_center(geometry.surface, truth.object_pose)),
             contact_tool_object=contacts.tool_object,
             contact_object_obstacle=contacts.object_obstacle,
             contact_robot_obstacle=contacts.robot_obstacle,
-            plan_ms=1e3 * plan_seconds,
-            object_plan_ms=1e3 * plan.object_seconds,
-            effective_samples=plan.update.effective_samples,
-            object_effective_samples=plan.object_update.effective_samples if plan.object_update else np.nan,
-            min_cost=plan.update.min_cost,
-            cost_terms=plan.terms,
-            lost_samples=plan.update.lost,
+            plan_ms=1e3 * beat.plan_seconds,
+            missed_deadline=float(beat.missed),
+            stopped=float(beat.stopped),
+            lag_ms=1e3 * beat.lag,
+            **row,
         )
-        return after, position_error <= wanted.position and yaw_error <= wanted.yaw
+        return position_error, yaw_error
+
+
+def _of_plan(plan: Plan) -> dict[str, Any]:
+    """The columns that a new plan fills."""
+    return {
+        "object_plan_ms": 1e3 * plan.object_seconds,
+        "effective_samples": plan.update.effective_samples,
+        "object_effective_samples": plan.object_update.effective_samples if plan.object_update else np.nan,
+        "min_cost": plan.update.min_cost,
+        "cost_terms": plan.terms,
+        "lost_samples": plan.update.lost,
+    }

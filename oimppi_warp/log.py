@@ -11,6 +11,7 @@ scene, file        Short name of the scene, and the USD file it was read from
 method, engine     ``mppi``, ``soi`` or ``cloi``; the rollout engine
 device             Device that planned, e.g. ``cpu`` or ``cuda:0``
 preset, seed       Name of the preset; the seed
+plant, mode        ``ideal`` or ``lab``; ``lockstep`` or ``realtime``
 config             Every setting, as nested dictionaries
 start, goal        Planar poses of the object (x, y [m], yaw [rad])
 tolerance          ``{"position": m, "yaw": rad}``; a yaw of ``None`` means that yaw does not count
@@ -68,6 +69,8 @@ COLUMNS: dict[str, Column] = {
     "command": Column(("dof",), "rad/s", "joint velocity commanded during the step"),
     "tool_position": Column((3,), "m", "tip of the tool, at the end of the step"),
     "object_pose": Column((3,), "m, m, rad", "planar pose of the object, at the end of the step"),
+    "estimated_pose": Column((3,), "m, m, rad", "where the object is believed to be then; what the planner knows"),
+    "detection": Column((), "1", "what became of a detection in this step, an index of EVENTS"),
     "position_error": Column((), "m", "distance of the object to its goal"),
     "yaw_error": Column((), "rad", "absolute angle between the object and its goal, within 0 to pi"),
     "clearance": Column((), "m", "phi_2, the object's distance to the obstacles; negative inside"),
@@ -81,9 +84,16 @@ COLUMNS: dict[str, Column] = {
     "min_cost": Column((), "1", "smallest cost of the robot level's samples"),
     "cost_terms": Column(("n_terms",), "1", "weighted cost terms of the nominal, summed over the horizon"),
     "lost_samples": Column((), "1", "samples whose cost was not finite"),
+    "missed_deadline": Column((), "1", "1 where a plan was due and not there"),
+    "stopped": Column((), "1", "1 where the arm was told to stop because the last plan had expired"),
+    "lag_ms": Column((), "ms", "how far the loop was behind the wall clock"),
 }
 """Every column, one row a control step. A row stands for one step: the command applied during it, the plan that gave
 the command, and the state observed at the end of it. What a method does not have (MPPI's object level) is NaN."""
+
+EVENTS = ("none", "first", "accepted", "rejected", "recovered")
+"""What becomes of a detection: there is none, it waits for another that bears it out, it corrects the prediction, it is
+rejected, it overrules the prediction together with the one before."""
 
 _NPZ, _JSON = "episode.npz", "episode.json"
 

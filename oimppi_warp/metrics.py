@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from oimppi_warp.log import EpisodeLog, to_json
+from oimppi_warp.log import EVENTS, EpisodeLog, to_json
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Metrics:
     """What came out of one episode. A number that the episode does not have is NaN (``null`` in JSON).
 
     Attributes:
-        scene, method, engine, device, preset, seed: What was run.
+        scene, method, engine, device, preset, seed, plant, mode: What was run.
         start, goal: Planar poses of the object (x, y [m], yaw [rad]).
         ended: Why it ended, see :mod:`oimppi_warp.log`.
         success: The object stayed within tolerance for the hold time.
@@ -38,6 +38,12 @@ class Metrics:
         max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces.
         mean_effective_samples, mean_object_effective_samples: Effective sample sizes of the two levels.
         lost_samples: Samples whose cost was not finite, in all.
+        missed_deadlines: Control steps in which a plan was due and not there.
+        stops: Of these, those in which the arm was told to stop because the last plan had expired.
+        max_lag_ms: Most that the loop was behind the wall clock.
+        detections, rejected_detections, recoveries: Detections that arrived, those of them that were rejected, and
+            those that overruled the prediction.
+        mean_estimate_error_m, max_estimate_error_m: Distance of where the object was believed to be from where it was.
         mean_cost_terms: Mean of each cost term over time.
         versions: Of Python and of the packages that took part.
     """
@@ -48,6 +54,8 @@ class Metrics:
     device: str
     preset: str
     seed: int
+    plant: str
+    mode: str
     start: tuple[float, float, float]
     goal: tuple[float, float, float]
     ended: str
@@ -72,6 +80,14 @@ class Metrics:
     mean_effective_samples: float
     mean_object_effective_samples: float
     lost_samples: int
+    missed_deadlines: int
+    stops: int
+    max_lag_ms: float
+    detections: int
+    rejected_detections: int
+    recoveries: int
+    mean_estimate_error_m: float
+    max_estimate_error_m: float
     mean_cost_terms: dict[str, float]
     versions: dict[str, str]
 
@@ -94,6 +110,7 @@ def summarize(log: EpisodeLog) -> Metrics:
     preplan = float(header.get("preplan_time_s") or 0.0)
     mean_plan_ms = _of_finite(np.mean, log["plan_ms"])
     until = len(log) if arrived is None else arrived + 1
+    off = np.linalg.norm(log["estimated_pose"][:, :2] - log["object_pose"][:, :2], axis=1)
     wall = np.maximum(np.nan_to_num(log["plan_ms"][:until]) / 1000, period)
     return Metrics(
         scene=header["scene"],
@@ -102,6 +119,8 @@ def summarize(log: EpisodeLog) -> Metrics:
         device=header["device"],
         preset=header["preset"],
         seed=header["seed"],
+        plant=header.get("plant", "ideal"),
+        mode=header.get("mode", "lockstep"),
         start=start,
         goal=goal,
         ended=header.get("ended", "interrupted"),
@@ -126,6 +145,14 @@ def summarize(log: EpisodeLog) -> Metrics:
         mean_effective_samples=_of_finite(np.mean, log["effective_samples"]),
         mean_object_effective_samples=_of_finite(np.mean, log["object_effective_samples"]),
         lost_samples=int(np.nansum(log["lost_samples"])),
+        missed_deadlines=int(np.nansum(log["missed_deadline"])),
+        stops=int(np.nansum(log["stopped"])),
+        max_lag_ms=_of_finite(np.max, log["lag_ms"]),
+        detections=int((log["detection"] > 0).sum()),
+        rejected_detections=int((log["detection"] == EVENTS.index("rejected")).sum()),
+        recoveries=int((log["detection"] == EVENTS.index("recovered")).sum()),
+        mean_estimate_error_m=_of_finite(np.mean, off),
+        max_estimate_error_m=_of_finite(np.max, off),
         mean_cost_terms=_mean_cost_terms(log),
         versions=dict(header.get("versions", {})),
     )

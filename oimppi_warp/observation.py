@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,8 +17,11 @@ class Observation:
         time: Since the start of the episode [s].
         joint_position: Shape [dof] [rad].
         joint_velocity: Shape [dof] [rad/s].
-        object_pose: The object from above: (x [m], y [m], yaw [rad]), shape [3].
+        object_pose: The object from above, as it was last seen: (x [m], y [m], yaw [rad]), shape [3]; NaN before.
         object_transform: The object's pose (position, quaternion xyzw), shape [7].
+        object_time: When the object was seen so [s]; ``None`` where it always is, at ``time``. NaN before it was.
+        trail: Time [s] and joint positions [rad] since the observation before, that one's included, shape [n, 1 + dof];
+            empty where a plant reports no more than once in a control period.
     """
 
     time: float
@@ -26,6 +29,8 @@ class Observation:
     joint_velocity: np.ndarray
     object_pose: np.ndarray
     object_transform: np.ndarray
+    object_time: float | None = None
+    trail: np.ndarray = field(default_factory=lambda: np.zeros((0, 1)))
 
 
 def planar_transform(pose: PlanarPose, height: float) -> np.ndarray:

@@ -52,12 +52,14 @@ class Plant(Protocol):
 
     Attributes:
         control_period: Time that one command lasts [s].
+        latency: Time from a command to its effect [s].
     """
 
     control_period: float
+    latency: float
 
     def observe(self) -> Observation:
-        """The present state."""
+        """What is known of the present state."""
         ...
 
     def apply(self, joint_velocity: np.ndarray) -> None:
@@ -78,8 +80,11 @@ class SimulatedPlant:
         substeps: Steps of the physics in one control period.
 
     Attributes:
+        latency: None.
         model, data: MuJoCo's own, for tests and pictures; :attr:`World.mujoco` says where everything is in them.
     """
+
+    latency = 0.0
 
     def __init__(
         self,
@@ -120,6 +125,10 @@ class SimulatedPlant:
             object_pose=planar_pose(transform),
             object_transform=transform,
         )
+
+    def truth(self) -> Observation:
+        """The exact state, for the record: what is observed too."""
+        return self.observe()
 
     def apply(self, joint_velocity: np.ndarray) -> None:
         """Drive the joints for one control period, no faster than they may and no further than their limits.

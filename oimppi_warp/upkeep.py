@@ -46,6 +46,7 @@ class Warmup:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
         from oimppi_warp import device
+        from oimppi_warp.estimator import Estimator
         from oimppi_warp.methods import METHODS, make_planner
         from oimppi_warp.plant import SimulatedPlant
         from oimppi_warp.presets import best
@@ -67,6 +68,7 @@ class Warmup:
                     progress.advance(bar)
             progress.update(bar, description="the simulator")
             SimulatedPlant(World(scene))
+            Estimator(scene, best("cloi"))
             progress.advance(bar)
             for arch in architectures:
                 self._compile_for(arch, engines, progress, scene)

@@ -29,8 +29,10 @@ class RobotCase:
 
     tip: wp.vec3
     up: wp.vec3
+    lean: wp.vec2
+    velocity: wp.vec2
     pose: wp.vec3
-    mid_height: float
+    top: float
     goal: wp.vec3
     reference: wp.vec3
     target: wp.vec3
@@ -136,8 +138,10 @@ def robot_cost_probe(weights: RobotWeights, cases: wp.array[RobotCase], out: wp.
         weights,
         case.tip,
         case.up,
+        case.lean,
+        case.velocity,
         case.pose,
-        case.mid_height,
+        case.top,
         case.goal,
         case.reference,
         case.target,

@@ -246,6 +246,19 @@ def tilt_cost(rotation: np.ndarray) -> float:
     return float(np.hypot(np.arctan2(r[2, 1], r[2, 2]), np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))))
 
 
+def topple_cost(w: RobotCost, tip: np.ndarray, rotation: np.ndarray, velocity: np.ndarray, center: np.ndarray,
+                top: float, speed: float, size: float) -> float:  # fmt: skip
+    """A stick that leans over an object close by, and comes at it faster than ``speed``."""
+    distance = max(float(np.linalg.norm(center - tip[:2])), 1e-6)
+    way = (center - tip[:2]) / distance
+    share = min(1.0 - (distance - size) / w.topple_near, 1.0)
+    if share <= 0.0 or tip[2] >= top:
+        return 0.0
+    stick = -rotation[:, 2]
+    overhang = max(float(stick[:2] @ way), 0.0) / max(stick[2], 0.1) * (top - tip[2])
+    return share * (w.w_overhang * overhang**2 + w.w_rush * max(float(velocity @ way) - speed, 0.0) ** 2)
+
+
 NO_GUIDE = np.zeros(4)
 """A guide that calls nowhere."""
 
@@ -255,8 +268,9 @@ def robot_cost(
     *,
     tip: np.ndarray,
     rotation: np.ndarray,
+    velocity: np.ndarray,
     pose: np.ndarray,
-    mid_height: float,
+    top: float,
     goal: np.ndarray,
     reference: np.ndarray,
     target: np.ndarray,
@@ -268,9 +282,11 @@ def robot_cost(
     collision: float = 0.0,
     guide: np.ndarray = NO_GUIDE,
     edge: tuple[np.ndarray, np.ndarray] = (np.full(2, -np.inf), np.full(2, np.inf)),
+    topple_speed: float = 0.0,
+    size: float = 0.0,
 ) -> dict[str, float]:
     """Equations 15 to 19 and the terms of our own, weighted, by the names in ``kernels.cost.TERMS``."""
-    center = np.array([pose[0], pose[1], mid_height])
+    center = np.array([pose[0], pose[1], 0.5 * top])
     return {
         "goal": w.w_d * pose_distance_squared(pose, goal, w.w_theta),
         "contact": w.w_f * max(force - w.f_0, 0.0) ** 2,
@@ -287,6 +303,7 @@ def robot_cost(
         "press": w.w_press * pressed**2,
         "control": w.w_control * speed_squared,
         "collision": w.w_collision * max(collision - w.f_0, 0.0),
+        "topple": topple_cost(w, tip, rotation, velocity, pose[:2], top, topple_speed, size),
         "guide": max(guide[3], 0.0) * np.sum((tip - guide[:3]) ** 2),
     }
 
@@ -409,6 +426,8 @@ class World:
         weights: Of the robot level.
         dt: Control period [s].
         contact_steps: Steps of the contact model in one control step.
+        topple_speed: Speed from which coming close costs [m/s].
+        size: Largest distance of the object's outline from its friction centre [m].
     """
 
     robot: Robot
@@ -419,6 +438,8 @@ class World:
     weights: RobotCost
     dt: float
     contact_steps: int
+    topple_speed: float = 0.0
+    size: float = 0.0
 
     def room(self, joints: np.ndarray) -> float:
         """Clearance of arm and tool to the table and the obstacles (phi_3), at most a metre [m]."""
@@ -476,7 +497,8 @@ def robot_rollout(
             tip=frame[:3, 3],
             rotation=frame[:3, :3],
             pose=pose,
-            mid_height=0.5 * body.top,
+            velocity=(new_tip - tip)[:2] / dt,
+            top=body.top,
             goal=goal,
             reference=reference[h],
             target=reference[h + world.weights.align_ahead],
@@ -485,6 +507,8 @@ def robot_rollout(
             above=float(above),
             pressed=pressed,
             speed_squared=float(speed @ speed),
+            topple_speed=world.topple_speed,
+            size=world.size,
         )
         out.terms = {name: out.terms[name] + terms[name] for name in TERMS}
         out.joints.append(joints)

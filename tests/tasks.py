@@ -23,6 +23,7 @@ from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.observation import Observation
 from oimppi_warp.scene import Collider, Obstacle, PushedObject, Robot, Scene, Table
+from oimppi_warp.tipping import can_tip, tipping_speed
 from oimppi_warp.usd import load_scene
 
 DT = 0.05
@@ -156,15 +157,20 @@ class Pushing:
 
     def twin(self) -> reference.World:
         """The same for the engine's twin."""
+        weights = self.config.cost
+        if not can_tip(self.scene.object):
+            weights = replace(weights, w_overhang=0.0, w_rush=0.0)
         return reference.World(
             robot=self.scene.robot,
             speed=self.dynamics.bound,
             body=reference.Body.of(self.dynamics._model),
             obstacles=self.geometry.space,
             top=self.geometry.space_top,
-            weights=self.config.cost,
+            weights=weights,
             dt=DT,
             contact_steps=self.config.robot.contact_steps,
+            topple_speed=weights.rush * tipping_speed(self.scene.object),
+            size=self.geometry.size,
         )
 
     def roll(self, joints: np.ndarray, pose: np.ndarray, controls: np.ndarray, *, goal: np.ndarray | None = None,

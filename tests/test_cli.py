@@ -103,6 +103,17 @@ def test_record_and_json_hold_log_plots_and_metrics(stage: Stage, tmp_path: Path
     assert json.loads((tmp_path / "m.json").read_text())["success"] is True
 
 
+@pytest.mark.parametrize(("options", "preset"), [((), "best"), (("--plant", "lab"), "lab"),
+                                                 (("--plant", "lab", "--preset", "best"), "best"),
+                                                 (("--mode", "realtime"), "best")])  # fmt: skip
+def test_the_lab_has_a_preset_of_its_own(stage: Stage, options: tuple[str, ...], preset: str):
+    status("run", "synthetic", *options)
+    assert stage.asked["config"].preset == preset
+    given = dict(zip(options[::2], options[1::2], strict=True))
+    assert stage.asked["plant"] == given.get("--plant", "ideal")
+    assert stage.asked["mode"] == given.get("--mode", "lockstep")
+
+
 def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[str]):
     status(
         *("run", "synthetic", "--method", "soi", "--seed", "4", "--device", "cpu", "--preset", "paper"),
@@ -136,8 +147,8 @@ def test_the_start_is_drawn_by_the_seed_unless_one_is_given(
     assert stage.asked["scene"].start == pytest.approx(start)
 
 
-OPTIONS = ("method", "engine", "device", "threads", "seed", "start", "goal", "preset", "set", "randomize",
-           "max-sim-seconds", "record", "json")  # fmt: skip
+OPTIONS = ("method", "engine", "device", "threads", "seed", "start", "goal", "preset", "set", "plant", "mode",
+           "randomize", "max-sim-seconds", "record", "json")  # fmt: skip
 
 BAD_INPUT = {
     "no command": ([], "run"),

@@ -17,7 +17,7 @@ from tasks import DT, Pushing, block, box, joints_at, object_level, post, roll_w
 
 from oimppi_warp.clearance import pack_pieces, pose_field_at
 from oimppi_warp.config import ObjectCost, RobotCost
-from oimppi_warp.dynamics.packing import object_model, robot_weights
+from oimppi_warp.dynamics.packing import object_model, pack_weights
 from oimppi_warp.footprint import Piece
 from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
@@ -172,11 +172,11 @@ def test_overlapping_squares_are_as_deep_as_their_shortest_way_out():
 
 def random_case(kind: Any) -> dict[str, Any]:
     vectors = {"tip", "up", "pose", "goal", "reference", "target"}
+    sizes = dict.fromkeys(vectors, 3) | {"lean": 2, "velocity": 2, "guide": 4}
     return {
-        name: RANDOM.uniform(-0.6, 0.6, 3) if name in vectors else float(RANDOM.uniform(-0.02, 0.05))
+        name: RANDOM.uniform(-0.6, 0.6, sizes[name]) if name in sizes else float(RANDOM.uniform(-0.02, 0.05))
         for name in kind.vars
-        if name != "guide"
-    } | ({"guide": RANDOM.uniform(-0.6, 0.6, 4)} if "guide" in kind.vars else {})
+    }
 
 
 def packed_cases(cases: list[dict[str, Any]], kind: Any) -> wp.array:
@@ -216,12 +216,18 @@ def test_the_robots_stage_cost_is_equations_15_to_19_term_by_term(fade):
     rotations = Rotation.random(100, rng=np.random.default_rng(5)).as_matrix()
     for case, rotation in zip(cases, rotations, strict=True):
         case["up"] = rotation[2]
+        case["lean"] = -rotation[:2, 2] / max(-rotation[2, 2], 0.1)
+        case["velocity"] = RANDOM.uniform(-0.5, 0.5, 2)
+        case["top"] = 0.1
         case["speed_squared"] = abs(case["speed_squared"])
     edge = (np.array([-0.2, -0.3]), np.array([0.4, 0.1]))
-    inputs = [robot_weights(weights, edge), packed_cases(cases, probes.RobotCase)]
+    packed = pack_weights(weights, edge)
+    packed.topple_speed, packed.size = 0.15, 0.2
+    inputs = [packed, packed_cases(cases, probes.RobotCase)]
     (found,) = launch(probes.robot_cost_probe, inputs, 100, CostTerms)
     for terms, case, rotation in zip(found, cases, rotations, strict=True):
-        known = {name: value for name, value in case.items() if name != "up"}
+        known = {name: value for name, value in case.items() if name not in ("up", "lean")}
+        known |= {"topple_speed": 0.15, "size": 0.2}
         expected = reference.robot_cost(weights, rotation=rotation, edge=edge, **known)
         np.testing.assert_allclose(
             terms, [expected[name] for name in TERMS], rtol=RELATIVE_TOLERANCE, atol=1e-5, err_msg=str(TERMS)

@@ -6,7 +6,11 @@ import pytest
 from test_episode import episode
 
 from oimppi_warp.config import Method
+from oimppi_warp.episode import Episode
+from oimppi_warp.feasibility import draw_start
 from oimppi_warp.metrics import summarize
+from oimppi_warp.presets import lab
+from oimppi_warp.usd import load_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
@@ -23,3 +27,13 @@ def test_the_object_reaches_its_goal_from_drawn_starts(name: str, method: Method
     assert sum(metrics.success_tight for metrics in found) >= least_tight, [
         m.seed for m in found if not m.success_tight
     ]
+
+
+@pytest.mark.parametrize(("name", "method"), [("lab01", "cloi"), ("lab02", "cloi"), ("lab01", "soi"), ("lab02", "soi")])
+def test_the_can_reaches_its_goal_in_the_lab(name: str, method: Method):
+    found = []
+    for seed in SEEDS:
+        scene = load_scene(name)
+        scene = scene.with_start(draw_start(scene, seed))
+        found.append(summarize(Episode(scene, lab(method), method=method, device="cpu", seed=seed, plant="lab").run()))
+    assert sum(metrics.success for metrics in found) >= 9, [m.seed for m in found if not m.success]

@@ -7,7 +7,7 @@ import json
 import os
 import shlex
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from oimppi_warp.bench.suite import MODES, MOST, PLANTS, Entry, Suite
 from oimppi_warp.config import Config, Method
@@ -105,7 +105,7 @@ class Trial:
         return shlex.join(["oimppi", *self.arguments])
 
 
-def mode_options(trial: Trial) -> dict[str, str]:
+def mode_options(trial: Trial) -> dict[str, Any]:
     """``mode`` and ``plant``, as options of ``oimppi run`` and of :class:`Episode`; only what is not the default."""
     chosen = {"mode": (trial.mode, MODES[0]), "plant": (trial.plant, PLANTS[0])}
     return {name: value for name, (value, usual) in chosen.items() if value != usual}

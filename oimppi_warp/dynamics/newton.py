@@ -16,8 +16,8 @@ import warp as wp
 from oimppi_warp.clearance import Geometry, to_center
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import RobotCost, RobotLevel
-from oimppi_warp.dynamics.base import Trace
-from oimppi_warp.dynamics.packing import object_model, robot_weights, surroundings, table_within, velocity_bound
+from oimppi_warp.dynamics.base import Trace, control_type
+from oimppi_warp.dynamics.packing import object_model, robot_weights, surroundings, velocity_bound
 from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kernels.stage import make_stage_costs, pick_trace
 from oimppi_warp.kernels.uncertainty import combine_costs
@@ -84,10 +84,11 @@ class NewtonDynamics(ABC):
         self._arm = pack_arm(scene.robot, self.bound, device)
         self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
         self._surroundings = surroundings(scene, geometry, cost)
-        self._weights = robot_weights(cost, table_within(scene, geometry))
+        self._weights = robot_weights(scene, geometry, cost)
 
         self._horizon = level.mppi.horizon
         self._rollouts = level.mppi.samples * draws.per_sample
+        self._start_joints = compute.input(1, control_type(self.size))
         self._goal = compute.input(1, wp.vec3)
         self.reference = compute.input(self._horizon + 1 + cost.align_ahead, wp.vec3)
         self.guide = compute.input(1, wp.vec4)
@@ -121,6 +122,7 @@ class NewtonDynamics(ABC):
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
         """The state to plan from; see :class:`oimppi_warp.dynamics.base.RobotDynamics`."""
+        self._start_joints.host[0] = observation.joint_position
         self._goal.host[0] = goal
         _, tip = tip_frame(self._scene.robot, observation.joint_position)
         self._start = tip, to_center(self._surface, observation.object_pose)
@@ -145,6 +147,8 @@ class NewtonDynamics(ABC):
             self.guide.array,
             self._align_ahead,
             controls,
+            self._dt,
+            self._start_joints.array,
             draws.per_sample,
             joints,
             objects,

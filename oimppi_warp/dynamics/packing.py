@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import warp as wp
 
@@ -11,6 +13,7 @@ from oimppi_warp.kernels.cost import RobotWeights
 from oimppi_warp.kernels.kinematics import Surroundings
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.scene import Scene
+from oimppi_warp.tipping import can_tip, tipping_speed
 
 
 def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
@@ -46,11 +49,21 @@ def table_within(scene: Scene, geometry: Geometry) -> tuple[np.ndarray, np.ndarr
     return np.array(scene.table.lower) + geometry.size, np.array(scene.table.upper) - geometry.size
 
 
-def robot_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> RobotWeights:
+def robot_weights(scene: Scene, geometry: Geometry, cost: RobotCost) -> RobotWeights:
+    """The weights of the robot level as the kernels read them, for an object that may tip or not."""
+    if not can_tip(scene.object):
+        cost = replace(cost, w_overhang=0.0, w_rush=0.0)
+    weights = pack_weights(cost, table_within(scene, geometry))
+    weights.topple_speed = cost.rush * tipping_speed(scene.object)
+    weights.size = geometry.size
+    return weights
+
+
+def pack_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> RobotWeights:
     """The weights of the robot level, with the rectangle of :func:`table_within`, as the kernels read them."""
     weights = RobotWeights()
     for name, value in vars(cost).items():
-        if name not in ("reach", "align_ahead"):
+        if name not in ("reach", "align_ahead", "rush"):
             setattr(weights, name, value)
     weights.reach_lower, weights.reach_upper = cost.reach
     weights.edge_lower, weights.edge_upper = wp.vec2(*edge[0]), wp.vec2(*edge[1])

@@ -9,7 +9,7 @@ from oimppi_warp.clearance import Geometry, to_center
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import RobotCost, RobotLevel
 from oimppi_warp.dynamics.base import Trace, control_type
-from oimppi_warp.dynamics.packing import object_model, robot_weights, surroundings, table_within, velocity_bound
+from oimppi_warp.dynamics.packing import object_model, robot_weights, surroundings, velocity_bound
 from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kernels.quasistatic import make_robot_rollout
 from oimppi_warp.kernels.uncertainty import Draw, combine_costs
@@ -58,7 +58,7 @@ class QuasistaticDynamics:
         self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
         self._model.clearance = geometry.obstruction  # the table's edge stops nothing
         self._surroundings = surroundings(scene, geometry, cost)
-        self._weights = robot_weights(cost, table_within(scene, geometry))
+        self._weights = robot_weights(scene, geometry, cost)
         self._draws = draws
         self._worlds = _pack(draws, device)
         self._nominal_world = _pack(CERTAIN, device)
