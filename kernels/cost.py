@@ -13,6 +13,9 @@ TERMS = ("goal", "contact", "reference", "approach", "align", "tilt", "height", 
          "control", "collision", "topple", "guide")  # fmt: skip
 """Names of the robot level's cost terms, in the order of :class:`CostTerms`."""
 
+FREE = wp.constant(1.0)
+"""Clearance of an object that is not being pushed, for costs [m]."""
+
 OVER = wp.constant(0.01)
 """Height above the object's top from which a tip that is guided over it costs nothing [m]."""
 
@@ -52,6 +55,9 @@ class RobotWeights:
     edge_lower: wp.vec2
     edge_upper: wp.vec2
     w_press: float
+    w_margin: float
+    margin: float
+    w_lift: float
     w_control: float
     w_collision: float
     w_overhang: float
@@ -196,6 +202,8 @@ def robot_cost(
     room: float,
     above: float,
     pressed: float,
+    gap: float,
+    rise: float,
     speed_squared: float,
     collision: float,
     guide: wp.vec4,
@@ -217,6 +225,8 @@ def robot_cost(
         room: Clearance of arm and tool to obstacles and table, phi_3 [m].
         above: 1 where the tip is above the object, else 0.
         pressed: Depth by which the tool presses into an object that cannot yield [m].
+        gap: Clearance phi_2 of the pose that the tool pushes the object to; large while it does not [m].
+        rise: Speed at which the tip rises while it pushes [m/s].
         speed_squared: Squared norm of the joint velocities [rad^2/s^2].
         collision: Contact force of robot and environment, lambda_3 [N].
         guide: Where the tip is called to while the object is let go, and the weight of that [1/m^2]; a weight of zero
@@ -225,7 +235,7 @@ def robot_cost(
     """
     terms = CostTerms()
     terms[0] = w.w_d * pose_distance_squared(pose, goal, w.w_theta)
-    terms[1] = w.w_f * contact_cost(force, w.f_0)
+    terms[1] = w.w_f * contact_cost(force, w.f_0) + w.w_margin * shortfall(gap, w.margin)
     terms[2] = w.w_reference * pose_distance_squared(pose, reference, w.w_theta)
     terms[3] = w.w_ee * approach_cost(tip, wp.vec3(pose[0], pose[1], 0.5 * top), w.r_0)
     terms[4] = w.w_align * align_cost(
@@ -242,7 +252,7 @@ def robot_cost(
     terms[8] = w.w_above * above
     reach = w.w_reach * out_of_reach(pose, w.reach_lower, w.reach_upper)
     terms[9] = reach + w.w_edge * over_edge(pose, w.edge_lower, w.edge_upper)
-    terms[10] = w.w_press * pressed * pressed
+    terms[10] = w.w_press * squared(pressed) + w.w_lift * squared(rise)
     terms[11] = w.w_control * speed_squared
     terms[12] = w.w_collision * wp.max(collision - w.f_0, 0.0)
     if w.w_overhang > 0.0 or w.w_rush > 0.0:

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import warp as wp
 
-from oimppi_warp.kernels.cost import OVER, CostTerms, RobotWeights, robot_cost
+from oimppi_warp.kernels.cost import FREE, OVER, CostTerms, RobotWeights, robot_cost
 from oimppi_warp.kernels.geometry import planar_field, rotate
 from oimppi_warp.kernels.kinematics import Arm, Surroundings, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, push, settle
@@ -102,6 +102,8 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
                         stalled = True
             pressed = float(0.0)
             force = float(0.0)
+            gap = FREE
+            rise = float(0.0)
             new_pose = pose
             if not stalled:
                 if tip[2] < body.top and old.tip[2] < body.top:
@@ -114,6 +116,8 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
                     settled = settle(body, new_pose, dt)
                     new_pose = settled.pose
                     force = settled.force
+                    gap = settled.clearance
+                    rise = wp.max(tip[2] - old.tip[2], 0.0) / dt
                     if force > 0.0:
                         # The obstacle pushed back: what is left between tool and object is a jam.
                         c = wp.cos(new_pose[2])
@@ -142,6 +146,8 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
                 room,
                 above,
                 pressed,
+                gap,
+                rise,
                 speed_squared,
                 0.0,
                 guide[0],

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import warp as wp
 
-from oimppi_warp.kernels.cost import OVER, CostTerms, RobotWeights, robot_cost
+from oimppi_warp.kernels.cost import FREE, OVER, CostTerms, RobotWeights, robot_cost
 from oimppi_warp.kernels.geometry import planar_field, rotate
 from oimppi_warp.kernels.kinematics import Arm, Surroundings, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel
@@ -98,6 +98,8 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
                 forces[n, h][0],
                 placed.room,
                 above,
+                0.0,
+                FREE,
                 0.0,
                 speed_squared,
                 forces[n, h][1],

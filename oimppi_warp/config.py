@@ -178,6 +178,10 @@ class RobotCost:
         reach: Inner and outer radius of that ring [m].
         w_edge: Distance of the object's centre to where all of it is on the table for sure [1/m].
         w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2].
+        w_margin: Squared lack of clearance below ``margin`` of an object that is being pushed [1/m^2]; in the
+            quasi-static engine, as ``w_lift``: the others feel the forces that these stand for.
+        margin: [m].
+        w_lift: Squared speed at which the tip rises while it pushes, which would lift the object and tip it [s^2/m^2].
         w_control: Squared joint velocity [s^2/rad^2].
         w_collision: Contact force of arm and tool on obstacles and table above ``f_0`` [1/N], in engines that know it.
         w_overhang: Squared length by which a stick that leans over the object is nearer to its rim than the tip is
@@ -210,6 +214,9 @@ class RobotCost:
     reach: tuple[float, float] = (0.32, 0.60)
     w_edge: float = 40.0
     w_press: float = 1e6
+    w_margin: float = 2e4
+    margin: float = 0.006
+    w_lift: float = 50.0
     w_control: float = 0.0
     w_collision: float = 0.0
     w_overhang: float = 3e4

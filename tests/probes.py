@@ -40,6 +40,8 @@ class RobotCase:
     room: float
     above: float
     pressed: float
+    gap: float
+    rise: float
     speed_squared: float
     collision: float
     guide: wp.vec4
@@ -149,6 +151,8 @@ def robot_cost_probe(weights: RobotWeights, cases: wp.array[RobotCase], out: wp.
         case.room,
         case.above,
         case.pressed,
+        case.gap,
+        case.rise,
         case.speed_squared,
         case.collision,
         case.guide,

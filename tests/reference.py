@@ -278,6 +278,8 @@ def robot_cost(
     room: float,
     above: float,
     pressed: float,
+    gap: float,
+    rise: float,
     speed_squared: float,
     collision: float = 0.0,
     guide: np.ndarray = NO_GUIDE,
@@ -289,7 +291,7 @@ def robot_cost(
     center = np.array([pose[0], pose[1], 0.5 * top])
     return {
         "goal": w.w_d * pose_distance_squared(pose, goal, w.w_theta),
-        "contact": w.w_f * max(force - w.f_0, 0.0) ** 2,
+        "contact": w.w_f * max(force - w.f_0, 0.0) ** 2 + w.w_margin * max(w.margin - gap, 0.0) ** 2,
         "reference": w.w_reference * pose_distance_squared(pose, reference, w.w_theta),
         "approach": 0.0 if guide[3] > 0.0 else w.w_ee * max(np.sum((tip - center) ** 2) - w.r_0**2, 0.0),
         "align": 0.0
@@ -300,7 +302,7 @@ def robot_cost(
         "clearance": w.w_clearance * max(w.clearance - room, 0.0) ** 2,
         "above": w.w_above * above,
         "reach": w.w_reach * out_of_reach(pose, w.reach) + w.w_edge * over_edge(pose, edge),
-        "press": w.w_press * pressed**2,
+        "press": w.w_press * pressed**2 + w.w_lift * rise**2,
         "control": w.w_control * speed_squared,
         "collision": w.w_collision * max(collision - w.f_0, 0.0),
         "topple": topple_cost(w, tip, rotation, velocity, pose[:2], top, topple_speed, size),
@@ -480,11 +482,13 @@ def robot_rollout(
 
         above = max(tip[2], new_tip[2]) >= body.top and body.gap(pose, new_tip[:2]) < robot.tool_radius
         stalled = (new_room < -GIVE and new_room < room) or (above and new_tip[2] < body.top)
-        pressed = force = 0.0
+        pressed = force = rise = 0.0
+        gap = 1.0
         if not stalled and max(tip[2], new_tip[2]) < body.top:
             new_pose = world.push_along(pose, tip[:2], new_tip[:2])
         if not stalled and not np.array_equal(new_pose, pose):
-            new_pose, force, _ = settle(body, new_pose, dt)
+            new_pose, force, gap = settle(body, new_pose, dt)
+            rise = max(new_tip[2] - tip[2], 0.0) / dt
             if force > 0.0:
                 pressed = max(robot.tool_radius - body.gap(new_pose, new_tip[:2]), 0.0)
                 stalled = pressed > JAM
@@ -506,6 +510,8 @@ def robot_rollout(
             room=shown_room,
             above=float(above),
             pressed=pressed,
+            gap=gap,
+            rise=rise,
             speed_squared=float(speed @ speed),
             topple_speed=world.topple_speed,
             size=world.size,
