@@ -36,6 +36,7 @@ class RobotWeights:
     w_theta: float
     w_f: float
     f_0: float
+    w_to_go: float
     w_reference: float
     w_ee: float
     r_0: float
@@ -198,6 +199,7 @@ def robot_cost(
     goal: wp.vec3,
     reference: wp.vec3,
     target: wp.vec3,
+    to_go: float,
     force: float,
     room: float,
     above: float,
@@ -221,6 +223,7 @@ def robot_cost(
         goal: The object's goal.
         reference: Where the object plan has the object at this step.
         target: Where the object plan has it some steps ahead, for the alignment.
+        to_go: Cost-to-go of the pose [m].
         force: Contact force of object and environment, lambda_2 [N].
         room: Clearance of arm and tool to obstacles and table, phi_3 [m].
         above: 1 where the tip is above the object, else 0.
@@ -234,7 +237,7 @@ def robot_cost(
             ``height``.
     """
     terms = CostTerms()
-    terms[0] = w.w_d * pose_distance_squared(pose, goal, w.w_theta)
+    terms[0] = w.w_d * pose_distance_squared(pose, goal, w.w_theta) + w.w_to_go * to_go
     terms[1] = w.w_f * contact_cost(force, w.f_0) + w.w_margin * shortfall(gap, w.margin)
     terms[2] = w.w_reference * pose_distance_squared(pose, reference, w.w_theta)
     terms[3] = w.w_ee * approach_cost(tip, wp.vec3(pose[0], pose[1], 0.5 * top), w.r_0)

@@ -5,7 +5,7 @@ from functools import lru_cache
 import warp as wp
 
 from oimppi_warp.kernels.cost import FREE, OVER, CostTerms, RobotWeights, robot_cost
-from oimppi_warp.kernels.geometry import planar_field, rotate
+from oimppi_warp.kernels.geometry import PoseField, planar_field, pose_field, rotate
 from oimppi_warp.kernels.kinematics import Arm, Surroundings, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, push, settle
 from oimppi_warp.kernels.uncertainty import Draw
@@ -37,6 +37,7 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
         goal: wp.array[wp.vec3],
         reference: wp.array[wp.vec3],
         guide: wp.array[wp.vec4],
+        to_go: PoseField,
         align_ahead: int,
         controls: wp.array2d[vec],
         dt: float,
@@ -131,6 +132,9 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
             else:
                 pose = new_pose
 
+            way = float(0.0)
+            if weights.w_to_go > 0.0:
+                way = pose_field(to_go, pose)[0]
             total += robot_cost(
                 weights,
                 placed.tip,
@@ -142,6 +146,7 @@ def make_robot_rollout(dof: int) -> wp.Kernel:
                 goal[0],
                 reference[h + 1],
                 reference[h + 1 + align_ahead],
+                way,
                 force,
                 room,
                 above,

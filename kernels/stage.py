@@ -5,7 +5,7 @@ from functools import lru_cache
 import warp as wp
 
 from oimppi_warp.kernels.cost import FREE, OVER, CostTerms, RobotWeights, robot_cost
-from oimppi_warp.kernels.geometry import planar_field, rotate
+from oimppi_warp.kernels.geometry import PoseField, planar_field, pose_field, rotate
 from oimppi_warp.kernels.kinematics import Arm, Surroundings, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel
 
@@ -33,6 +33,7 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
         goal: wp.array[wp.vec3],
         reference: wp.array[wp.vec3],
         guide: wp.array[wp.vec4],
+        to_go: PoseField,
         align_ahead: int,
         controls: wp.array2d[vec],
         dt: float,
@@ -84,6 +85,9 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
                 if planar_field(model.body, local)[0] < surroundings.tool_radius:
                     if guide[0][3] <= 0.0 or placed.tip[2] < model.top + OVER:
                         above = 1.0
+            way = float(0.0)
+            if weights.w_to_go > 0.0:
+                way = pose_field(to_go, pose)[0]
             total += robot_cost(
                 weights,
                 placed.tip,
@@ -95,6 +99,7 @@ def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
                 goal[0],
                 reference[h + 1],
                 reference[h + 1 + align_ahead],
+                way,
                 forces[n, h][0],
                 placed.room,
                 above,

@@ -160,6 +160,8 @@ class RobotCost:
 
     Attributes:
         w_d, w_theta, w_f, f_0: As in :class:`ObjectCost`, for the simulated object.
+        w_to_go: Length of the object's shortest free way to the goal [1/m]; not in the paper. It gives plain MPPI what
+            the others have from the object level.
         w_reference: Squared distance to the object plan, the paper's coupling cost l_c [1/m^2].
         w_ee: Squared distance between tool and object beyond ``r_0`` [1/m^2].
         r_0: [m].
@@ -196,6 +198,7 @@ class RobotCost:
     w_theta: float = 0.1
     w_f: float = 0.05
     f_0: float = 0.5
+    w_to_go: float = 0.0
     w_reference: float = 300.0
     w_ee: float = 5.0
     r_0: float = 0.12

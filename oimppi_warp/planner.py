@@ -14,6 +14,7 @@ from oimppi_warp.config import Config, Method
 from oimppi_warp.dynamics.engines import make_dynamics
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.mppi import Mppi, Update
+from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import pose_difference
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.regrasp import Regrasping
@@ -84,8 +85,25 @@ class Planner:
         self.goal = to_center(self.geometry.surface, np.array(scene.goal))
         level = config.robot
         draws = draw(level.uncertainty, samples=level.mppi.samples, seed=seed)
+        to_go = None
+        if config.cost.w_to_go > 0.0:
+            to_go = build_to_go(
+                self.geometry.clearance,
+                self.goal,
+                yaw_length=config.object.yaw_length,
+                reach=config.object_cost.reach,
+                device=compute.device,
+            )
         self.dynamics = make_dynamics(
-            engine, scene, self.geometry, level, config.cost, dt=config.control_period, compute=compute, draws=draws
+            engine,
+            scene,
+            self.geometry,
+            level,
+            config.cost,
+            dt=config.control_period,
+            compute=compute,
+            draws=draws,
+            to_go=to_go,
         )
         self.mppi = Mppi(self.dynamics, level.mppi, seed=2 * seed + 1)
         robot = [*self.mppi.improve, self.dynamics.trace(self.mppi.nominal, self.mppi.costs), self.mppi.shift]

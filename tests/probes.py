@@ -36,6 +36,7 @@ class RobotCase:
     goal: wp.vec3
     reference: wp.vec3
     target: wp.vec3
+    to_go: float
     force: float
     room: float
     above: float
@@ -147,6 +148,7 @@ def robot_cost_probe(weights: RobotWeights, cases: wp.array[RobotCase], out: wp.
         case.goal,
         case.reference,
         case.target,
+        case.to_go,
         case.force,
         case.room,
         case.above,

@@ -274,6 +274,7 @@ def robot_cost(
     goal: np.ndarray,
     reference: np.ndarray,
     target: np.ndarray,
+    to_go: float = 0.0,
     force: float,
     room: float,
     above: float,
@@ -290,7 +291,7 @@ def robot_cost(
     """Equations 15 to 19 and the terms of our own, weighted, by the names in ``kernels.cost.TERMS``."""
     center = np.array([pose[0], pose[1], 0.5 * top])
     return {
-        "goal": w.w_d * pose_distance_squared(pose, goal, w.w_theta),
+        "goal": w.w_d * pose_distance_squared(pose, goal, w.w_theta) + w.w_to_go * to_go,
         "contact": w.w_f * max(force - w.f_0, 0.0) ** 2 + w.w_margin * max(w.margin - gap, 0.0) ** 2,
         "reference": w.w_reference * pose_distance_squared(pose, reference, w.w_theta),
         "approach": 0.0 if guide[3] > 0.0 else w.w_ee * max(np.sum((tip - center) ** 2) - w.r_0**2, 0.0),

@@ -9,12 +9,13 @@ import pytest
 import reference
 from tasks import DT, Pushing, block, box, joints_at, object_level, observe, roll_wrenches, shipped, task, turned
 
-from oimppi_warp.clearance import from_center, to_center
+from oimppi_warp.clearance import from_center, pose_field_at, to_center
 from oimppi_warp.config import Config, Method, ObjectLevel, RobotLevel
 from oimppi_warp.config import Mppi as MppiSettings
 from oimppi_warp.errors import ConfigError, DeviceError
 from oimppi_warp.kinematics import tip_jacobian
 from oimppi_warp.methods import METHODS, ClosedLoopPlanner, SequentialPlanner, make_planner
+from oimppi_warp.navigation import build_to_go
 from oimppi_warp.observation import Observation
 from oimppi_warp.planner import Plan, Planner
 from oimppi_warp.scene import Scene
@@ -241,6 +242,19 @@ def test_mppi_tracks_the_goal():
     scene = shipped("task02")
     plan = on_its_own_model(make(scene, "mppi"), scene, 1)[0][0]
     np.testing.assert_allclose(plan.reference, np.tile(scene.goal, (len(plan.reference), 1)), atol=1e-9)
+
+
+def test_mppi_can_be_given_the_cost_to_go():
+    scene = shipped("task02")
+    cost = replace(SMALL.cost, w_d=0.0, w_to_go=2.0)
+    planner = make(scene, "mppi", replace(SMALL, cost=cost))
+    plan = on_its_own_model(planner, scene, 1)[0][0]
+    clearance = planner.geometry.clearance
+    level, reach = planner.config.object, planner.config.object_cost.reach
+    to_go = build_to_go(clearance, planner.goal, yaw_length=level.yaw_length, reach=reach, device="cpu")
+    poses = to_center(planner.geometry.surface, plan.object_poses[1:])
+    expected = 2.0 * sum(pose_field_at(to_go, pose) for pose in poses)
+    assert plan.terms[planner.dynamics.terms.index("goal")] == pytest.approx(expected, rel=1e-3)
 
 
 def test_cloi_tracks_a_plan_that_starts_at_the_object_and_is_made_anew():

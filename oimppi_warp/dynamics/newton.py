@@ -17,8 +17,9 @@ from oimppi_warp.clearance import Geometry, to_center
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import RobotCost, RobotLevel
 from oimppi_warp.dynamics.base import Trace, control_type
-from oimppi_warp.dynamics.packing import object_model, robot_weights, surroundings, velocity_bound
+from oimppi_warp.dynamics.packing import no_field, object_model, robot_weights, surroundings, velocity_bound
 from oimppi_warp.kernels.cost import TERMS, CostTerms
+from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.stage import make_stage_costs, pick_trace
 from oimppi_warp.kernels.uncertainty import combine_costs
 from oimppi_warp.kinematics import pack_arm, tip_frame
@@ -51,6 +52,7 @@ class NewtonDynamics(ABC):
         dt: Control period [s].
         compute: Where to compute.
         draws: Worlds that the rollouts are in.
+        to_go: Cost-to-go of the object [m], where its weight is not zero.
 
     Attributes:
         forces: lambda_2 and lambda_3 of the latest rollouts, [rollout, horizon] [N].
@@ -70,6 +72,7 @@ class NewtonDynamics(ABC):
         dt: float,
         compute: Compute,
         draws: Draws = CERTAIN,
+        to_go: PoseField | None = None,
     ) -> None:
         self.compute = compute
         self.size = scene.robot.dof
@@ -92,6 +95,7 @@ class NewtonDynamics(ABC):
         self._goal = compute.input(1, wp.vec3)
         self.reference = compute.input(self._horizon + 1 + cost.align_ahead, wp.vec3)
         self.guide = compute.input(1, wp.vec4)
+        self._to_go = no_field(device) if to_go is None else to_go
         size = (self._rollouts, self._horizon)
         self.forces = wp.zeros(size, dtype=wp.vec2, device=device)
         self.tips = wp.zeros(size, dtype=wp.vec3, device=device)
@@ -145,6 +149,7 @@ class NewtonDynamics(ABC):
             self._goal.array,
             self.reference.array,
             self.guide.array,
+            self._to_go,
             self._align_ahead,
             controls,
             self._dt,

@@ -15,6 +15,7 @@ from oimppi_warp.config import RobotCost, RobotLevel
 from oimppi_warp.dynamics.base import control_type
 from oimppi_warp.dynamics.newton import NewtonDynamics, contact_softness
 from oimppi_warp.footprint import rotation_matrix
+from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.threads import feel_forces, make_expand_controls
 from oimppi_warp.mujoco_model import MujocoModel
 from oimppi_warp.newton_model import MIN_FRICTION, ROLES
@@ -46,11 +47,12 @@ class NewtonThreads(NewtonDynamics):
         dt: float,
         compute: Compute,
         draws: Draws = CERTAIN,
+        to_go: PoseField | None = None,
     ) -> None:
         import mujoco
         from mujoco import rollout
 
-        super().__init__(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws)
+        super().__init__(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws, to_go=to_go)
         mapped = World(scene).mujoco_sensing
         self._map = mapped
         models = [model_in_draw(mapped, scene, draws, i, step=dt / level.substeps) for i in range(draws.count)]

@@ -18,6 +18,7 @@ from oimppi_warp.config import RobotCost, RobotLevel
 from oimppi_warp.dynamics.base import Trace, control_type
 from oimppi_warp.dynamics.newton import NewtonDynamics, contact_softness
 from oimppi_warp.footprint import rotation_matrix
+from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.worlds import (
     Transform,
     feel_contacts,
@@ -65,9 +66,10 @@ class NewtonWorlds(NewtonDynamics):
         dt: float,
         compute: Compute,
         draws: Draws = CERTAIN,
+        to_go: PoseField | None = None,
         contacts: int | None = None,
     ) -> None:
-        super().__init__(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws)
+        super().__init__(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws, to_go=to_go)
         from newton.solvers import SolverMuJoCo
 
         _, self._mujoco_warp = SolverMuJoCo.import_mujoco()

@@ -10,9 +10,8 @@ import warp as wp
 from oimppi_warp.clearance import Geometry, pose_field_at
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import ObjectCost, ObjectLevel
-from oimppi_warp.dynamics.packing import object_model
+from oimppi_warp.dynamics.packing import no_field, object_model
 from oimppi_warp.kernels.cost import ObjectWeights
-from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.object import object_rollout
 from oimppi_warp.navigation import build_to_go
 
@@ -57,8 +56,7 @@ class ObjectDynamics:
                 geometry.clearance, goal, yaw_length=level.yaw_length, reach=cost.reach, device=device
             )
         else:
-            self.to_go = PoseField()
-            self.to_go.values = wp.zeros((0, 0, 0), dtype=float, device=device)
+            self.to_go = no_field(device)
         self._to_go_values = self.to_go.values.numpy()
         self.setup_seconds = time.perf_counter() - began
         self._start = compute.input(1, wp.vec3)

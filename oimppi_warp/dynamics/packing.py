@@ -10,6 +10,7 @@ import warp as wp
 from oimppi_warp.clearance import NEAR, Geometry
 from oimppi_warp.config import RobotCost, RobotLevel
 from oimppi_warp.kernels.cost import RobotWeights
+from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.kinematics import Surroundings
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.scene import Scene
@@ -27,6 +28,13 @@ def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0
     model.body = geometry.body
     model.slack = slack
     return model
+
+
+def no_field(device: str) -> PoseField:
+    """A field for kernels that are told not to look it up."""
+    field = PoseField()
+    field.values = wp.zeros((0, 0, 0), dtype=float, device=device)
+    return field
 
 
 def velocity_bound(scene: Scene, level: RobotLevel) -> np.ndarray:

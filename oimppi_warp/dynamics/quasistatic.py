@@ -9,8 +9,9 @@ from oimppi_warp.clearance import Geometry, to_center
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import RobotCost, RobotLevel
 from oimppi_warp.dynamics.base import Trace, control_type
-from oimppi_warp.dynamics.packing import object_model, robot_weights, surroundings, velocity_bound
+from oimppi_warp.dynamics.packing import no_field, object_model, robot_weights, surroundings, velocity_bound
 from oimppi_warp.kernels.cost import TERMS, CostTerms
+from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.quasistatic import make_robot_rollout
 from oimppi_warp.kernels.uncertainty import Draw, combine_costs
 from oimppi_warp.kinematics import pack_arm
@@ -30,6 +31,7 @@ class QuasistaticDynamics:
         dt: Control period [s].
         compute: Where to compute.
         draws: Worlds that the rollouts are in.
+        to_go: Cost-to-go of the object [m], where its weight is not zero.
     """
 
     terms: tuple[str, ...] = TERMS
@@ -45,6 +47,7 @@ class QuasistaticDynamics:
         dt: float,
         compute: Compute,
         draws: Draws = CERTAIN,
+        to_go: PoseField | None = None,
     ) -> None:
         self.compute = compute
         self.size = scene.robot.dof
@@ -70,6 +73,7 @@ class QuasistaticDynamics:
         self._goal = compute.input(1, wp.vec3)
         self.reference = compute.input(horizon + 1 + cost.align_ahead, wp.vec3)
         self.guide = compute.input(1, wp.vec4)
+        self._to_go = no_field(device) if to_go is None else to_go
         self._no_terms = wp.zeros(0, dtype=CostTerms, device=device)
         self._no_poses = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self._trace_cost = wp.zeros(1, dtype=float, device=device)
@@ -128,6 +132,7 @@ class QuasistaticDynamics:
             self._goal.array,
             self.reference.array,
             self.guide.array,
+            self._to_go,
             self._align_ahead,
             controls,
             self._dt,
