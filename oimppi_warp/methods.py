@@ -14,7 +14,7 @@ import warp as wp
 from oimppi_warp.choice import choose, median_seconds
 from oimppi_warp.clearance import pose_field_at, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
-from oimppi_warp.config import Config, Method, validate
+from oimppi_warp.config import Config, Method
 from oimppi_warp.dynamics.engines import ENGINES
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.kernels import navigation
@@ -26,6 +26,7 @@ from oimppi_warp.object_level import ObjectLevel, pose_difference
 from oimppi_warp.observation import Observation
 from oimppi_warp.planner import Planner
 from oimppi_warp.scene import Scene
+from oimppi_warp.settings import validate
 
 METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
 

@@ -11,9 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oimppi_warp.config import Config, Method, set_option, validate
+from oimppi_warp.config import Config, Method
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.presets import PRESETS
+from oimppi_warp.settings import set_option, validate
 
 if TYPE_CHECKING:
     from oimppi_warp.scene import PlanarPose, Scene

@@ -32,8 +32,8 @@ def test_a_planner_that_loses_samples_does_not_count(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOL.parent))
     from bench_loops import PlannerLoop, race
 
-    from oimppi_warp.config import set_option
     from oimppi_warp.presets import best
+    from oimppi_warp.settings import set_option
     from oimppi_warp.usd import load_scene
 
     config = set_option(best("mppi"), "robot.mppi.samples=32")

@@ -296,7 +296,7 @@ def test_a_trial_that_raised_is_status_1(episodes: Episodes, tmp_path: Path, mon
         (["bench", "smoke", "--jobs", "0"], "1 or more"),
         (["bench", "smoke", "--trials", "0"], "a whole number from 1"),
         (["bench", "smoke", "--tasks", "task05"], "allowed: task01, task02"),
-        (["bench", "smoke", "--set", "cost.w_aling=2"], "did you mean cost.w_align?"),
+        (["bench", "smoke", "--set", "cost.w_aling=2"], "did you mean cost.w_align"),
         (["bench", "smoke", "--cluster", "somewhere:1"], "--backend dask"),
         (["report", "nowhere"], "results.json"),
         (["compare", "nowhere", "nowhere"], "results.json"),

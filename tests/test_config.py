@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from oimppi_warp.config import Config, Method, options, set_option, validate
+from oimppi_warp.config import Config, Method
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.presets import PRESETS, best, paper
+from oimppi_warp.settings import options, set_option, validate
 
 METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
 

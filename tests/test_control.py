@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import tasks
 
-from oimppi_warp.config import Config, set_option
+from oimppi_warp.config import Config
 from oimppi_warp.control import Beat, lock_step, real_time
 from oimppi_warp.episode import Episode
 from oimppi_warp.estimator import Estimator
 from oimppi_warp.metrics import summarize
 from oimppi_warp.observation import Observation
 from oimppi_warp.presets import best
+from oimppi_warp.settings import set_option
 from oimppi_warp.usd import load_scene
 
 PERIOD = 0.05

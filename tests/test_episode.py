@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oimppi_warp.config import Method, set_option
+from oimppi_warp.config import Method
 from oimppi_warp.episode import Episode
 from oimppi_warp.feasibility import draw_start
 from oimppi_warp.log import EpisodeLog
 from oimppi_warp.methods import METHODS
 from oimppi_warp.metrics import summarize
 from oimppi_warp.presets import best, paper
+from oimppi_warp.settings import set_option
 from oimppi_warp.usd import load_scene, shipped_scenes
 
 SCENES = [shipped.name for shipped in shipped_scenes()]
