@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.choice import choose, median_seconds
-from oimppi_warp.clearance import pose_field_at, to_center
+from oimppi_warp.clearance import to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
 from oimppi_warp.config import Config, Method
 from oimppi_warp.dynamics.engines import ENGINES
@@ -129,11 +129,6 @@ class SequentialPlanner(Planner):
 
     def _reference(self) -> np.ndarray:
         return self._way.host[0].astype(float) if self.config.reference == "progress" else self._tracked
-
-    def _to_go_from(self, pose: np.ndarray) -> float:
-        if self.config.reference == "time":
-            return super()._to_go_from(pose)
-        return pose_field_at(self._to_go, pose, self._to_go_values)
 
 
 class ClosedLoopPlanner(Planner):

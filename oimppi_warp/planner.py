@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oimppi_warp.clearance import build_geometry, from_center, to_center
+from oimppi_warp.clearance import build_geometry, from_center, pose_field_at, to_center
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import Config, Method
 from oimppi_warp.dynamics.engines import make_dynamics
@@ -86,6 +86,7 @@ class Planner:
         level = config.robot
         draws = draw(level.uncertainty, samples=level.mppi.samples, seed=seed)
         to_go = None
+        self._to_go_values = np.zeros(0)
         if config.cost.w_to_go > 0.0:
             to_go = build_to_go(
                 self.geometry.clearance,
@@ -94,6 +95,8 @@ class Planner:
                 reach=config.object_cost.reach,
                 device=compute.device,
             )
+            self._to_go_values = to_go.values.numpy()
+        self._to_go = to_go
         self.dynamics = make_dynamics(
             engine,
             scene,
@@ -170,6 +173,8 @@ class Planner:
 
     def _to_go_from(self, pose: np.ndarray) -> float:
         """What the object still has to go from a pose [3], turning counted [m]."""
+        if self._to_go is not None:
+            return pose_field_at(self._to_go, pose, self._to_go_values)
         left = pose_difference(self.goal, pose) * [1.0, 1.0, self.config.object.yaw_length]
         return float(np.linalg.norm(left))
 
