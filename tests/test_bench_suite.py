@@ -30,7 +30,7 @@ def suite_of(folder: Path, text: str) -> Suite:
 
 def test_the_shipped_suites_have_the_trials_that_they_promise():
     found = {suite.name: suite for suite in shipped_suites()}
-    assert set(found) == {"best-sim", "lab", "paper-sim", "smoke"}
+    assert set(found) == {"ablation", "best-sim", "lab", "paper-sim", "smoke"}
     for name, preset in (("paper-sim", "paper"), ("best-sim", "best")):
         trials, scenes = make_trials(found[name])
         assert len(trials) == 6 * 3 * 10
