@@ -111,7 +111,12 @@ class Planner:
         self.mppi = Mppi(self.dynamics, level.mppi, seed=2 * seed + 1)
         robot = [*self.mppi.improve, self.dynamics.trace(self.mppi.nominal, self.mppi.costs), self.mppi.shift]
         self._regrasping = Regrasping(
-            scene, self.geometry, config.regrasp, height=config.cost.height, period=config.control_period
+            scene,
+            self.geometry,
+            config.regrasp,
+            turn=config.object.turn,
+            height=config.cost.height,
+            period=config.control_period,
         )
         self._tracked = self.goal[None]
         self._step = compute.step([*self._object_launches(seed), *robot], one_graph=self.dynamics.one_graph)

@@ -83,14 +83,15 @@ def lab(method: Method = "cloi") -> Config:
     """The preset ``lab``: ``best``, but less is asked of perception and of the processor.
 
     Joint velocities stay within 0.4 rad/s (the baseline's authors have 0.2 and later 0.5 on their arm): what moves less
-    far between two detections is better known, and what is hit more slowly does not tip. Both levels have K = 512, so
-    that a plan takes a fraction of the control period on one core.
+    far between two detections is better known, and what is hit more slowly does not tip. An arm that slow is given more
+    time before it lets go. Both levels have K = 512, so that a plan takes a fraction of the control period on one core.
     """
     base = best(method)
     return replace(
         base,
         preset="lab",
         robot=replace(base.robot, mppi=replace(base.robot.mppi, samples=512), joint_velocity_limit=0.4),
+        regrasp=replace(base.regrasp, stall_seconds=7.5, longest_seconds=8.0),
         object=replace(base.object, mppi=replace(base.object.mppi, samples=512)),
     )
 

@@ -45,12 +45,16 @@ class Regrasping:
         scene: The task.
         geometry: Its shapes.
         settings: When to let go.
+        turn: Whether the object's yaw counts.
         height: Height of the tip while it pushes [m].
         period: Control period [s].
     """
 
-    def __init__(self, scene: Scene, geometry: Geometry, settings: Regrasp, *, height: float, period: float) -> None:
+    def __init__(
+        self, scene: Scene, geometry: Geometry, settings: Regrasp, *, turn: bool, height: float, period: float
+    ) -> None:
         self._settings = settings
+        self._turn = turn
         self._period = period
         self._surface = geometry.surface
         self._friction = scene.object.tool_friction
@@ -113,7 +117,7 @@ class Regrasping:
         """Chooses a side and the stops on the way there."""
         c, s = math.cos(pose[2]), math.sin(pose[2])
         move = reference[min(_AHEAD, len(reference) - 1)] - pose
-        wanted = np.array([c * move[0] + s * move[1], c * move[1] - s * move[0], wrap_angle(move[2])])
+        wanted = np.array([c * move[0] + s * move[1], c * move[1] - s * move[0], self._turn * wrap_angle(move[2])])
         places = planar_points(pose, self._sides)
         score = self._efficiency(wanted) - 10.0 * self._blocked(places)
         self._tried.append(self._sides[np.argmin(np.linalg.norm(places - tip[:2], axis=1))])

@@ -20,8 +20,8 @@ LONG = (0.16, 0.04, 0.05)
 """A block, long in x."""
 
 
-def watch(scene: Scene, settings: Regrasp = SETTINGS) -> Regrasping:
-    return Regrasping(scene, build_geometry(scene, "cpu"), settings, height=HEIGHT, period=DT)
+def watch(scene: Scene, settings: Regrasp = SETTINGS, *, turn: bool = True) -> Regrasping:
+    return Regrasping(scene, build_geometry(scene, "cpu"), settings, turn=turn, height=HEIGHT, period=DT)
 
 
 def led(*move: float) -> np.ndarray:
@@ -87,6 +87,13 @@ def test_a_block_is_turned_from_one_of_its_ends():
     stalled(watching, np.array([0.55, 0.1, 0.012]), led(0.0, 0.0, 0.8))
     x, y = last_stop(watching)[:2] - POSE[:2]
     assert abs(x) > 0.05 and x * y < 0.0, "below the right end or above the left one turns it to the left"
+
+
+def test_where_no_yaw_is_asked_for_the_reference_s_does_not_count():
+    watching = watch(task(pushed=block(LONG)), turn=False)
+    stalled(watching, np.array([POSE[0], 0.2, 0.012]), led(0.0, 0.05, 3.0))
+    x, y = last_stop(watching)[:2] - POSE[:2]
+    assert abs(x) < 0.03 and y < 0.0
 
 
 def test_a_side_where_the_tool_has_no_room_is_not_chosen():
