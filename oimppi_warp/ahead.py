@@ -14,7 +14,6 @@ from oimppi_warp.clearance import build_geometry
 from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
 from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
-from oimppi_warp.kernels import navigation
 from oimppi_warp.methods import METHODS, make_planner
 from oimppi_warp.mppi import Mppi
 from oimppi_warp.observation import Observation, planar_transform
@@ -54,8 +53,7 @@ def needed_on_cuda(scene: Scene, config: Config, engine: str) -> list[Variant]:
             joints = scene.robot.start
             worlds.set_state(Observation(0.0, joints, np.zeros_like(joints), start, transform), start)
             compute.step([*mppi.improve, worlds.trace(mppi.nominal, mppi.costs), mppi.shift])()
-    on_the_host = navigation.__name__  # the cost-to-go is made on the CPU everywhere
-    return [variant for variant in found if variant[0].name != on_the_host]
+    return list(found)
 
 
 def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Module], None]) -> int:

@@ -88,7 +88,7 @@ class RobotLevel:
     noise_space: Literal["joint", "tool"] = "tool"
     joint_noise: float = 0.3
     tool_noise: tuple[float, float, float, float, float, float] = (0.2, 0.2, 0.06, 0.2, 0.2, 0.5)
-    joint_velocity_limit: float = 1.0
+    joint_velocity_limit: float = 0.6
     contact_steps: int = 2
     substeps: int = 4
     uncertainty: Uncertainty = field(default_factory=Uncertainty)

@@ -158,7 +158,7 @@ def real_time(
                 command, age, planned = thought.plan.command, 0, True
             elif planned:
                 missed, age = True, age + 1
-                if age * period > expires:
+                if age * period > expires + 1e-9:
                     command, stopped = still, True
             if job is None and known is not None:
                 # What is decided now is carried out before the plan that is asked for now.

@@ -27,8 +27,8 @@ from oimppi_warp.scene import Scene
 
 _CAPACITY = 1024
 """Joint positions that are kept."""
-_AHEAD = 64
-"""Steps of a prediction of what is to come."""
+_AHEAD = 256
+"""Steps of a prediction of what is to come: two of the longest control periods."""
 _STEP = 0.0125
 """Their length [s]."""
 

@@ -54,7 +54,7 @@ class LabPlant:
         seed: Of noise, wrong detections and nothing else: the same seed and commands give the same observations.
 
     Raises:
-        ConfigError: The control period is no multiple of :data:`TICK`.
+        ConfigError: The control period is no multiple of :data:`TICK`, or the latency longer than it.
 
     Attributes:
         camera: What sees the object.
@@ -76,6 +76,11 @@ class LabPlant:
             raise ConfigError(
                 f"control_period = {control_period:g}: joints are reported every {TICK:g} s in the lab\n"
                 f"  allowed: a multiple of that"
+            )
+        if config.command_latency > control_period + 1e-9:
+            raise ConfigError(
+                f"lab.command_latency = {config.command_latency:g}: longer than a control period\n"
+                f"  allowed: up to {control_period:g} s"
             )
         self.control_period = control_period
         self.latency = config.command_latency

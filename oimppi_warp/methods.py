@@ -22,7 +22,7 @@ from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.object import follow_path
 from oimppi_warp.mppi import Update
 from oimppi_warp.navigation import build_to_go
-from oimppi_warp.object_level import ObjectLevel, pose_difference
+from oimppi_warp.object_level import ObjectLevel, distance
 from oimppi_warp.observation import Observation
 from oimppi_warp.planner import Planner
 from oimppi_warp.scene import Scene
@@ -66,12 +66,14 @@ class SequentialPlanner(Planner):
         began = time.perf_counter()
         self._object.mppi.reset()
         self._step_of_path = 0
-        self._path = self._whole_way(to_center(self.geometry.surface, observation.object_pose))
+        self._path, arrived = self._whole_way(to_center(self.geometry.surface, observation.object_pose))
         if self.config.reference == "progress":
             level = self.config.object
+            # A plan that did not arrive leads nowhere: the plain cost-to-go leads then.
+            way = self._path[::-_EVERY][::-1] if arrived else self.goal[None]
             found = build_to_go(
                 self.geometry.clearance,
-                self._path[::-_EVERY][::-1],
+                way,
                 yaw_length=level.yaw_length,
                 reach=self.config.object_cost.reach,
                 bound=self._object.to_go,
@@ -79,8 +81,7 @@ class SequentialPlanner(Planner):
             )
             wp.copy(self._to_go.values, found.values)
             self._to_go_values = found.values.numpy()
-            plan = np.vstack([self._path[1::_EVERY], self.goal])
-            plan = plan[np.minimum(np.arange(len(self._plan)), len(plan) - 1)]
+            plan = way[np.minimum(np.arange(len(self._plan)), len(way) - 1)]
             self._plan.assign(plan.astype(np.float32))
         return time.perf_counter() - began + self._object.setup_seconds
 
@@ -104,15 +105,16 @@ class SequentialPlanner(Planner):
         hand_over = self.compute.launch(follow_path, len(reference.host), [self._way.array], [reference.array])
         return [down, hand_over]
 
-    def _whole_way(self, pose: np.ndarray) -> np.ndarray:
-        """The object's way to the goal, as the object level would drive it in closed loop."""
-        way = [pose]
-        for _ in range(self.config.object.plan_steps):
+    def _whole_way(self, pose: np.ndarray) -> tuple[np.ndarray, bool]:
+        """The object's way to the goal as the object level would drive it in closed loop, and whether it arrived.
+
+        Its last pose is the exact goal in any case.
+        """
+        way, arrived = [pose], False
+        while not arrived and len(way) <= self.config.object.plan_steps:
             way.append(self._improve(way[-1])[1])
-            left = pose_difference(self.goal, way[-1]) * [1.0, 1.0, self.config.object.yaw_length]
-            if np.linalg.norm(left) < _ARRIVED:
-                break
-        return np.array([*way, self.goal])
+            arrived = distance(way[-1], self.goal, self.config.object.yaw_length) < _ARRIVED
+        return np.array([*way, self.goal]), arrived
 
     def _improve(self, pose: np.ndarray) -> np.ndarray:
         """One update of the object plan from a pose [3], and the path [horizon + 1, 3] that it then takes."""
@@ -206,7 +208,8 @@ def make_planner(
 
     def plan_seconds(engine: str) -> float:
         made[engine] = make(engine)
-        return median_seconds(made[engine].warm_up)
+        made[engine].warm_up()
+        return median_seconds(made[engine].rehearse)
 
     choice = choose(method, config.control_period, plan_seconds)
     planner = made[choice.engine]

@@ -73,7 +73,7 @@ def build_to_go(
         return to_go.numpy()
 
     numbers = [*host.origin, host.inv_step, tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked]
-    numbers += [tolls.reach_lower, tolls.reach_upper, tolls.far]
+    numbers += [tolls.reach_lower, tolls.reach_upper, tolls.far, _NEAR, _SETTLED, _SWEEPS]
     content = content_of(host.values.numpy(), way, numbers)
     field = PoseField()
     # A goal comes again, a planned way does not.

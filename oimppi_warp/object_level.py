@@ -36,24 +36,19 @@ class ObjectLevel:
 
     def set_state(self, pose: np.ndarray) -> None:
         """Where the object is: pose [3]."""
-        left = pose_difference(self._goal, pose) * [1.0, 1.0, self._level.yaw_length]
+        left = distance(pose, self._goal, self._level.yaw_length)
         share = 1.0
         if self._level.noise_range > 0.0:
-            share = float(np.clip(np.linalg.norm(left) / self._level.noise_range, 0.1, 1.0))
+            share = float(np.clip(left / self._level.noise_range, 0.1, 1.0))
         self.mppi.noise.host[0] = np.diag(share * self._level.noise * self._dynamics.bound)
         self._dynamics.set_state(pose)
 
     def to_go_from(self, pose: np.ndarray) -> float:
         """What the object still has to go from a pose [3]: the cost-to-go, or without one the straight distance [m]."""
         to_go = self._dynamics.to_go_at(pose)
-        if to_go is not None:
-            return to_go
-        left = pose_difference(self._goal, pose) * [1.0, 1.0, self._level.yaw_length]
-        return float(np.linalg.norm(left))
+        return distance(pose, self._goal, self._level.yaw_length) if to_go is None else to_go
 
 
-def pose_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """``a - b`` of planar poses [..., 3], the yaw in [-pi, pi)."""
-    difference = a - b
-    difference[..., 2] = wrap_angle(difference[..., 2])
-    return difference
+def distance(a: np.ndarray, b: np.ndarray, yaw_length: float) -> float:
+    """Straight distance of two planar poses [3], turning by one radian counted as ``yaw_length`` [m]."""
+    return float(np.linalg.norm([*(b - a)[:2], yaw_length * wrap_angle((b - a)[2])]))

@@ -15,7 +15,7 @@ from oimppi_warp.dynamics.engines import make_dynamics
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.mppi import Mppi, Update
 from oimppi_warp.navigation import build_to_go
-from oimppi_warp.object_level import pose_difference
+from oimppi_warp.object_level import distance
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.regrasp import Regrasping
 from oimppi_warp.scene import Scene
@@ -87,6 +87,7 @@ class Planner:
         draws = draw(level.uncertainty, samples=level.mppi.samples, seed=seed)
         to_go = None
         self._to_go_values = np.zeros(0)
+        began = time.perf_counter()
         if config.cost.w_to_go > 0.0:
             to_go = build_to_go(
                 self.geometry.clearance,
@@ -97,6 +98,7 @@ class Planner:
             )
             self._to_go_values = to_go.values.numpy()
         self._to_go = to_go
+        self._setup_seconds = time.perf_counter() - began
         self.dynamics = make_dynamics(
             engine,
             scene,
@@ -123,6 +125,10 @@ class Planner:
 
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""
+        self.rehearse()
+
+    def rehearse(self) -> None:
+        """One control step from the task's start."""
         start = np.array(self.scene.start)
         joints = self.scene.robot.start
         transform = planar_transform(self.scene.start, self.scene.object.rest_height)
@@ -132,7 +138,7 @@ class Planner:
         """Prepares for an episode that begins with ``observation``; returns the wall time that planning took [s]."""
         self.mppi.reset()
         self._regrasping.reset()
-        return 0.0
+        return self._setup_seconds
 
     def plan(self, observation: Observation) -> Plan:
         """Plans from an observation; each call is one control step."""
@@ -180,8 +186,7 @@ class Planner:
         """What the object still has to go from a pose [3], turning counted [m]."""
         if self._to_go is not None:
             return pose_field_at(self._to_go, pose, self._to_go_values)
-        left = pose_difference(self.goal, pose) * [1.0, 1.0, self.config.object.yaw_length]
-        return float(np.linalg.norm(left))
+        return distance(pose, self.goal, self.config.object.yaw_length)
 
     def _object_update(self) -> Update | None:
         """What the object level found in this step, if it planned."""

@@ -89,7 +89,8 @@ class Regrasping:
         Returns:
             (x, y, z [m], weight [1/m^2]); all zero while the object gets on.
         """
-        if self._settings.stall_seconds <= 0.0:
+        known = math.isfinite(to_go) and np.isfinite(tip).all() and np.isfinite(pose).all()
+        if self._settings.stall_seconds <= 0.0 or not known:
             return NOWHERE
         if self._stops:
             return self._next_stop(tip, to_go)
@@ -144,9 +145,10 @@ class Regrasping:
         """Where a tip [2] does not touch the object: a tool that rises while it presses on it would tip it over."""
         rim = shapely.boundary(body)
         nearest = np.array(rim.interpolate(rim.project(shapely.Point(tip))).coords[0])
-        way = tip - nearest if not shapely.contains_xy(body, *tip) else nearest - tip
+        inside = shapely.contains_xy(body, *tip)
+        way = nearest - tip if inside else tip - nearest
         distance = float(np.linalg.norm(way))
-        lack = self._radius + _ASIDE - distance
+        lack = self._radius + _ASIDE + (distance if inside else -distance)
         return tip + max(lack, 0.0) * way / max(distance, 1e-9)
 
     def _efficiency(self, wanted: np.ndarray) -> np.ndarray:

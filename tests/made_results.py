@@ -45,9 +45,10 @@ def make_one(
     success: bool = True,
     error: str = "",
     steps: int = 80,
+    label: str = "",
 ) -> Result:
     log = None if error else make_log(steps=steps, arrive=1.0 if success else LEFT, method=method)
-    trial = make_trial(task, method, number)
+    trial = make_trial(f"{task}-{label}" if label else task, method, number, scene=task)
     return make_result(trial, log, error=error, wall_s=1.0, code="c0de", machine="a machine", reach=2.0)
 
 

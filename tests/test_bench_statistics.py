@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_results import make_one, make_set
 
-from oimppi_warp.bench.comparison import compare_methods, compare_sets, mcnemar, signed_rank
+from oimppi_warp.bench.comparison import compare_labels, compare_methods, compare_sets, mcnemar, signed_rank
 from oimppi_warp.bench.statistics import summarize_results, wilson
 from oimppi_warp.errors import ConfigError
 
@@ -96,6 +96,16 @@ def test_methods_are_compared_on_the_same_starts():
     (found,) = compare_methods(make_set(results))
     assert (found.name, found.pairs, found.successes) == ("SOI and MPPI", 4, (4, 0))
     assert found.p == pytest.approx(2 / 2**4)
+
+
+def test_entries_of_one_scene_are_compared_with_the_first_and_count_once_among_methods():
+    results = [make_one(method=method, number=n, label="a") for method in ("soi", "mppi") for n in range(4)]
+    results += [make_one(method="soi", number=n, success=n == 0, label="b") for n in range(4)]
+    made = replace(make_set([]), results=results)
+    (found,) = compare_labels(made)
+    assert (found.name, found.pairs, found.successes) == ("task01-a and task01-b, SOI", 4, (4, 1))
+    (methods,) = compare_methods(made)
+    assert methods.pairs == 4
 
 
 def test_sets_with_nothing_in_common_are_refused():

@@ -328,6 +328,16 @@ def test_soi_follows_its_plan_from_where_the_object_is_on_it(sequential):
         assert ahead > 15, "it gets on"
 
 
+def test_a_plan_that_did_not_arrive_leads_nowhere():
+    scene = shipped("task02")
+    planner = make(scene, "soi", replace(SMALL, object=replace(SMALL.object, plan_steps=5)))
+    assert isinstance(planner, SequentialPlanner)
+    planner.start(observe(scene))
+    found = referenced(planner, to_center(planner.geometry.surface, np.array([0.45, -0.12, 0.5])))
+    assert min(planner.geometry.clearance_at(pose) for pose in found) > -0.003, "not straight through the cube"
+    assert planner._to_go_from(found[-1]) < planner._to_go_from(found[0]) - 0.1
+
+
 def test_a_turn_more_of_the_object_changes_nothing_of_soi_s_reference(sequential):
     planner, path = sequential
     once, more = referenced(planner, path[12]), referenced(planner, path[12] + [0.0, 0.0, 2.0 * np.pi])

@@ -146,6 +146,21 @@ def test_a_tool_that_touches_the_object_steps_aside_as_it_rises():
     assert up[2] > touching[2] and up[1] > touching[1] + 0.02
 
 
+def test_a_tip_that_is_over_the_object_goes_out_past_its_rim_as_it_rises():
+    watching = watch(task(pushed=block(LONG)))
+    stalled(watching, np.array([POSE[0], 0.5 * LONG[1] - 0.005, 0.06]), led(0.0, 0.05, 0.0))
+    assert watching._stops[0][1] > 0.5 * LONG[1] + 0.02
+
+
+def test_what_is_not_known_calls_nowhere_and_leaves_no_trace():
+    watching = watch(task(pushed=block(LONG)))
+    tip, lost = np.array([POSE[0], 0.09, 0.012]), np.full(3, np.nan)
+    for _ in range(100):
+        assert not watching.guide(tip, lost, led(0.0, 0.05, 0.0), np.nan).any()
+    calls = [watching.guide(tip, POSE, led(0.0, 0.05, 0.0), 0.5)[3] for _ in range(25)]
+    assert np.isfinite(calls).all() and not any(calls[:18]) and any(calls)
+
+
 def test_a_call_is_given_up_in_time():
     watching = watch(task(pushed=block(LONG)))
     tip = np.array([POSE[0], 0.06, 0.012])

@@ -83,14 +83,35 @@ def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
 
 
 def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
-    """Compare the methods of one set with each other, over all its tasks."""
-    methods = results.methods
+    """Compare the methods of one set with each other, over all its tasks.
+
+    A scene that stands in it under several labels counts once, under the first: its starts are the same in all.
+    """
+    firsts = {result.scene: result.task for result in reversed(results.results)}
     found = []
-    for index, first in enumerate(methods):
-        for second in methods[index + 1 :]:
-            pairs = _matched(results.of(method=first), results.of(method=second), lambda r: (r.task, r.start, r.seed))
+    for index, first in enumerate(results.methods):
+        for second in results.methods[index + 1 :]:
+            sides = (
+                [result for result in results.of(method=method) if result.task == firsts[result.scene]]
+                for method in (first, second)
+            )
+            pairs = _matched(*sides, lambda r: (r.task, r.start, r.seed))
             if pairs:
                 found.append(compare(f"{first.upper()} and {second.upper()}", pairs))
+    return tuple(found)
+
+
+def compare_labels(results: ResultSet) -> tuple[Comparison, ...]:
+    """Compare each labelled entry of one set with the first one of the same scene and method."""
+    groups: dict[tuple[str, str], dict[str, list[Result]]] = {}
+    for result in results.results:
+        groups.setdefault((result.scene, result.method), {}).setdefault(result.task, []).append(result)
+    found = []
+    for (_, method), entries in groups.items():
+        first, *others = entries
+        for other in others:
+            pairs = _matched(entries[first], entries[other], lambda r: (r.start, r.seed))
+            found.append(compare(f"{first} and {other}, {method.upper()}", pairs))
     return tuple(found)
 
 

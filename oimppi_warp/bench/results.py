@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -78,6 +79,11 @@ class Result:
     cause: str = ""
     evidence: str = ""
     error: str = ""
+
+    @property
+    def scene(self) -> str:
+        """Short name of the scene, without an entry's label."""
+        return Path(shlex.split(self.command)[2]).stem
 
     @property
     def success(self) -> bool:

@@ -93,6 +93,8 @@ class SuiteRun:
             BenchError: The backend is not there, or a worker process dies again and again.
             KeyboardInterrupt: Ctrl-C; what is finished is written.
         """
+        if backend != "loky" and any(trial.real_time for trial in self.open):
+            raise BenchError("trials in real time need the machine for themselves\n  to do:   --backend loky")
         self.folder.mkdir(parents=True, exist_ok=True)
         saved = 0.0
         try:

@@ -209,6 +209,8 @@ def _one_of(names: Any) -> tuple[Callable[[Any], bool], str]:
     return lambda value: isinstance(value, str) and value in names, " or ".join(f'"{name}"' for name in names)
 
 
+_JOINTS = str.maketrans("", "", "_-")
+
 _METHODS = get_args(Method)
 _KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "tasks": (lambda value: _texts(value) and bool(value), 'a list of scenes, like ["task01", "my_task.usda"]'),
@@ -226,7 +228,7 @@ _KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "max_sim_seconds": (lambda value: _number(value) and value > 0, "a number of seconds above zero"),
     "mode": _one_of(MODES),
     "plant": _one_of(PLANTS),
-    "label": (lambda value: isinstance(value, str) and value.replace("_", "").isalnum(), "letters, digits and _"),
+    "label": (lambda value: isinstance(value, str) and value.translate(_JOINTS).isalnum(), "letters, digits, _ and -"),
 }
 """For each key: whether a value may stand there, and what is allowed."""
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from oimppi_warp.bench.comparison import Comparison, compare_methods
+from oimppi_warp.bench.comparison import Comparison, compare_labels, compare_methods
 from oimppi_warp.bench.paper import MEANS, REPORTED, TABLES, Reported
 from oimppi_warp.bench.results import Result, ResultSet
 from oimppi_warp.bench.statistics import Rate, Statistics, summarize_results
@@ -40,6 +40,7 @@ def every_table(results: ResultSet) -> list[Table]:
         time_table(results),
         safety_table(results),
         comparison_table(compare_methods(results), title="Methods against each other", sides=("first", "second")),
+        comparison_table(compare_labels(results), title="Entries against the first", sides=("first", "second")),
     ]
     return [table for table in tables if table.rows]
 

@@ -57,6 +57,7 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
+    code = code_content()  # before the planner is imported
     began = time.perf_counter()
     log, error = None, ""
     try:
@@ -67,7 +68,7 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
         error = without_paths(traceback.format_exc())
     if log is not None and log.header["ended"] == "interrupted":
         raise KeyboardInterrupt
-    return Outcome(trial, log, error, time.perf_counter() - began, code_content(), machine())
+    return Outcome(trial, log, error, time.perf_counter() - began, code, machine())
 
 
 @cache
