@@ -157,7 +157,7 @@ class RobotCost:
     Attributes:
         w_d, w_theta, w_f, f_0: As in :class:`ObjectCost`, for the simulated object.
         w_to_go: Length of the object's shortest free way to the goal [1/m]; not in the paper. It gives plain MPPI what
-            the others have from the object level.
+            the others have from the object level, and is made with ``object_cost.reach`` and ``object.speed_limit``.
         w_reference: Squared distance to the object plan, the paper's coupling cost l_c [1/m^2].
         w_ee: Squared distance between tool and object beyond ``r_0`` [1/m^2].
         r_0: [m].
@@ -175,9 +175,9 @@ class RobotCost:
         w_reach: Distance of the object's centre to the ring in which the arm can push well [1/m].
         reach: Inner and outer radius of that ring [m].
         w_edge: Distance of the object's centre to where all of it is on the table for sure [1/m].
-        w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2].
-        w_margin: Squared lack of clearance below ``margin`` of an object that is being pushed [1/m^2]; in the
-            quasi-static engine, as ``w_lift``: the others feel the forces that these stand for.
+        w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2]; in the quasi-static
+            engine, as the next three: the others feel the forces that these stand for.
+        w_margin: Squared lack of clearance below ``margin`` of an object that is being pushed [1/m^2].
         margin: [m].
         w_lift: Squared speed at which the tip rises while it pushes, which would lift the object and tip it [s^2/m^2].
         w_control: Squared joint velocity [s^2/rad^2].

@@ -20,7 +20,7 @@ from oimppi_warp.config import (
 
 
 def best(method: Method = "cloi") -> Config:
-    """The preset ``best``: the best settings that we found for a method (`docs/design.md` has the ablation)."""
+    """The preset ``best``: the best settings that we found for a method (`docs/results.md` has the ablation)."""
     base = Config()
     if method == "mppi":  # nothing to track but the goal, by the shortest free way
         return replace(base, cost=replace(base.cost, w_d=0.0, w_to_go=60.0, w_reference=0.0))
