@@ -17,16 +17,12 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 SEEDS = range(10)
 
 
-@pytest.mark.parametrize(
-    ("name", "method", "least", "least_tight"),
-    [("task01", "cloi", 10, 7), ("task02", "cloi", 10, 7), ("task01", "soi", 9, 0), ("task02", "soi", 8, 0)],
-)
-def test_the_object_reaches_its_goal_from_drawn_starts(name: str, method: Method, least: int, least_tight: int):
+@pytest.mark.parametrize("method", ["cloi", "soi"])
+@pytest.mark.parametrize("name", ["task01", "task02", "task03", "task04", "task05"])
+def test_the_object_reaches_its_goal_from_drawn_starts(name: str, method: Method):
     found = [summarize(episode(name, method, seed=seed).run()) for seed in SEEDS]
-    assert sum(metrics.success for metrics in found) >= least, [m.seed for m in found if not m.success]
-    assert sum(metrics.success_tight for metrics in found) >= least_tight, [
-        m.seed for m in found if not m.success_tight
-    ]
+    assert sum(metrics.success for metrics in found) >= 9, [m.seed for m in found if not m.success]
+    assert sum(metrics.success_tight for metrics in found) >= 8, [m.seed for m in found if not m.success_tight]
 
 
 @pytest.mark.parametrize(("name", "method"), [("lab01", "cloi"), ("lab02", "cloi"), ("lab01", "soi"), ("lab02", "soi")])

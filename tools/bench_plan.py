@@ -3,7 +3,7 @@
 What is compared is timed in turns within one run. A run counts only if its plans are sane (finite costs, an effective
 sample) and if planning so solves a task in the simulator. ``docs/performance.md`` explains the figures.
 
-Usage: ``python tools/bench_plan.py [--scene task02] [--repeats 60] [--quick] [--json FILE]``
+Usage: ``python tools/bench_plan.py [--scene task02] [--repeats 60] [--quick] [--brief] [--json FILE]``
 """
 
 from __future__ import annotations
@@ -278,6 +278,7 @@ def main() -> int:
     parser.add_argument("--scene", default="task02", help="a shipped scene or a USD file")
     parser.add_argument("--repeats", type=int, default=60, help="plans to time")
     parser.add_argument("--quick", action="store_true", help="small and few, to see that everything runs")
+    parser.add_argument("--brief", action="store_true", help="without sweeps and starts, which take most of the time")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
     arguments = parser.parse_args()
     if arguments.repeats < 2:
@@ -294,6 +295,7 @@ def main() -> int:
     wp.set_logger(CompileNotice(lambda line: print(line, file=sys.stderr)))
     start_warp()
     scene = load_scene(arguments.scene)
+    brief = arguments.quick or arguments.brief
     bench = Benchmark(scene, repeats=4 if arguments.quick else arguments.repeats, quick=arguments.quick)
     record: dict[str, Any] = {
         "command": f"python tools/bench_plan.py {' '.join(sys.argv[1:])}".strip(),
@@ -306,9 +308,11 @@ def main() -> int:
         "newton": bench.newton(),
         "randomized": bench.randomized(),
         "memory": bench.memory(),
-        "sweeps": bench.sweeps(),
+        "sweeps": {} if brief and not arguments.quick else bench.sweeps(),
         "cuda": bench.devices(),
-        "start": {} if arguments.quick else {engine: start_seconds(engine) for engine in ("quasistatic", "newton")},
+        "start": {}
+        if arguments.quick or arguments.brief
+        else {engine: start_seconds(engine) for engine in ("quasistatic", "newton")},
     }
     rollout = record["quasistatic"]["robot level"]["one core"]["stage_ms"]["rollout"]
     record["arithmetic"] = bench.arithmetic(rollout)
