@@ -130,14 +130,16 @@ class Compute:
 
 
 class Stopwatch:
-    """A launch that notes when it ran; in a CUDA graph it never runs."""
+    """A launch that notes when it ran; in a CUDA graph it never runs, nor while one is captured."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: str) -> None:
+        self._device = wp.get_device(device)
         self._at = math.nan
 
     def __call__(self) -> None:
         """Note the time."""
-        self._at = time.perf_counter()
+        if not self._device.is_capturing:
+            self._at = time.perf_counter()
 
     def take(self) -> float:
         """When it last ran, by ``time.perf_counter``; NaN if it did not since it was last asked."""

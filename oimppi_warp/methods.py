@@ -147,7 +147,7 @@ class ClosedLoopPlanner(Planner):
         self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
         reference = self.dynamics.reference
         hand_over = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
-        self._watch = Stopwatch()
+        self._watch = Stopwatch(self.compute.device)
         return [*self._object.launches, hand_over, self._watch]
 
     def _set_reference(self, pose: np.ndarray) -> None:
