@@ -161,8 +161,10 @@ class Episode:
         plan = beat.plan
         if plan is not None:
             self.log.header["preplan_time_s"] += beat.preplan_seconds
-            every = {"cloi": _REFERENCE_EVERY, "soi": math.inf}.get(self.planner.method)
-            if every is not None and self._plans % every == 0:
+            ahead = self.planner.object_plan
+            if self._plans == 0 and ahead is not None:
+                self.log.add_reference(ahead)
+            elif self.planner.method == "cloi" and self._plans % _REFERENCE_EVERY == 0:
                 self.log.add_reference(plan.reference)
             self._plans += 1
         truth = self.plant.truth()

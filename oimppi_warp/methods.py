@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.choice import choose, median_seconds
-from oimppi_warp.clearance import to_center
+from oimppi_warp.clearance import from_center, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
 from oimppi_warp.config import Config, Method
 from oimppi_warp.dynamics.engines import ENGINES
@@ -53,6 +53,11 @@ class SequentialPlanner(Planner):
         self._object_step = alone.step(self._object.launches)
         self._path = self.goal[None]
         self._step_of_path = 0
+
+    @property
+    def object_plan(self) -> np.ndarray:
+        """The object's whole way as it was planned at the start, poses [n, 3]."""
+        return from_center(self.geometry.surface, self._path)
 
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""

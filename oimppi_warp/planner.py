@@ -123,6 +123,11 @@ class Planner:
         self._tracked = self.goal[None]
         self._step = compute.step([*self._object_launches(seed), *robot], one_graph=self.dynamics.one_graph)
 
+    @property
+    def object_plan(self) -> np.ndarray | None:
+        """The object's whole way as it was planned ahead, poses [n, 3]; ``None`` for methods that do not."""
+        return None
+
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""
         self.rehearse()

@@ -10,7 +10,7 @@ import pytest
 import tasks
 
 from oimppi_warp.clearance import build_geometry
-from oimppi_warp.config import RobotCost
+from oimppi_warp.config import Config, RobotCost, RobotLevel
 from oimppi_warp.dynamics.packing import robot_weights
 from oimppi_warp.footprint import GRAVITY
 from oimppi_warp.plant import SimulatedPlant
@@ -87,7 +87,8 @@ def test_a_stick_that_leans_over_a_can_costs_and_one_that_leans_away_does_not():
 
 def test_coming_at_a_can_fast_costs_and_leaving_it_does_not():
     scene = tasks.shipped("lab01")
-    pushing = tasks.Pushing.on(scene)
+    fast = replace(Config(), robot=RobotLevel(joint_velocity_limit=1.0))
+    pushing = tasks.Pushing.on(scene, fast)
     joints = tasks.joints_at(scene.robot, (0.45, 0.08, 0.02))
     controls = [tasks.straight(scene.robot, joints, (0.0, speed, 0.0), 1) for speed in (-0.4, -0.1, 0.4)]
     topple = pushing.roll(joints, np.array([0.45, 0.0, 0.0]), np.array(controls)).term("topple")
