@@ -91,11 +91,11 @@ def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
     found = []
     for index, first in enumerate(results.methods):
         for second in results.methods[index + 1 :]:
-            sides = (
+            one, other = (
                 [result for result in results.of(method=method) if result.task == firsts[result.scene]]
                 for method in (first, second)
             )
-            pairs = _matched(*sides, lambda r: (r.task, r.start, r.seed))
+            pairs = _matched(one, other, lambda r: (r.task, r.start, r.seed))
             if pairs:
                 found.append(compare(f"{first.upper()} and {second.upper()}", pairs))
     return tuple(found)
