@@ -49,7 +49,7 @@ def way(log: EpisodeLog, scene: Scene) -> Figure:
     """The object's way from above: its footprint at even steps of it, coloured by time."""
     figure = Figure(layout="constrained")
     axes = figure.add_subplot()
-    width, height = _draw_place(axes, log, scene)
+    width, height = draw_place(axes, log, scene)
     figure.set_size_inches(7.0, 1.2 + 5.6 * min(max(height / width, 0.5), 1.6))
     pieces = footprint(scene.object.colliders)
     start, goal = np.asarray(log.header["start"], float), np.asarray(log.header["goal"], float)
@@ -59,12 +59,12 @@ def way(log: EpisodeLog, scene: Scene) -> Figure:
         bar = figure.colorbar(ScalarMappable(norm, _TIME), ax=axes, fraction=0.04, pad=0.02)
         bar.set_label("time [s]")
         bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue, reportAttributeAccessIssue]
-    _draw_shape(axes, pieces, start, fc="none", ec=START, lw=1.8, label="start", zorder=6)
-    _draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.8, ls=(0, (4, 2)), label="goal", zorder=6)
+    draw_shape(axes, pieces, start, fc="none", ec=START, lw=1.8, label="start", zorder=6)
+    draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.8, ls=(0, (4, 2)), label="goal", zorder=6)
     radius = log.header["tolerance"]["position"]
     circle = Circle((goal[0], goal[1]), radius, fill=False, ec=GOAL, lw=0.9, ls=":", label="tolerance", zorder=2)
     axes.add_patch(circle)
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=_title(log))
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=title_of(log))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=4)
     return figure
 
@@ -85,7 +85,7 @@ def errors(log: EpisodeLog) -> Figure:
                 axes.axhline(limit, color=GOAL, lw=1.0, ls=style, label=text)
         axes.fill_between(time, 0, 1, where=inside, transform=axes.get_xaxis_transform(), color=GOAL, alpha=0.07, lw=0)
         axes.set(ylabel=label, ylim=(0, None))
-    position.set_title(_title(log))
+    position.set_title(title_of(log))
     _legend(position)
     clearance.plot(time, 1000 * log["clearance"], color=INK, lw=1.2)
     clearance.axhline(0.0, color=WALL, lw=1.0)
@@ -113,13 +113,14 @@ def plan_times(log: EpisodeLog) -> Figure:
         if np.isfinite(log[name]).any():
             samples.plot(time, log[name], color=color, lw=0.9, label=label)
     samples.set(xlabel="time [s]", ylabel="effective samples", ylim=(0, None))
-    figure.suptitle(_title(log), x=0.01, ha="left", fontsize=10, fontweight="bold")
+    figure.suptitle(title_of(log), x=0.01, ha="left", fontsize=10, fontweight="bold")
     _legend(plan)
     _legend(samples)
     return figure
 
 
-def _title(log: EpisodeLog) -> str:
+def title_of(log: EpisodeLog) -> str:
+    """What was run and how it ended, in one line."""
     header = log.header
     return f"{header['scene']}, {header['method'].upper()}, seed {header['seed']}: {header.get('ended', 'running')}"
 
@@ -130,15 +131,15 @@ def _legend(axes: Axes) -> None:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(5, len(names)), borderaxespad=0.2)
 
 
-def _draw_place(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]:
+def draw_place(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]:
     """Table, robot base and obstacles, and the frame around what matters; the frame's width and height [m]."""
     lower, upper = np.asarray(scene.table.lower), np.asarray(scene.table.upper)
     axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=FAINT, lw=1.0, zorder=0))
     base = footprint(scene.robot.base.colliders)
-    _draw_shape(axes, base, np.zeros(3), fc="#dfe5e9", ec=WALL, lw=1.0, label="robot base", zorder=3)
+    draw_shape(axes, base, np.zeros(3), fc="#dfe5e9", ec=WALL, lw=1.0, label="robot base", zorder=3)
     obstacles = [footprint(obstacle.colliders) for obstacle in scene.obstacles]
     for index, pieces in enumerate(obstacles):
-        _draw_shape(axes, pieces, np.zeros(3), fc=WALL, ec="none", label="obstacle" if index == 0 else None, zorder=3)
+        draw_shape(axes, pieces, np.zeros(3), fc=WALL, ec="none", label="obstacle" if index == 0 else None, zorder=3)
     corners = [shapely.bounds(outline(pieces)) for pieces in obstacles]
     poses = np.vstack([np.asarray([log.header["start"], log.header["goal"]], float), log["object_pose"].reshape(-1, 3)])
     reach = 0.05 + max(0.15, float(log.header["tolerance"]["position"]))
@@ -158,8 +159,8 @@ def _draw_way(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Norm
         axes.plot(plan[:, 0], plan[:, 1], color=INK, lw=1.0, ls=(0, (1, 1.5)), label="object plan", zorder=4)
     for row in _rows_along(poses, count=12):
         color = _TIME(norm(time[row]))
-        _draw_shape(axes, pieces, poses[row], fc=(*color[:3], 0.10), ec=color, lw=0.9, zorder=4)
-    _draw_shape(axes, pieces, poses[-1], fc=(*_TIME(1.0)[:3], 0.35), ec=_TIME(1.0), lw=1.4, zorder=5)
+        draw_shape(axes, pieces, poses[row], fc=(*color[:3], 0.10), ec=color, lw=0.9, zorder=4)
+    draw_shape(axes, pieces, poses[-1], fc=(*_TIME(1.0)[:3], 0.35), ec=_TIME(1.0), lw=1.4, zorder=5)
     segments = np.stack([poses[:-1, :2], poses[1:, :2]], axis=1)
     axes.add_collection(LineCollection(list(segments), array=time[1:], cmap=_TIME, norm=norm, lw=2.0, zorder=5))
 
@@ -171,7 +172,7 @@ def _rows_along(poses: np.ndarray, *, count: int) -> list[int]:
     return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count + 1)[:-1])).tolist()
 
 
-def _draw_shape(axes: Axes, pieces: tuple[Piece, ...], pose: np.ndarray, **style: Any) -> None:
+def draw_shape(axes: Axes, pieces: tuple[Piece, ...], pose: np.ndarray, **style: Any) -> None:
     """The union of the pieces at a planar pose, as one patch."""
     shape = outline(piece.moved(pose) for piece in pieces)
     rings = [np.asarray(part.exterior.coords) for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
