@@ -17,8 +17,8 @@ KNOWN_SUCCESS: Mapping[tuple[str, Method], float] = {
     ("newton", "soi"): 0.0,
     ("newton", "mppi"): 0.0,
 }
-"""Share of the starts of task 02 that an engine and a method bring to the goal, from ``docs/results.md``; 0 where nobody
-has measured it with the present settings. Of equals, the first is the cheaper one."""
+"""Share of task 02's starts that an engine and a method bring to the goal, from ``docs/results.md``; 0 where nobody has
+measured it with the present settings. Of equals, the first is the cheaper one."""
 
 _TIMED = 3
 """Plans that are timed."""
