@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from PIL import Image
@@ -61,7 +62,7 @@ def _frame(log: EpisodeLog, scene: Scene, row: int) -> Image.Image:
     plans = [path for step, path in log.references if step <= row]
     if plans:
         axes.plot(plans[-1][:, 0], plans[-1][:, 1], color=INK, lw=0.8, ls=(0, (1, 1.5)), zorder=4)
-    draw_shape(axes, pieces, log["object_pose"][row], fc=(*matplotlib.colors.to_rgb(START), 0.25), ec=START, zorder=5)
+    draw_shape(axes, pieces, log["object_pose"][row], fc=(*to_rgb(START), 0.25), ec=START, zorder=5)
     tool = log["tool_position"]
     since = max(row - 20, 0)
     axes.plot(tool[since : row + 1, 0], tool[since : row + 1, 1], color="#8b98a1", lw=1.0, zorder=7)
