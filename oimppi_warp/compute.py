@@ -25,7 +25,7 @@ from oimppi_warp.device import pick_device
 Launch = Callable[[], None]
 """A prepared launch: the kernel and its arguments are fixed, calling it runs it."""
 
-_SLICES_PER_THREAD = 2
+_SLICES_PER_THREAD = 4
 """Slices of the samples for each thread: enough that none waits long for the others."""
 _BLOCK = 256
 """Threads of a block on CUDA."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import warp as wp
 
@@ -23,15 +25,24 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
     Returns:
         Rotations [dof, 3, 3] and positions [dof, 3] in the world frame [m].
     """
-    rotations, positions = [], []
-    r, p = np.eye(3), np.zeros(3)
-    for joint, angle in zip(robot.joints, joints, strict=True):
-        p = p + r @ joint.parent_transform[:3]
-        c, s = np.cos(angle), np.sin(angle)
-        r = r @ rotation_matrix(joint.parent_transform[3:]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        rotations.append(r)
-        positions.append(p)
-    return np.array(rotations), np.array(positions)
+    rest, step = _rest_transforms(robot), np.zeros((robot.dof, 4, 4))
+    c, s = np.cos(joints), np.sin(joints)
+    step[:, 0, 0], step[:, 0, 1], step[:, 1, 0], step[:, 1, 1] = c, -s, s, c
+    step[:, 2, 2] = step[:, 3, 3] = 1.0
+    frames = rest @ step
+    for j in range(1, robot.dof):
+        frames[j] = frames[j - 1] @ frames[j]
+    return frames[:, :3, :3], frames[:, :3, 3]
+
+
+@lru_cache(maxsize=8)
+def _rest_transforms(robot: Robot) -> np.ndarray:
+    """Transform of each joint's frame in its parent's at zero, shape [dof, 4, 4]."""
+    rest = np.tile(np.eye(4), (robot.dof, 1, 1))
+    for transform, joint in zip(rest, robot.joints, strict=True):
+        transform[:3, :3] = rotation_matrix(joint.parent_transform[3:])
+        transform[:3, 3] = joint.parent_transform[:3]
+    return rest
 
 
 def tip_frame(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -74,10 +85,9 @@ def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
     """
     spheres = [np.concatenate([np.zeros((0, 4)), *map(collider_spheres, link.colliders)]) for link in robot.links]
     arm = Arm()
-    rotations = np.array([rotation_matrix(joint.parent_transform[3:]) for joint in robot.joints])
-    arm.rotation = wp.array(rotations, dtype=wp.mat33, device=device)
-    positions = np.array([joint.parent_transform[:3] for joint in robot.joints])
-    arm.position = wp.array(positions, dtype=wp.vec3, device=device)
+    rest = _rest_transforms(robot)
+    arm.rotation = wp.array(rest[:, :3, :3].copy(), dtype=wp.mat33, device=device)
+    arm.position = wp.array(rest[:, :3, 3].copy(), dtype=wp.vec3, device=device)
     arm.lower = wp.array([joint.lower for joint in robot.joints], dtype=float, device=device)
     arm.upper = wp.array([joint.upper for joint in robot.joints], dtype=float, device=device)
     arm.speed = wp.array(np.asarray(speed, dtype=np.float32), dtype=float, device=device)

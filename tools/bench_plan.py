@@ -12,6 +12,7 @@ import argparse
 import json
 import os
 import platform
+import statistics
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -93,7 +94,7 @@ class Benchmark:
             counts = (1, self.cores) if self.cores > 1 else (1,)
             timings = self.race(name, {f"{n} threads": make(n) for n in counts})
             one, most = timings["1 threads"], timings[f"{counts[-1]} threads"]
-            ratio = most.median / one.median
+            ratio = statistics.median(b / a for a, b in zip(one.ms, most.ms, strict=True))
             found[name] = {"one core": one.figures(), "all cores": most.figures(), "ratio": round(ratio, 3)}
             if not self.quick and name in BUDGET_MS and one.median > BUDGET_MS[name]:
                 self.problems.append(f"{name}: {one.median:.1f} ms, more than {BUDGET_MS[name]:g} ms")
