@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install demo test slow ahead lint format types bench scenes wheel ci lock clean
+.PHONY: help install demo view test slow ahead lint format types bench scenes wheel ci lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
@@ -27,6 +27,9 @@ $(LOCK_ENV): requirements.lock pyproject.toml
 
 demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
 	$(BIN)/oimppi run task02 --start 1 --record runs/demo
+
+view: $(LOCK_ENV) ## watch it push in the browser, and change things while it runs
+	$(BIN)/oimppi view task02 --start 1
 
 test: $(LOCK_ENV) ## the tests, under ten minutes on two cores
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)

@@ -15,16 +15,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg, subcommand
+from tyro.conf import arg, subcommand
 
 from oimppi_warp.bench.commands import Bench, Compare, Report
-from oimppi_warp.config import Config, Method, Mode, PlantKind
 from oimppi_warp.errors import ConfigError, OimppiError
-from oimppi_warp.task import make_config, make_task, parse_pose, parse_start
+from oimppi_warp.options import TaskOptions
+from oimppi_warp.task import make_task, parse_pose, parse_start
 from oimppi_warp.upkeep import Doctor, Warmup
+from oimppi_warp.view.commands import Export, View
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,62 +36,13 @@ if TYPE_CHECKING:
 
 _PACES = {"lockstep": "lock step", "realtime": "real time"}
 
-Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
-
 
 @dataclass(frozen=True)
-class Run:
+class Run(TaskOptions):
     """Plan and push until the object is at its goal.
 
     Exit status: 0 at the goal, 1 not there, 2 bad input, 130 stopped by Ctrl-C.
     """
-
-    scene: Annotated[Positional[str], arg(metavar="SCENE")]
-    """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
-
-    method: Method = "cloi"
-    """Plain MPPI, the object planned once ahead (SOI), or again at every step (CLOI)."""
-
-    engine: Literal["auto", "quasistatic", "newton"] = "auto"
-    """What simulates the planner's samples: the paper's quasi-static model, or full physics; auto takes the best one
-    that keeps up with the control period on this machine."""
-
-    device: str = "auto"
-    """Where the planner computes: cpu, cuda:0, ..., or auto."""
-
-    threads: Annotated[
-        int | None, arg(metavar="N", help_behavior_hint="(default: every core; in real time all but one)")
-    ] = None
-    """Threads of the planner on the CPU."""
-
-    seed: Annotated[int, arg(metavar="N")] = 0
-    """Seed of the planner's noise and, unless --start is given, of the start."""
-
-    start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="")] = None
-    """Which of the scene's starts (from 0), or a pose: metres and radians (half a turn is 3.1416)."""
-
-    goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="")] = None
-    """Another goal than the scene's: metres and radians."""
-
-    preset: Literal["auto", "best", "paper", "lab"] = "auto"
-    """Settings to begin with; auto takes lab with --plant lab, else best."""
-
-    assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
-    """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
-
-    plant: PlantKind = "ideal"
-    """The simulated world as it is, or as a laboratory has it: the object seen once a second, with noise, late,
-    sometimes wrongly and not behind the arm; commands late and acceleration limited (`lab` has the settings)."""
-
-    mode: Mode = "lockstep"
-    """Whether the world waits for each plan, or planner and world run side by side on the wall clock."""
-
-    randomize: FlagCreatePairsOff[bool] = False
-    """Try every sample in four draws of friction, mass, perceived pose and tool; a plan takes four times as long
-    (`robot.uncertainty` has the settings)."""
-
-    max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="")] = None
-    """Time limit in simulated seconds, if another than the preset's."""
 
     record: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Keep the log and plots in this folder."""
@@ -152,25 +104,6 @@ class Run:
             return 130
         return 0 if metrics.success else 1
 
-    def settings(self) -> Config:
-        """The preset with the options applied, validated.
-
-        Raises:
-            ConfigError: An option is wrong.
-        """
-        if self.seed < 0:
-            raise ConfigError(f"--seed {self.seed}: cannot be used\n  allowed: 0 or more")
-        if self.threads is not None and self.threads < 1:
-            raise ConfigError(f"--threads {self.threads}: cannot be used\n  allowed: 1 or more")
-        preset = ("lab" if self.plant == "lab" else "best") if self.preset == "auto" else self.preset
-        return make_config(
-            preset,
-            self.method,
-            assignments=[assignment for group in self.assignments for assignment in group],
-            max_sim_seconds=self.max_sim_seconds,
-            randomize=self.randomize,
-        )
-
 
 @dataclass(frozen=True)
 class Scenes:
@@ -195,6 +128,8 @@ Command = (
     | Annotated[Bench, subcommand("bench", prefix_name=False)]
     | Annotated[Report, subcommand("report", prefix_name=False)]
     | Annotated[Compare, subcommand("compare", prefix_name=False)]
+    | Annotated[View, subcommand("view", prefix_name=False)]
+    | Annotated[Export, subcommand("export", prefix_name=False)]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator
+from contextlib import closing
 from dataclasses import asdict
 from typing import Any
 
@@ -117,6 +118,25 @@ class Episode:
         Raises:
             RuntimeError: The episode was run before.
         """
+        try:
+            with closing(self.steps()) as steps:
+                for _ in steps:
+                    if on_step is not None:
+                        on_step(self.log)
+        except KeyboardInterrupt:
+            self.log.header["ended"] = "interrupted"
+            self.plant.apply(np.zeros(self.scene.robot.dof))
+        except FloatingPointError:
+            self.log.header["ended"] = "diverged"
+        return self.log
+
+    def steps(self) -> Generator[Beat]:
+        """The same step by step: each control period as it has passed, until the episode ends.
+
+        Raises:
+            RuntimeError: The episode was run before.
+            FloatingPointError: The plant diverged.
+        """
         if len(self.log):
             raise RuntimeError("an episode runs once; make another one")
         settings = self.config.episode
@@ -125,9 +145,9 @@ class Episode:
         held = 0
         try:
             for _ in range(round(settings.max_sim_seconds / self.config.control_period)):
-                position_error, yaw_error = self._record(next(self._beats))
-                if on_step is not None:
-                    on_step(self.log)
+                beat = next(self._beats)
+                position_error, yaw_error = self._record(beat)
+                yield beat
                 if self.plant.tipped or self.plant.truth().object_transform[2] < -_FALLEN:
                     self.log.header["ended"] = "object fell"
                     break
@@ -138,14 +158,8 @@ class Episode:
             else:
                 self.log.header["ended"] = "time limit"
             self.plant.apply(np.zeros(self.scene.robot.dof))
-        except KeyboardInterrupt:
-            self.log.header["ended"] = "interrupted"
-            self.plant.apply(np.zeros(self.scene.robot.dof))
-        except FloatingPointError:
-            self.log.header["ended"] = "diverged"
         finally:
             self._beats.close()
-        return self.log
 
     def _loop(self, plant: PlantKind, mode: Mode) -> Generator[Beat]:
         """The beats of plant and planner; the truth is good enough for the ideal plant in lock step alone."""

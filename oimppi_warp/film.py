@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import matplotlib
@@ -38,14 +39,19 @@ def film(log: EpisodeLog, scene: Scene, file: str | Path, *, speed: float = 2.0)
     time = log["time"]
     rows = np.searchsorted(time, np.arange(time[0], time[-1] + 1e-9, speed / FPS))
     rows = np.minimum(np.append(rows, len(time) - 1), len(time) - 1)
-    with matplotlib.rc_context(STYLE):
-        frames = [_frame(log, scene, int(row)) for row in rows]
-    first, *others = [frame.quantize(64) for frame in frames]
+    first, *others = [frame.quantize(64) for frame in frames(log, scene, rows.tolist())]
     packed = io.BytesIO()
     durations = [1000 // FPS] * len(others) + [2000]
     first.save(packed, format="GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=True)
     write_whole(file, packed.getvalue())
     return len(rows)
+
+
+def frames(log: EpisodeLog, scene: Scene, rows: Iterable[int]) -> Iterator[Image.Image]:
+    """The scene from above after each of these control steps."""
+    with matplotlib.rc_context(STYLE):
+        for row in rows:
+            yield _frame(log, scene, row)
 
 
 def _frame(log: EpisodeLog, scene: Scene, row: int) -> Image.Image:

@@ -122,6 +122,20 @@ class LabPlant:
             trail=trail,
         )
 
+    def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
+        """Puts everything somewhere at once, at rest; see :meth:`oimppi_warp.plant.SimulatedPlant.place`."""
+        self._plant.place(joint_position, object_transform)
+        self._trail = [self._report()]
+
+    def knock(self, impulse: np.ndarray) -> None:
+        """Knocks at the object with an impulse [3] [N s]."""
+        self._plant.knock(impulse)
+
+    @property
+    def touches(self) -> np.ndarray:
+        """Contact points and forces now; see :attr:`oimppi_warp.plant.SimulatedPlant.touches`."""
+        return self._plant.touches
+
     def truth(self) -> Observation:
         """The exact state, for the record; nothing that plans may ask for it."""
         return self._plant.observe()

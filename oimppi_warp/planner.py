@@ -51,6 +51,21 @@ class Plan:
     reference: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Some samples of a plan, the cheapest first.
+
+    Attributes:
+        tips: Tool paths, shape [n, steps, 3] [m].
+        weights: Their weights relative to the largest, shape [n].
+        terms: Weighted cost terms of the cheapest.
+    """
+
+    tips: np.ndarray
+    weights: np.ndarray
+    terms: dict[str, float]
+
+
 class Planner:
     """Plain MPPI, and what SOI and CLOI have in common.
 
@@ -128,6 +143,11 @@ class Planner:
         """The object's whole way as it was planned ahead, poses [n, 3]; ``None`` for methods that do not."""
         return None
 
+    @property
+    def letting_go(self) -> bool:
+        """Whether the tool is on its way to another side of the object."""
+        return bool(self.dynamics.guide.host[0][3] > 0.0)
+
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""
         self.rehearse()
@@ -168,6 +188,20 @@ class Planner:
             object_poses=from_center(surface, trace.poses),
             reference=from_center(surface, self._reference()),
         )
+
+    def samples(self, count: int) -> Samples:
+        """Some samples of the latest plan, for people to look at: the heaviest, and as many of the others.
+
+        Args:
+            count: How many.
+        """
+        weights = self.mppi.weights.numpy()
+        heaviest = np.argsort(-weights, kind="stable")
+        half = count // 2
+        chosen = np.concatenate([heaviest[:half], heaviest[half :: max((len(heaviest) - half) // (count - half), 1)]])
+        tips, terms = self.dynamics.paths(self.mppi.controls, chosen[:count])
+        shares = weights[chosen[:count]] / max(float(weights.max()), 1e-30)
+        return Samples(tips, shares, dict(zip(self.dynamics.terms, terms[0].tolist(), strict=True)))
 
     def _object_launches(self, seed: int) -> list[Launch]:
         """What a step does before the robot level."""

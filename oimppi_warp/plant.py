@@ -109,10 +109,31 @@ class SimulatedPlant:
         joints = world.scene.robot.joints
         self._limits = np.array([(joint.lower, joint.upper, joint.velocity_limit) for joint in joints]).T
 
+        self._mj_forward = mujoco.mj_forward
+        free_joint = np.flatnonzero(self.model.jnt_qposadr == self._map.object_qpos[0])[0]
+        self._object_body = int(self.model.jnt_bodyid[free_joint])
         transform = planar_transform(world.scene.start if start is None else start, world.scene.object.rest_height)
-        self.data.qpos[self._map.joint_qpos] = world.scene.robot.start
-        self.data.qpos[self._map.object_qpos] = transform[[0, 1, 2, 6, 3, 4, 5]]
-        mujoco.mj_forward(self.model, self.data)
+        self.place(world.scene.robot.start, transform)
+
+    def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
+        """Puts everything somewhere at once, at rest.
+
+        Args:
+            joint_position: Shape [dof] [rad].
+            object_transform: Of the object's frame, shape [7].
+        """
+        self.data.qpos[self._map.joint_qpos] = joint_position
+        self.data.qpos[self._map.object_qpos] = np.asarray(object_transform)[[0, 1, 2, 6, 3, 4, 5]]
+        self.data.qvel[:] = 0.0
+        self._mj_forward(self.model, self.data)
+
+    def knock(self, impulse: np.ndarray) -> None:
+        """Knocks at the object's centre of mass, within the next control period.
+
+        Args:
+            impulse: Shape [3] [N s].
+        """
+        self.data.xfrc_applied[self._object_body, :3] = np.asarray(impulse) / self.control_period
 
     def observe(self) -> Observation:
         """The present state, exactly."""
@@ -151,6 +172,7 @@ class SimulatedPlant:
         for burst in self._bursts:
             self._mj_step(self.model, self.data, burst)
             forces = np.maximum(forces, self._normal_forces())
+        self.data.xfrc_applied[self._object_body] = 0.0
         if any(self.data.warning[warning].number for warning in self._fatal):
             raise FloatingPointError(f"the simulation diverged before {self.data.time:.3f} s")
         self._contacts = Contacts(*forces.tolist())
@@ -159,6 +181,19 @@ class SimulatedPlant:
     def contacts(self) -> Contacts:
         """Contact forces within the last control step, read four times."""
         return self._contacts
+
+    @property
+    def touches(self) -> np.ndarray:
+        """Where something is touched that is pushed or hindered, now: contact points and normal forces, shape [n, 6].
+
+        The object's rest on the table does not count.
+        """
+        contact = self.data.contact
+        active = contact.efc_address >= 0
+        pair = self._touch[tuple(self._map.roles[contact.geom[active]].T)]
+        force = self.data.efc_force[contact.efc_address[active]]
+        vectors = force[:, None] * contact.frame[active][:, :3]
+        return np.column_stack([contact.pos[active], vectors])[pair < len(_TOUCHES) - 1]
 
     @property
     def tipped(self) -> bool:

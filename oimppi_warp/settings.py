@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import math
+import re
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -23,6 +25,48 @@ def options(config: Any) -> dict[str, Any]:
         elif item.name != "preset":
             found[item.name] = value
     return found
+
+
+def descriptions(config: Any) -> dict[str, str]:
+    """What each setting of :func:`options` is, from the docstrings of the dataclasses."""
+    found: dict[str, str] = {}
+    about = _attributes(inspect.getdoc(type(config)) or "")
+    for item in fields(config):
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            found |= {f"{item.name}.{name}": text for name, text in descriptions(value).items()}
+        elif item.name != "preset":
+            found[item.name] = about.get(item.name, "")
+    return found
+
+
+def kinds(config: Any) -> dict[str, Any]:
+    """The type of each setting of :func:`options`."""
+    found: dict[str, Any] = {}
+    types = get_type_hints(type(config))
+    for item in fields(config):
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            found |= {f"{item.name}.{name}": kind for name, kind in kinds(value).items()}
+        elif item.name != "preset":
+            found[item.name] = types[item.name]
+    return found
+
+
+def _attributes(text: str) -> dict[str, str]:
+    """The entries below ``Attributes:`` in a docstring."""
+    found: dict[str, str] = {}
+    _, _, entries = text.partition("Attributes:\n")
+    for entry in re.split(r"\n(?=    \w)", "\n" + entries):
+        names, colon, about = entry.strip().partition(":")
+        if colon:
+            found |= {name.strip(): " ".join(about.split()) for name in names.split(",")}
+    return found
+
+
+def bounds_of(name: str) -> tuple[float, float]:
+    """Smallest and largest value of a setting by its dotted name."""
+    return _BOUNDS.get(name.rpartition(".")[2], (0, math.inf))
 
 
 def set_option(config: T, assignment: str) -> T:
@@ -96,7 +140,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
 
 def _check_bounds(name: str, value: Any) -> None:
     """Raise ConfigError for a number outside its bounds; text passes."""
-    low, high = _BOUNDS.get(name.rpartition(".")[2], (0, math.inf))
+    low, high = bounds_of(name)
     numbers = value if isinstance(value, tuple) else (value,)
     for number in numbers:
         if isinstance(number, float | int) and not (low <= number <= high and math.isfinite(number)):

@@ -83,6 +83,18 @@ class RobotDynamics(Dynamics, Protocol):
         """Where the plan leads: its nominal, or its best sample in an engine where another rollout would be dear."""
         ...
 
+    def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What some samples of the latest rollout led to, for people to look at.
+
+        Args:
+            controls: The controls that were rolled out, [sample, horizon] of vectors.
+            samples: Which of them, shape [n].
+
+        Returns:
+            Tool tips, shape [n, steps, 3] [m], and weighted cost terms, shape [n, terms].
+        """
+        ...
+
 
 def control_type(size: int) -> type:
     """Warp's vector type for controls of ``size`` numbers (the same object the kernels use)."""

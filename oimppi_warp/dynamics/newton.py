@@ -108,6 +108,11 @@ class NewtonDynamics(ABC):
         self._trace_poses = compute.output(self._horizon, wp.vec3)
         self._start = np.zeros(3), np.zeros(3)
 
+    def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`oimppi_warp.dynamics.base.RobotDynamics`; of a sample's rollouts the first is taken."""
+        rollouts = np.asarray(samples) * self._draws.per_sample
+        return self.tips.numpy()[rollouts], self._terms.numpy()[rollouts]
+
     @abstractmethod
     def simulate(self, controls: wp.array) -> Sequence[Launch]:
         """Prepares rolling out control sequences [sample, horizon], each in ``draws.per_sample`` rollouts.

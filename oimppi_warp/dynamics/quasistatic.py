@@ -113,6 +113,16 @@ class QuasistaticDynamics:
         tips, poses, terms = self._trace_tips.host[0], self._trace_poses.host[0], self._trace_terms.host[0]
         return Trace(tips.astype(float), poses.astype(float), terms.astype(float))
 
+    def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rolls some samples out again; see :class:`oimppi_warp.dynamics.base.RobotDynamics`."""
+        device, count, steps = self.compute.device, len(samples), controls.shape[1] + 1
+        again = wp.array(controls.numpy()[samples], dtype=controls.dtype, device=device)
+        costs = wp.zeros(count, dtype=float, device=device)
+        terms = wp.zeros(count, dtype=CostTerms, device=device)
+        tips, poses = (wp.zeros((count, steps), dtype=wp.vec3, device=device) for _ in range(2))
+        self.launch(again, costs, terms, tips, poses, self._nominal_world)()
+        return tips.numpy(), terms.numpy()
+
     def launch(
         self, controls: wp.array, costs: wp.array, terms: wp.array, tips: wp.array, poses: wp.array, worlds: wp.array
     ) -> Launch:

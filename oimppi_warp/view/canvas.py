@@ -1,0 +1,137 @@
+"""Pictures drawn with one of Newton's viewers: in the browser, into a recording or into a USD file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+import warp as wp
+
+from oimppi_warp.footprint import footprint, height_range, outline
+from oimppi_warp.observation import planar_pose
+from oimppi_warp.scene import Scene
+from oimppi_warp.view.picture import Picture
+from oimppi_warp.view.shown import ShownScene
+
+if TYPE_CHECKING:
+    from newton.viewer import ViewerBase
+
+GOAL = (0.13, 0.62, 0.34)
+TIGHT = (0.55, 0.83, 0.62)
+REFERENCE = (0.95, 0.6, 0.1)
+PLAN = (0.1, 0.35, 0.9)
+FORCE = (0.85, 0.1, 0.1)
+FAINT, STRONG = np.array((0.72, 0.76, 0.85)), np.array((0.45, 0.2, 0.75))
+"""Colours of a sampled path of no weight and of the largest."""
+METRES_PER_NEWTON = 0.01
+"""Length that a contact force is drawn with."""
+_WAY = 60
+"""Points that a reference is drawn with: always as many, so that lines are updated and not made anew."""
+_TOUCHES = 8
+"""Contact forces that are drawn at the most."""
+_NO_LENGTH = 1e-5
+"""What a segment of no length is drawn with: viewers divide by it [m]."""
+_LIFT = 0.003
+"""Height of what is drawn on the table above it [m]."""
+
+
+class Canvas:
+    """Draws pictures; a changed scene file is loaded anew.
+
+    Args:
+        viewer: One of Newton's viewers.
+        thickness: Of lines, in that viewer's unit for a width of one.
+    """
+
+    def __init__(self, viewer: ViewerBase, *, thickness: float = 1.0) -> None:
+        self._viewer: Any = viewer
+        self._thickness = thickness
+        self._scene: Scene | None = None
+
+    def draw(self, picture: Picture) -> None:
+        """Draws one picture, between the viewer's ``begin_frame`` and ``end_frame``."""
+        if self._scene is None or self._scene.file != picture.scene.file:
+            self._load(picture.scene)
+        self._scene = picture.scene
+        self._shown.pose(picture.joints, picture.object_transform)
+        self._viewer.log_state(self._shown.state)
+        self._draw_goal(picture.scene)
+        self._draw_plan(picture)
+        self._draw_touches(picture.touches)
+
+    def _load(self, scene: Scene) -> None:
+        self._shown = ShownScene(scene)
+        self._viewer.set_model(self._shown.model)
+        shape = outline(footprint(scene.object.colliders))
+        self._rings = [np.array(ring.coords) for polygon in shapely.get_parts(shape) for ring in _rings(polygon)]
+        low, high = height_range(scene.object.colliders)
+        self._heights = (scene.object.rest_height + low + _LIFT, scene.object.rest_height + high)
+
+    def _draw_goal(self, scene: Scene) -> None:
+        goal = np.array(scene.goal)
+        self._lines("goal", [self._ghost(goal)], GOAL, width=0.025)
+        for name, tolerance, color in (("tolerance", scene.tolerance, GOAL), ("tight", scene.tight_tolerance, TIGHT)):
+            turn = np.linspace(0.0, 2 * np.pi, 49)
+            ring = goal[:2] + tolerance.position * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+            self._lines(name, [_segments(_raised(ring, _LIFT))], color, width=0.012)
+
+    def _draw_plan(self, picture: Picture) -> None:
+        reference = picture.reference
+        if not len(reference):
+            reference = planar_pose(picture.object_transform)[None]
+        way = reference[np.linspace(0, len(reference) - 1, _WAY).round().astype(int)]
+        self._lines("reference/way", [_segments(_raised(way[:, :2], self._heights[1] + _LIFT))], REFERENCE, width=0.02)
+        self._lines("reference/ghost", [self._ghost(way[-1])], REFERENCE, width=0.01)
+        if picture.sampled.size:
+            shade = np.clip(picture.weights, 0.0, 1.0)[:, None] ** 0.5
+            colors = (1.0 - shade) * FAINT + shade * STRONG
+            steps = picture.sampled.shape[1] - 1
+            paths = [_segments(path) for path in picture.sampled]
+            self._lines("plan/samples", paths, np.repeat(colors, steps, axis=0), width=0.01)
+            self._lines("plan/best", [_segments(picture.sampled[0])], tuple(STRONG), width=0.03)
+        if len(picture.tips):
+            self._lines("plan/nominal", [_segments(picture.tips)], PLAN, width=0.03)
+
+    def _draw_touches(self, touches: np.ndarray) -> None:
+        largest = touches[np.argsort(-np.linalg.norm(touches[:, 3:], axis=1))[:_TOUCHES]]
+        shown = np.zeros((_TOUCHES, 6))
+        shown[:, 2] = -1.0  # the rest lie hidden below the table
+        shown[: len(largest)] = largest
+        ends = shown[:, :3] + METRES_PER_NEWTON * shown[:, 3:]
+        self._lines("contact/force", [np.stack([shown[:, :3], ends], axis=1)], FORCE, width=0.04)
+
+    def _ghost(self, pose: np.ndarray) -> np.ndarray:
+        """Edges [n, 2, 3] of the object at a planar pose [3]."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        edges = []
+        for ring in self._rings:
+            at = ring @ np.array([[c, s], [-s, c]]) + pose[:2]
+            low, high = (_raised(at, height) for height in self._heights)
+            edges += [_segments(low), _segments(high)]
+            if len(ring) < 20:  # the edges of a round object would be a wall
+                edges.append(np.stack([low, high], axis=1))
+        return np.concatenate(edges)
+
+    def _lines(self, name: str, parts: list[np.ndarray], color: Any, *, width: float) -> None:
+        segments = np.concatenate(parts).astype(np.float32)
+        segments[np.all(segments[:, 0] == segments[:, 1], axis=1), 1, 2] += _NO_LENGTH
+        colors = np.broadcast_to(np.asarray(color, np.float32), (len(segments), 3))
+        starts, ends, colors = (
+            wp.array(values, dtype=wp.vec3, device="cpu") for values in (segments[:, 0], segments[:, 1], colors)
+        )
+        self._viewer.log_lines(f"/oimppi/{name}", starts, ends, colors, width=width * self._thickness)
+
+
+def _rings(polygon: Any) -> list[Any]:
+    return [polygon.exterior, *polygon.interiors]
+
+
+def _raised(points: np.ndarray, height: float) -> np.ndarray:
+    """Points [n, 2] at a height, shape [n, 3]."""
+    return np.column_stack([points, np.full(len(points), height)])
+
+
+def _segments(path: np.ndarray) -> np.ndarray:
+    """A path [n, 3] as segments [n - 1, 2, 3]."""
+    return np.stack([path[:-1], path[1:]], axis=1)

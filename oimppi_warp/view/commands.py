@@ -1,0 +1,131 @@
+"""The commands ``oimppi view`` and ``oimppi export``."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import Positional, arg
+
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.options import TaskOptions
+from oimppi_warp.task import make_task, parse_pose, parse_start
+
+
+@dataclass(frozen=True)
+class View(TaskOptions):
+    """Watch it plan and push in the browser, and change things while it runs; or replay a record.
+
+    Closing the browser ends nothing, Ctrl-C ends all. Exit status: 0, or 2 for bad input.
+    """
+
+    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
+    """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
+
+    replay: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """Scrub through the record in this folder, which --record of `run` or a trial of `bench` wrote."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at: 0.0.0.0 lets other machines in."""
+
+    port: Annotated[int, arg(metavar="N")] = 8080
+    """Port to listen at; if it is taken, the next free one."""
+
+    paused: bool = False
+    """Begin paused."""
+
+    def execute(self) -> int:
+        """Serve until Ctrl-C; returns the exit status."""
+        config = self.settings()
+        if not 1 <= self.port <= 65535:
+            raise ConfigError(f"--port {self.port}: cannot be used\n  allowed: 1 to 65535")
+        start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
+
+        import warp as wp
+        from rich.console import Console
+
+        from oimppi_warp import device
+
+        console = Console(stderr=True, highlight=False)
+        say = partial(console.print, soft_wrap=True)
+        wp.set_logger(device.CompileNotice(say))
+        device.start_warp()
+        from oimppi_warp.view.browser import open_viewer
+
+        if self.replay is not None:
+            from oimppi_warp.view.replay import Replay, ReplayView
+
+            replay = Replay(self.replay)
+            viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
+            return _serve(viewer, ReplayView(viewer, replay).run, None)
+        where = device.pick_device(self.device)
+        with console.status("reading the scene"):
+            scene = make_task(self.scene, start=start, goal=goal, seed=self.seed)
+        with console.status("loading kernels"):
+            if not device.kernels_are_cached():
+                say("First run on this machine: compiling kernels, which takes about half a minute and is done once.")
+            from oimppi_warp.view.live import LiveView
+            from oimppi_warp.view.session import Session, Setup
+
+            setup = Setup(
+                scene=scene,
+                config=config,
+                method=self.method,
+                engine=self.engine,
+                device=where,
+                threads=self.threads,
+                seed=self.seed,
+                plant=self.plant,
+                mode=self.mode,
+            )
+            session = Session(setup)
+        with tempfile.TemporaryDirectory(prefix="oimppi-") as folder:
+            viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
+            view = LiveView(viewer, session, Path(folder))
+            return _serve(viewer, view.run, session.close)
+
+
+@dataclass(frozen=True)
+class Export:
+    """Export a record: a web page, a USD animation, a video, or a log for Foxglove."""
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """What --record of `run` or a trial of `bench` wrote."""
+
+    to: Literal["html", "usd", "mp4", "mcap"] = "html"
+    """A self-contained page, a USD file with time samples, a video from above, or an MCAP file."""
+
+    output: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Where to write it, if not into the record's folder."""
+
+    def execute(self) -> int:
+        """Write it; returns the exit status."""
+        import warp as wp
+
+        from oimppi_warp import device
+
+        wp.set_logger(device.CompileNotice(lambda line: print(line, file=sys.stderr)))
+        device.start_warp()
+        from oimppi_warp.view.export import export
+
+        print(export(self.folder, self.to, self.output))
+        return 0
+
+
+def _serve(viewer: Any, run: Callable[[], None], close: Callable[[], None] | None) -> int:
+    """Say where, serve until Ctrl-C, and clean up."""
+    print(f"Open http://{viewer.server.get_host()}:{viewer.server.get_port()} in a browser; Ctrl-C ends.", flush=True)
+    try:
+        run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        if close is not None:
+            close()
+        viewer.close()
+    return 0

@@ -1,0 +1,144 @@
+"""A recorded episode as a file that others can play: a web page, a USD animation, a video, a log for Foxglove."""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.log import write_whole
+from oimppi_warp.view.canvas import Canvas
+from oimppi_warp.view.replay import Replay
+
+FPS = 20
+"""Frames a second of page, animation and video."""
+
+
+def rows_of(replay: Replay, fps: float = FPS, speed: float = 1.0) -> list[int]:
+    """Control steps to show at so many frames a second; the last is among them."""
+    time = replay.log["time"]
+    wanted = np.arange(time[0], time[-1] + 1e-9, speed / fps)
+    rows = np.minimum(np.searchsorted(time, wanted - 1e-9), len(time) - 1).tolist()
+    return rows if rows[-1] == len(time) - 1 else [*rows, len(time) - 1]
+
+
+def export_html(replay: Replay, file: Path) -> None:
+    """Writes one page with viser's player and the whole episode in it; it needs no server and no network."""
+    from oimppi_warp.view.browser import open_viewer
+
+    viewer = open_viewer()
+    try:
+        record = viewer.server.get_scene_serializer()
+        canvas = Canvas(viewer)
+        for row in rows_of(replay):
+            picture = replay.picture(row)
+            viewer.begin_frame(picture.time)
+            canvas.draw(picture)
+            viewer.end_frame()
+            record.insert_sleep(1.0 / FPS)
+        write_whole(file, record.as_html().encode())
+    finally:
+        viewer.close()
+
+
+def export_usd(replay: Replay, file: Path) -> None:
+    """Writes a USD stage with time samples, for usdview, Blender or Omniverse."""
+    from newton.viewer import ViewerUSD
+
+    with tempfile.TemporaryDirectory() as folder:
+        partial = Path(folder) / file.name
+        viewer = ViewerUSD(output_path=str(partial), fps=FPS, up_axis="Z", num_frames=None)
+        canvas = Canvas(viewer, thickness=0.1)
+        for frame, row in enumerate(rows_of(replay)):
+            viewer.begin_frame(frame / FPS)
+            canvas.draw(replay.picture(row))
+            viewer.end_frame()
+        viewer.close()
+        write_whole(file, partial.read_bytes())
+
+
+def export_mp4(replay: Replay, file: Path) -> None:
+    """Writes a video from above, without a display."""
+    av = _needed("av", "mp4")
+    from oimppi_warp.film import frames
+
+    packed = io.BytesIO()
+    with av.open(packed, mode="w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=Fraction(FPS))
+        stream.pix_fmt = "yuv420p"
+        for n, image in enumerate(frames(replay.log, replay.scene, rows_of(replay))):
+            if n == 0:  # the format takes even sizes alone
+                stream.width, stream.height = image.width // 2 * 2, image.height // 2 * 2
+            picture = av.VideoFrame.from_image(image.crop((0, 0, stream.width, stream.height)))
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    write_whole(file, packed.getvalue())
+
+
+def export_mcap(replay: Replay, file: Path) -> None:
+    """Writes an MCAP file with the scene, its transforms and the figures, in Foxglove's schemas."""
+    _needed("foxglove", "mcap")
+    from oimppi_warp.view.mcap import write_mcap
+
+    with tempfile.TemporaryDirectory() as folder:
+        partial = Path(folder) / "episode.mcap"
+        write_mcap(replay, partial, rows_of(replay))
+        write_whole(file, partial.read_bytes())
+
+
+EXPORTS: dict[str, Callable[[Replay, Path], None]] = {
+    "html": export_html,
+    "usd": export_usd,
+    "mp4": export_mp4,
+    "mcap": export_mcap,
+}
+"""What an episode can be exported to."""
+
+
+def export(folder: Path, to: str, output: Path | None = None) -> Path:
+    """Exports a record.
+
+    Args:
+        folder: What ``--record`` wrote.
+        to: One of :data:`EXPORTS`.
+        output: Where to; default: ``episode`` in the record's folder.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        LogError: There is no record.
+        ConfigError: It cannot be written, or a package is missing.
+    """
+    replay = Replay(folder)
+    suffix = ".usdc" if to == "usd" else f".{to}"
+    file = folder / f"episode{suffix}" if output is None else output
+    if to == "usd" and file.suffix not in (".usd", ".usda", ".usdc"):
+        raise ConfigError(f"--output {file}: not the name of a USD file\n  allowed: .usd, .usda or .usdc")
+    try:
+        file.absolute().parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--output {file}: {error}\n  allowed: a file in a folder that can be made") from error
+    if file.is_dir() or not os.access(file.absolute().parent, os.W_OK):
+        raise ConfigError(f"--output {file}: cannot be written\n  allowed: a file in a folder to write in")
+    EXPORTS[to](replay, file)
+    return file
+
+
+def _needed(module: str, to: str) -> Any:
+    """Import what an export needs."""
+    import importlib
+
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ConfigError(
+            f"--to {to}: the package {module} is not installed\n  to do:   pip install 'oimppi-warp[export]'"
+        ) from error

@@ -1,0 +1,236 @@
+"""The live view: a session's pictures in the browser, and the controls to meddle with it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.config import Config
+from oimppi_warp.errors import OimppiError
+from oimppi_warp.feasibility import draw_start, object_outline
+from oimppi_warp.observation import planar_pose, planar_transform
+from oimppi_warp.presets import PRESETS
+from oimppi_warp.scene import PlanarPose
+from oimppi_warp.usd import load_scene
+from oimppi_warp.usd.editing import save_scene
+from oimppi_warp.view.canvas import Canvas
+from oimppi_warp.view.picture import Picture
+from oimppi_warp.view.session import Session
+from oimppi_warp.view.settings_panel import SettingsPanel
+
+FPS = 20.0
+"""Pictures a second at the most."""
+KNOCK = 0.4
+"""Speed that a click gives the object [m/s]."""
+_SPEEDS = {"0.25": 0.25, "0.5": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "as fast as it goes": float("inf")}
+_BARS = 10
+"""Cost terms that are shown at the most."""
+
+
+class LiveView:
+    """Draws a session and changes it.
+
+    Args:
+        viewer: Newton's viewer in the browser.
+        session: What it shows.
+        folder: Where scenes with moved obstacles are kept.
+    """
+
+    def __init__(self, viewer: Any, session: Session, folder: Path) -> None:
+        self._viewer = viewer
+        self._session = session
+        self._folder = folder
+        self._canvas = Canvas(viewer)
+        self._gui = viewer.server.gui
+        self._drawn: Picture | None = None
+        self._plotted = -1.0
+        self._edits = 0
+        self._gizmos: dict[str, wp.transform] = {}
+        self._dragged: set[str] = set()
+        viewer.set_reset_callback(session.restart)
+        self._add_controls()
+        self._settings = SettingsPanel(
+            viewer.server, session.wanted.config, lambda config: session.change(config=config)
+        )
+        self._clicks = viewer.server.scene.on_click()(self._click)
+
+    def run(self) -> None:
+        """Draws until the viewer is closed; the session begins when the first browser is there."""
+        begun = False
+        while self._viewer.is_running():
+            began = time.perf_counter()
+            if not begun and self._viewer.server.get_clients():
+                begun = True
+                self._session.start()
+            self.tick()
+            time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
+
+    def tick(self) -> None:
+        """One look at the session: orders there, a picture back."""
+        go = self._viewer.should_step()
+        self._session.paused = self._viewer.is_paused()
+        if go and self._session.paused:
+            self._session.step()
+        self._session.watched = bool(self._viewer.server.get_clients())
+        picture = self._session.latest
+        if picture is self._drawn and not self._move.value:
+            return
+        self._viewer.begin_frame(picture.time)
+        self._canvas.draw(picture)
+        if self._move.value:
+            self._show_gizmos(picture)
+        else:
+            self._gizmos.clear()
+        if picture.time != self._plotted:
+            for name, value in picture.figures.items():
+                self._viewer.log_scalar(name, value)
+            self._plotted = picture.time
+        self._viewer.end_frame()
+        self._tell(picture)
+        self._drawn = picture
+
+    def _add_controls(self) -> None:
+        gui, session = self._gui, self._session
+        with gui.add_folder("What it does", order=-10.0):
+            self._status = gui.add_markdown("")
+            self._bars = gui.add_html("")
+        with gui.add_folder("Task and planner", order=5.0):
+            speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Simulated seconds a second")
+            speed.on_update(lambda _event: setattr(session, "speed", _SPEEDS[speed.value]))
+            gui.add_button("New seed and start").on_click(lambda _event: self._new_seed())
+            for name, choices in (("method", ("mppi", "soi", "cloi")), ("engine", ("auto", "quasistatic", "newton"))):
+                control = gui.add_dropdown(name.capitalize(), choices, initial_value=getattr(session.wanted, name))
+                control.on_update(lambda event, name=name: self._choose(name, event))
+            preset = gui.add_dropdown("Preset", tuple(PRESETS), initial_value=session.wanted.config.preset)
+            preset.on_update(self._choose_preset)
+            self._move = gui.add_checkbox(
+                "Move things", initial_value=False, hint="Drag the goal, the object and the obstacles over the table"
+            )
+            self._knock = gui.add_checkbox(
+                "Click to push", initial_value=False, hint="A click on the object knocks at it"
+            )
+            name = gui.add_text("Scene file", initial_value=f"my_{session.wanted.scene.name}.usda")
+            gui.add_button("Save as scene").on_click(lambda event: self._save(event, name.value))
+
+    def _configure(self, config: Config) -> None:
+        self._session.change(config=config)
+
+    def _choose(self, name: str, event: Any) -> None:
+        if event.client_id is not None:
+            self._session.change(**{name: event.target.value})
+
+    def _choose_preset(self, event: Any) -> None:
+        if event.client_id is not None:
+            wanted = self._session.wanted
+            config = PRESETS[event.target.value](wanted.method)
+            self._settings.replace(config)
+            self._session.change(config=config)
+
+    def _new_seed(self) -> None:
+        wanted = self._session.wanted
+        try:
+            start = draw_start(wanted.scene, wanted.seed + 1)
+        except OimppiError as error:
+            self._session.problem = str(error)
+            return
+        self._session.change(seed=wanted.seed + 1, scene=wanted.scene.with_start(start), fresh=True)
+
+    def _save(self, event: Any, name: str) -> None:
+        picture = self._session.latest
+        x, y, yaw = (float(value) for value in planar_pose(picture.object_transform))
+        try:
+            file = save_scene(picture.scene.with_start((x, y, yaw)), name)
+        except OimppiError as error:
+            event.client.add_notification("Not saved", str(error), color="red")
+        else:
+            event.client.add_notification("Saved", f"oimppi run {file}", color="green")
+
+    def _show_gizmos(self, picture: Picture) -> None:
+        """Handles on what can be dragged; what was let go of is moved."""
+        scene = self._session.wanted.scene
+        places = {
+            "goal": planar_transform(scene.goal, 0.06),
+            "object": np.concatenate([picture.object_transform[:2], [0.06], picture.object_transform[3:]]),
+        }
+        for obstacle in scene.obstacles:
+            center = np.mean([collider.transform[:3] for collider in obstacle.colliders], axis=0)
+            places[obstacle.path] = planar_transform((center[0], center[1], 0.0), center[2])
+        active = {name.removeprefix("/") for name in self._viewer._active_gizmos}
+        for name, place in places.items():
+            key = f"move/{name.strip('/')}"
+            dragging = any(entry.endswith(key) for entry in active)
+            if name in self._dragged and not dragging:
+                self._dragged.discard(name)
+                self._let_go(name, planar_pose(np.array(self._gizmos[name])), planar_pose(place))
+            elif dragging:
+                self._dragged.add(name)
+            if name not in self._gizmos or not (dragging or self._session.wanted.scene is not scene):
+                self._gizmos[name] = wp.transform(*place)
+            self._viewer.log_gizmo(key, self._gizmos[name], translate=("X", "Y"), rotate=("Z",))
+
+    def _let_go(self, name: str, to: np.ndarray, before: np.ndarray) -> None:
+        """Something was dragged to a planar pose [3] from another."""
+        pose: PlanarPose = (float(to[0]), float(to[1]), float(to[2]))
+        scene = self._session.wanted.scene
+        if name == "goal":
+            self._session.change(scene=scene.with_goal(pose))
+        elif name == "object":
+            self._session.move_object(pose)
+        else:
+            self._edits += 1
+            x, y, turn = (float(value) for value in to - before)
+            try:
+                file = save_scene(scene, self._folder / f"{scene.name}_{self._edits}.usda", moves={name: (x, y, turn)})
+                moved = replace(load_scene(file), name=scene.name)
+            except OimppiError as error:
+                self._session.problem = str(error)
+            else:
+                self._session.change(scene=moved)
+
+    def _click(self, event: Any) -> None:
+        """Knock at the object where it was clicked at."""
+        if not self._knock.value:
+            return
+        picture = self._session.latest
+        origin, ray = np.array(event.ray_origin), np.array(event.ray_direction)
+        if abs(ray[2]) < 1e-6:
+            return
+        hit = origin + ray * (picture.object_transform[2] - origin[2]) / ray[2]
+        x, y, yaw = (float(value) for value in planar_pose(picture.object_transform))
+        import shapely
+
+        if object_outline(picture.scene, (x, y, yaw)).distance(shapely.Point(hit[:2])) < 0.03:
+            along = ray[:2] / max(float(np.linalg.norm(ray[:2])), 1e-9)
+            self._session.knock(KNOCK * picture.scene.object.mass * np.array([*along, 0.0]))
+
+    def _tell(self, picture: Picture) -> None:
+        """The line of state, and why."""
+        session = self._session
+        figures = picture.figures
+        errors = ""
+        if figures:
+            errors = f"{figures['position error [m]']:.3f} m and {figures['yaw error [rad]']:.2f} rad to go, "
+            errors += f"{figures['plan time [ms]']:.0f} ms a plan of {1e3 * session.wanted.config.control_period:.0f}"
+        problem = f"\n\n**{session.problem}**" if session.problem else ""
+        rate = f"{session.rate:.0f} control steps a second" if session.rate else "waiting"
+        self._status.content = f"**{picture.status}**{problem}\n\n{picture.time:.1f} s; {errors}\n\n{rate}"
+        if picture.terms:
+            self._bars.content = _bars(picture.terms)
+
+
+def _bars(terms: dict[str, float]) -> str:
+    """Cost terms of the cheapest sample as bars."""
+    largest = sorted(((abs(value), name) for name, value in terms.items() if value), reverse=True)[:_BARS]
+    most = largest[0][0] if largest else 1.0
+    rows = "".join(
+        f'<div style="display:flex;gap:4px;font-size:11px;line-height:15px"><span style="width:7em">{name}</span>'
+        f'<span style="background:#7c5cc4;height:9px;margin-top:3px;width:{100 * value / most:.0f}px"></span>'
+        f"<span>{value:.3g}</span></div>"
+        for value, name in largest
+    )
+    return f'<div style="padding:0 8px">cost of the best sample{rows}</div>'

@@ -1,0 +1,46 @@
+"""What is shown of one moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from oimppi_warp.scene import Scene
+
+
+def _none(*shape: int) -> np.ndarray:
+    return np.zeros(shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One moment of an episode, live or recorded.
+
+    Attributes:
+        scene: The task.
+        time: Since the beginning [s].
+        joints: Joint positions, shape [dof] [rad].
+        object_transform: Of the object's frame, shape [7].
+        reference: Object poses that are tracked, shape [n, 3].
+        tips: Tool tip along the plan, shape [n, 3] [m].
+        sampled: Tool paths of some samples, shape [k, n, 3] [m]; the first is the cheapest.
+        weights: Their weights relative to the largest of them, shape [k].
+        touches: Contact points and forces on what is touched, shape [n, 6] [m, N].
+        terms: Weighted cost terms of the cheapest sample, by their names.
+        figures: What is plotted over time, by name and unit.
+        status: A line that says what is going on.
+    """
+
+    scene: Scene
+    time: float
+    joints: np.ndarray
+    object_transform: np.ndarray
+    reference: np.ndarray = field(default_factory=lambda: _none(0, 3))
+    tips: np.ndarray = field(default_factory=lambda: _none(0, 3))
+    sampled: np.ndarray = field(default_factory=lambda: _none(0, 0, 3))
+    weights: np.ndarray = field(default_factory=lambda: _none(0))
+    touches: np.ndarray = field(default_factory=lambda: _none(0, 6))
+    terms: dict[str, float] = field(default_factory=dict)
+    figures: dict[str, float] = field(default_factory=dict)
+    status: str = ""

@@ -1,0 +1,158 @@
+"""A recorded episode as pictures, and a view that scrubs through them."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.errors import SceneError
+from oimppi_warp.log import EpisodeLog, LogError
+from oimppi_warp.metrics import summarize
+from oimppi_warp.observation import planar_transform
+from oimppi_warp.scene import Scene
+from oimppi_warp.usd import load_scene
+from oimppi_warp.view.canvas import Canvas
+from oimppi_warp.view.live import FPS
+from oimppi_warp.view.picture import Picture
+
+FIGURES = {
+    "position error [m]": ("position_error", 1.0),
+    "yaw error [rad]": ("yaw_error", 1.0),
+    "clearance [mm]": ("clearance", 1e3),
+    "cost": ("min_cost", 1.0),
+    "effective samples": ("effective_samples", 1.0),
+    "plan time [ms]": ("plan_ms", 1.0),
+}
+"""What is plotted: the log's column, and the factor to the unit."""
+
+
+class Replay:
+    """A record as pictures, one for each control step.
+
+    Args:
+        folder: What ``--record`` wrote.
+
+    Raises:
+        LogError: There is no complete record in it, or none of a single step.
+        SceneError: The scene that it ran in is neither where it was nor a shipped one.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.log = EpisodeLog.load(folder)
+        if not len(self.log):
+            raise LogError(f"{folder}: the record has no control step\n  allowed: a record of one step or more")
+        self.scene = _scene_of(self.log)
+
+    def __len__(self) -> int:
+        return len(self.log)
+
+    def picture(self, row: int) -> Picture:
+        """The moment after a control step."""
+        log = self.log
+        x, y, yaw = (float(value) for value in log["object_pose"][row])
+        paths = [path for step, path in log.references if step <= row]
+        terms = dict(zip(log.header["cost_terms"], log["cost_terms"][row].tolist(), strict=False))
+        return Picture(
+            scene=self.scene,
+            time=float(log["time"][row]),
+            joints=log["joint_position"][row],
+            object_transform=planar_transform((x, y, yaw), self.scene.object.rest_height),
+            reference=paths[-1] if paths else np.zeros((0, 3)),
+            tips=log["tool_position"][max(row - 40, 0) : row + 1] if row else np.zeros((0, 3)),
+            terms={name: value for name, value in terms.items() if np.isfinite(value)},
+            figures={name: factor * float(log[column][row]) for name, (column, factor) in FIGURES.items()},
+            status=log.header["ended"] if row == len(log) - 1 else "recorded",
+        )
+
+
+class ReplayView:
+    """A record in the browser: played, scrubbed, stepped.
+
+    Args:
+        viewer: Newton's viewer in the browser.
+        replay: What it shows.
+    """
+
+    def __init__(self, viewer: Any, replay: Replay) -> None:
+        self._viewer = viewer
+        self._replay = replay
+        self._canvas = Canvas(viewer)
+        self._row = 0.0
+        self._drawn = -1
+        self._period = float(replay.log.header["control_period"])
+        viewer.set_reset_callback(lambda: self._jump(0))
+        gui, metrics = viewer.server.gui, summarize(replay.log)
+        result = "reached its goal" if metrics.success else "did not reach its goal"
+        with gui.add_folder("Record", order=-10.0):
+            gui.add_markdown(f"**{metrics.scene}, {metrics.method.upper()}, seed {metrics.seed}**: {result}")
+            self._state = gui.add_markdown("")
+            self._slider = gui.add_slider("Step", min=0, max=max(len(replay) - 1, 1), step=1, initial_value=0)
+            self._speed = gui.add_slider("Speed", min=0.25, max=8.0, step=0.25, initial_value=1.0)
+        self._slider.on_update(lambda event: event.client_id is not None and self._jump(int(event.target.value)))
+        self._add_plots()
+
+    @property
+    def row(self) -> int:
+        """The control step that is shown."""
+        return int(self._row)
+
+    def run(self) -> None:
+        """Plays until the viewer is closed."""
+        while self._viewer.is_running():
+            began = time.perf_counter()
+            self.tick(1.0 / FPS)
+            time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
+
+    def tick(self, seconds: float) -> None:
+        """On by so many seconds of wall time, unless paused."""
+        last = len(self._replay) - 1
+        if self._viewer.should_step():
+            rows = 1.0 if self._viewer.is_paused() else seconds * self._speed.value / self._period
+            self._row = min(self._row + rows, last)
+        if self.row == self._drawn:
+            return
+        picture = self._replay.picture(self.row)
+        self._viewer.begin_frame(picture.time)
+        self._canvas.draw(picture)
+        self._viewer.end_frame()
+        self._slider.value = self.row
+        errors = f"{picture.figures['position error [m]']:.3f} m, {picture.figures['yaw error [rad]']:.2f} rad to go"
+        self._state.content = f"{picture.time:.2f} s; {errors}; {picture.status}"
+        self._drawn = self.row
+
+    def _jump(self, row: int) -> None:
+        self._row = float(row)
+
+    def _add_plots(self) -> None:
+        """Everything over time at once: it is all known."""
+        from viser import uplot
+
+        log = self._replay.log
+        with self._viewer.server.gui.add_folder("Plots"):
+            for name, (column, factor) in FIGURES.items():
+                known = np.isfinite(log[column])
+                if known.any():
+                    self._viewer.server.gui.add_uplot(
+                        data=(log["time"][known].astype(float), factor * log[column][known].astype(float)),
+                        series=(uplot.Series(label="s"), uplot.Series(label=name, stroke="#3b82f6", width=2)),
+                        scales={"x": uplot.Scale(time=False)},
+                        aspect=2.5,
+                    )
+
+
+def _scene_of(log: EpisodeLog) -> Scene:
+    """The scene that a record ran in, with its start and goal."""
+    file = Path(log.header["file"])
+    try:
+        scene = load_scene(file if file.exists() else log.header["scene"])
+    except SceneError as error:
+        raise SceneError(
+            f"the scene of this record, {log.header['scene']}, is not there any more",
+            file=file,
+            allowed="the file where it was, or a shipped scene of that name",
+        ) from error
+    (x0, y0, yaw0), (x1, y1, yaw1) = log.header["start"], log.header["goal"]
+    return scene.with_start((x0, y0, yaw0)).with_goal((x1, y1, yaw1))

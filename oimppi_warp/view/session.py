@@ -1,0 +1,253 @@
+"""The control loop behind the viewer, in a thread of its own: it makes pictures and waits for nobody.
+
+What is asked for from outside (pause, another goal, other weights) is done between two control steps. A change that
+needs another planner is prepared beside the running one and takes over where that has got to.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.clearance import to_center
+from oimppi_warp.config import Config, Method, Mode, PlantKind
+from oimppi_warp.control import Beat
+from oimppi_warp.episode import Episode
+from oimppi_warp.errors import OimppiError
+from oimppi_warp.observation import planar_transform
+from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.view.picture import Picture
+
+SAMPLED = 32
+"""Samples that are shown."""
+_RATE = 40
+"""Control steps over which their rate is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """All that makes an episode, as :class:`oimppi_warp.episode.Episode` takes it."""
+
+    scene: Scene
+    config: Config
+    method: Method = "cloi"
+    engine: str = "auto"
+    device: str = "auto"
+    threads: int | None = None
+    seed: int = 0
+    plant: PlantKind = "ideal"
+    mode: Mode = "lockstep"
+
+    def episode(self) -> Episode:
+        """A new episode, ready to run."""
+        return Episode(**{name: value for name, value in vars(self).items()})
+
+
+class Session:
+    """Episodes that people look at and meddle with.
+
+    Args:
+        setup: The first episode's.
+        speed: Simulated seconds a second at the most; infinity for as fast as it goes.
+
+    Attributes:
+        wanted: The setup that was asked for last; the running one follows as soon as it is ready.
+        latest: The newest picture.
+        speed: As above; may be changed at any time.
+        paused: Whether the loop waits; may be changed at any time.
+        watched: Whether sampled paths are wanted.
+        problem: Why what was asked for last could not be done.
+    """
+
+    def __init__(self, setup: Setup, *, speed: float = 1.0) -> None:
+        self.wanted = self._first = setup
+        self.speed = speed
+        self.paused = False
+        self.watched = False
+        self.problem = ""
+        self._lock = threading.Lock()
+        self._changed = self._fresh = False
+        self._single = 0
+        self._moved: np.ndarray | None = None
+        self._knock: np.ndarray | None = None
+        self._pending: Future[tuple[Episode, bool]] | None = None
+        self._builder = ThreadPoolExecutor(1, thread_name_prefix="oimppi-builder")
+        self._closing = threading.Event()
+        self._times: deque[float] = deque(maxlen=_RATE)
+        self._before = 0.0
+        self._begin(setup.episode())
+        self.latest = self._picture(None)
+        self._thread = threading.Thread(target=self._loop, name="oimppi-control", daemon=True)
+
+    def start(self) -> None:
+        """Begin with the control loop."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End it."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._builder.shutdown(cancel_futures=True)
+
+    @property
+    def rate(self) -> float:
+        """Control steps a second of late [1/s]; 0 if there were none."""
+        times = list(self._times)
+        return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
+
+    def change(self, *, fresh: bool = False, **fields: Any) -> None:
+        """Ask for another setup.
+
+        Args:
+            fresh: Begin again from the start; otherwise things go on from where they are.
+            **fields: Fields of :class:`Setup`.
+        """
+        with self._lock:
+            self.wanted = replace(self.wanted, **fields)
+            self._changed = True
+            self._fresh |= fresh
+
+    def restart(self) -> None:
+        """Begin again from the start."""
+        self.change(fresh=True)
+
+    def step(self) -> None:
+        """One control step, while paused."""
+        with self._lock:
+            self._single += 1
+
+    def move_object(self, pose: PlanarPose) -> None:
+        """Put the object somewhere else."""
+        with self._lock:
+            self._moved = planar_transform(pose, self.wanted.scene.object.rest_height)
+
+    def knock(self, impulse: np.ndarray) -> None:
+        """Knock at the object with an impulse [3] [N s]."""
+        with self._lock:
+            self._knock = impulse
+
+    def _loop(self) -> None:
+        due = time.perf_counter()
+        while not self._closing.is_set():
+            self._obey()
+            with self._lock:
+                go = not self._over and (not self.paused or self._single > 0)
+                self._single = max(self._single - 1, 0) if go else 0
+            if not go:
+                self._times.clear()
+                self.latest = replace(self.latest, status=self._status(), scene=self._episode.scene)
+                self._closing.wait(0.02)
+                due = time.perf_counter()
+                continue
+            try:
+                beat = next(self._steps, None)
+            except FloatingPointError:
+                self._episode.log.header["ended"], beat = "diverged", None
+            self._over = beat is None
+            if beat is None:
+                continue
+            self._times.append(time.perf_counter())
+            self.latest = self._picture(beat)
+            if self._episode.log.header["mode"] == "lockstep":
+                period = self._episode.config.control_period / self.speed
+                due = max(due + period, time.perf_counter() - period)
+                self._closing.wait(max(due - time.perf_counter(), 0.0))
+        self._steps.close()
+
+    def _begin(self, episode: Episode) -> None:
+        self._episode = episode
+        self._steps: Generator[Beat] = episode.steps()
+        self._over = False
+
+    def _obey(self) -> None:
+        """Do what was asked for, as far as it is ready."""
+        with self._lock:
+            if self._changed and self._pending is None:
+                self._pending = self._builder.submit(_build, self.wanted, self._fresh)
+                self._changed = self._fresh = False
+            pending = self._pending if self._pending is not None and self._pending.done() else None
+            moved, self._moved = self._moved, None
+            knock, self._knock = self._knock, None
+        if pending is not None:
+            self._pending = None
+            try:
+                episode, fresh = pending.result()
+            except (OimppiError, OSError) as error:
+                self.problem = str(error)
+            else:
+                self.problem = ""
+                self._before = 0.0 if fresh else self._before + self._episode.plant.truth().time
+                if not fresh:
+                    truth = self._episode.plant.truth()
+                    episode.plant.place(truth.joint_position, truth.object_transform)
+                self._steps.close()
+                self._begin(episode)
+                self.latest = self._picture(None)
+        if moved is not None:
+            self._episode.plant.place(self._episode.plant.truth().joint_position, moved)
+            if self._over:
+                self.change()
+            self.latest = self._picture(None)
+        if knock is not None:
+            self._episode.plant.knock(knock)
+
+    def _picture(self, beat: Beat | None) -> Picture:
+        episode = self._episode
+        truth, log = episode.plant.truth(), episode.log
+        picture = Picture(
+            scene=episode.scene,
+            time=self._before + truth.time,
+            joints=truth.joint_position,
+            object_transform=truth.object_transform,
+            touches=episode.plant.touches,
+            status=self._status(),
+        )
+        if beat is None or beat.plan is None:
+            return picture
+        geometry, plan = episode.planner.geometry, beat.plan
+        picture = replace(
+            picture,
+            reference=plan.reference,
+            tips=plan.tips,
+            figures={
+                "position error [m]": float(log["position_error"][-1]),
+                "yaw error [rad]": float(log["yaw_error"][-1]),
+                "clearance [mm]": 1e3 * geometry.clearance_at(to_center(geometry.surface, truth.object_pose)),
+                "cost": plan.update.min_cost,
+                "effective samples": plan.update.effective_samples,
+                "plan time [ms]": 1e3 * beat.plan_seconds,
+            },
+        )
+        if not self.watched or episode.log.header["mode"] == "realtime":  # there the planner is at its next plan
+            return picture
+        samples = episode.planner.samples(SAMPLED)
+        return replace(picture, sampled=samples.tips, weights=samples.weights, terms=samples.terms)
+
+    def _status(self) -> str:
+        """What is going on, in a line."""
+        if self._over:
+            return {
+                "success": "at its goal; move the goal or the object, or begin again",
+                "object fell": "the object fell; begin again",
+                "time limit": "the time is up; begin again",
+                "diverged": "the simulation diverged; begin again",
+            }.get(self._episode.log.header["ended"], "stopped")
+        if self._pending is not None:
+            return "preparing what was asked for"
+        if self.paused:
+            return "paused"
+        if self._episode.planner.letting_go:
+            return "no headway: letting go, to push from another side"
+        return "pushing"
+
+
+def _build(setup: Setup, fresh: bool) -> tuple[Episode, bool]:
+    return setup.episode(), fresh

@@ -1,0 +1,47 @@
+"""A scene as Newton's viewers show it: its visual shapes, posed by joints and object."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.newton_model import collector_paused
+from oimppi_warp.scene import Scene
+
+GHOSTS = r"/[^/]+/Goal(/.*)?"
+"""Prims that are not shown as they stand in the file: the goal's ghost is drawn where the goal is now."""
+
+
+class ShownScene:
+    """The Newton model of a scene with its skin.
+
+    Args:
+        scene: The task.
+
+    Attributes:
+        model: The model.
+        state: Its state, as it was posed last.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        with collector_paused():
+            import newton
+        self._newton = newton
+        builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+        found = builder.add_usd(
+            str(scene.file), load_visual_shapes=True, enable_self_collisions=False, ignore_paths=[GHOSTS]
+        )
+        joints = [found["path_joint_map"][joint.path] for joint in scene.robot.joints]
+        self._joints = np.array([builder.joint_q_start[joint] for joint in joints])
+        body = found["path_body_map"][scene.object.path]
+        self._object = builder.joint_q_start[builder.joint_child.index(body)] + np.arange(7)
+        self.model = builder.finalize(device="cpu")
+        self.state = self.model.state()
+        self._coords = self.model.joint_q.numpy().copy()
+
+    def pose(self, joints: np.ndarray, object_transform: np.ndarray) -> None:
+        """Moves the arm to joint positions [dof] [rad] and the object to a transform [7]."""
+        self._coords[self._joints] = joints
+        self._coords[self._object] = object_transform
+        coords = wp.array(self._coords, dtype=float, device="cpu")
+        self._newton.eval_fk(self.model, coords, self.model.joint_qd, self.state)
