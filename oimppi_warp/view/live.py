@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 import warp as wp
 
 from oimppi_warp.config import Config
@@ -202,9 +203,7 @@ class LiveView:
             return
         hit = origin + ray * (picture.object_transform[2] - origin[2]) / ray[2]
         x, y, yaw = (float(value) for value in planar_pose(picture.object_transform))
-        import shapely
-
-        if object_outline(picture.scene, (x, y, yaw)).distance(shapely.Point(hit[:2])) < 0.03:
+        if shapely.distance(object_outline(picture.scene, (x, y, yaw)), shapely.Point(hit[:2])) < 0.03:
             along = ray[:2] / max(float(np.linalg.norm(ray[:2])), 1e-9)
             self._session.knock(KNOCK * picture.scene.object.mass * np.array([*along, 0.0]))
 

@@ -44,4 +44,4 @@ class ShownScene:
         self._coords[self._joints] = joints
         self._coords[self._object] = object_transform
         coords = wp.array(self._coords, dtype=float, device="cpu")
-        self._newton.eval_fk(self.model, coords, self.model.joint_qd, self.state)
+        self._newton.eval_fk(self.model, coords, self.model.joint_qd, self.state)  # pyright: ignore[reportArgumentType]
