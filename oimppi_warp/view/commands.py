@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -121,9 +122,8 @@ def _serve(viewer: Any, run: Callable[[], None], close: Callable[[], None] | Non
     """Say where, serve until Ctrl-C, and clean up."""
     print(f"Open http://{viewer.server.get_host()}:{viewer.server.get_port()} in a browser; Ctrl-C ends.", flush=True)
     try:
-        run()
-    except KeyboardInterrupt:
-        pass
+        with suppress(KeyboardInterrupt):
+            run()
     finally:
         if close is not None:
             close()

@@ -58,7 +58,7 @@ class LiveView:
         self._settings = SettingsPanel(
             viewer.server, session.wanted.config, lambda config: session.change(config=config)
         )
-        self._clicks = viewer.server.scene.on_click()(self._click)
+        viewer.server.scene.on_click()(self._click)
 
     def run(self) -> None:
         """Draws until the viewer is closed; the session begins when the first browser is there."""
