@@ -112,6 +112,7 @@ class SimulatedPlant:
         self._mj_forward = mujoco.mj_forward
         free_joint = np.flatnonzero(self.model.jnt_qposadr == self._map.object_qpos[0])[0]
         self._object_body = int(self.model.jnt_bodyid[free_joint])
+        self._knock = np.zeros(3)  # a force that lasts one control period [N]
         transform = planar_transform(world.scene.start if start is None else start, world.scene.object.rest_height)
         self.place(world.scene.robot.start, transform)
 
@@ -133,7 +134,7 @@ class SimulatedPlant:
         Args:
             impulse: Shape [3] [N s].
         """
-        self.data.xfrc_applied[self._object_body, :3] = np.asarray(impulse) / self.control_period
+        self._knock += np.asarray(impulse) / self.control_period
 
     def observe(self) -> Observation:
         """The present state, exactly."""
@@ -169,10 +170,13 @@ class SimulatedPlant:
         command = np.clip(command, (lower - position) / self.control_period, (upper - position) / self.control_period)
         self.data.ctrl[self._map.joint_drive] = np.clip(command, -speed, speed)
         forces = np.zeros(len(_TOUCHES))
+        knocked = self.data.xfrc_applied[self._object_body, :3]
+        knocked += self._knock
         for burst in self._bursts:
             self._mj_step(self.model, self.data, burst)
             forces = np.maximum(forces, self._normal_forces())
-        self.data.xfrc_applied[self._object_body] = 0.0
+        knocked -= self._knock
+        self._knock = np.zeros(3)
         if any(self.data.warning[warning].number for warning in self._fatal):
             raise FloatingPointError(f"the simulation diverged before {self.data.time:.3f} s")
         self._contacts = Contacts(*forces.tolist())
