@@ -10,29 +10,28 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import scene_objects
-import scene_robot
-import scene_schema
-
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))  # the package as it stands beside this script
+
+import scene_objects  # noqa: E402
+import scene_robot  # noqa: E402
+import scene_tasks  # noqa: E402
+
+from oimppi_warp.authoring import schema, task  # noqa: E402
 
 
 def write_all(folder: Path) -> None:
     """Write ``scenes/`` and ``docs/schema.md`` below ``folder``."""
     scenes = folder / "scenes"
-    scene_schema.write(scenes / "schema")
+    schema.write(scenes / "schema")
     (folder / "docs").mkdir(exist_ok=True)
-    (folder / "docs" / "schema.md").write_text(scene_schema.page())
+    (folder / "docs" / "schema.md").write_text(schema.page())
     scene_robot.write(scenes / "robots" / "xarm6.usda")
     for thing in scene_objects.THINGS:
         thing.write(scenes / "objects" / f"{thing.name}.usda")
-
-    import scene_tasks  # reads scenes, and so the schema
-
-    for task in scene_tasks.TASKS:
-        scene_tasks.write(task, scenes)
+    for each in scene_tasks.TASKS:
+        task.write(each, scenes)
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))  # the package as it stands beside this script
     write_all(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT)

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import scene_skin
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
-from scene_prims import (
+
+from oimppi_warp.authoring.prims import (
     COLLIDER,
     apply_api,
     attribute,

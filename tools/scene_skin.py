@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 from pxr import Usd, UsdGeom
-from scene_prims import Color, Look, Points, Vector, box, mesh, new_stage
+
+from oimppi_warp.authoring.prims import Color, Look, Points, Vector, box, mesh, new_stage
 
 SHELL, DARK, METAL = (0.82, 0.83, 0.84), (0.05, 0.055, 0.06), (0.4, 0.41, 0.43)
 

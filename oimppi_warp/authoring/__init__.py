@@ -1,0 +1,1 @@
+"""Writing scenes: tasks, objects and robots as standard USD files."""

@@ -1,0 +1,159 @@
+"""A task as data: which object goes from where to where, and what stands in its way; and how it is written as USD."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
+
+from oimppi_warp.authoring.prims import (
+    Color,
+    Look,
+    apply_api,
+    attribute,
+    bind_physics,
+    box,
+    new_stage,
+    physics_material,
+    place_planar,
+    rounded,
+)
+from oimppi_warp.authoring.robot import pose_robot
+from oimppi_warp.authoring.thing import Thing
+from oimppi_warp.feasibility import draw_start
+from oimppi_warp.usd import load_scene
+
+Pose = tuple[float, float, float]
+
+TABLE_LOWER, TABLE_UPPER, TABLE_THICKNESS = (-0.25, -0.8), (1.0, 0.8), 0.04
+TABLE_FRICTION, OBSTACLE_FRICTION = 0.1, 0.3
+TABLE_COLOR, OBSTACLE_COLOR = (0.6, 0.58, 0.54), (0.35, 0.37, 0.4)
+
+SPREAD = (0.11, 0.45)  # half widths that starts are drawn from: m, rad
+PAPER, TIGHT = (0.2, 0.5), (0.05, 0.1)  # m, rad
+
+
+@dataclass(frozen=True)
+class Block:
+    """A static box standing on the table: centre (x, y) and side lengths (x, y, z) [m]."""
+
+    name: str
+    center: tuple[float, float]
+    size: tuple[float, float, float]
+    color: Color = OBSTACLE_COLOR
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A thing that stands fast as an obstacle."""
+
+    name: str
+    thing: Thing
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene; poses are (x [m], y [m], yaw [rad])."""
+
+    name: str
+    title: str
+    thing: Thing
+    start: Pose
+    goal: Pose
+    obstacles: tuple[Block | Standing, ...] = ()
+    tolerance: tuple[float, float] = PAPER
+    tight: tuple[float, float] = TIGHT
+    robot_start: tuple[float, ...] = field(default=())
+    robot: str = "xarm6"
+
+
+def write(task: Task, folder: Path) -> None:
+    """Write a task's scene to ``folder``, where ``robots`` and ``objects`` already are."""
+    stage = new_stage(
+        folder / f"{task.name}.usda", "World", f"{task.title}. Written by tools/make_scenes.py; do not edit by hand."
+    )
+    world = stage.GetDefaultPrim()
+    Usd.ModelAPI(world).SetKind("assembly")
+    apply_api(world, "OimppiTaskAPI")
+    types = Sdf.ValueTypeNames
+    attribute(world, "oimppi:title", types.String, task.title)
+    attribute(world, "oimppi:goal", types.Double3, Gf.Vec3d(*rounded(task.goal)))
+    attribute(world, "oimppi:spread", types.Double2, Gf.Vec2d(*SPREAD))
+    attribute(world, "oimppi:tolerance", types.Double2, Gf.Vec2d(*task.tolerance))
+    attribute(world, "oimppi:tightTolerance", types.Double2, Gf.Vec2d(*task.tight))
+
+    gravity = UsdPhysics.Scene.Define(stage, "/World/PhysicsScene")
+    gravity.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
+    gravity.CreateGravityMagnitudeAttr(9.81)
+    _write_view(stage)
+
+    robot = stage.DefinePrim("/World/Robot")
+    robot.GetReferences().AddReference(f"./robots/{task.robot}.usda")
+    if task.robot_start:
+        pose_robot(stage, "/World/Robot", task.robot_start)
+
+    _write_table(stage)
+    body = stage.DefinePrim("/World/Object")
+    body.GetReferences().AddReference(f"./objects/{task.thing.name}.usda")
+    UsdPhysics.RigidBodyAPI.Apply(body)
+    apply_api(body, "OimppiObjectAPI")
+    place_planar(body, task.start, task.thing.height / 2)
+
+    material = physics_material(stage, "/World/Materials/Obstacle", OBSTACLE_FRICTION)
+    for obstacle in task.obstacles:
+        _write_obstacle(stage, obstacle, material)
+
+    ghost = UsdGeom.Xform.Define(stage, "/World/Goal").GetPrim()
+    place_planar(ghost, task.goal, task.thing.height / 2)
+    task.thing.draw(stage, "/World/Goal", Look(task.thing.color, opacity=0.25))
+    stage.Save()
+
+    # The nine others are drawn from the scene as it now is; `oimppi run --seed` draws from 0 upwards, and so not these.
+    scene = load_scene(folder / f"{task.name}.usda")
+    starts = [task.start, *(draw_start(scene, seed) for seed in range(1001, 1010))]
+    attribute(world, "oimppi:starts", types.Double3Array, [Gf.Vec3d(*rounded(start)) for start in starts])
+    stage.Save()
+
+
+def _write_table(stage: Usd.Stage) -> None:
+    UsdGeom.Scope.Define(stage, "/World/Materials")
+    (x0, y0), (x1, y1) = TABLE_LOWER, TABLE_UPPER
+    center, size = ((x0 + x1) / 2, (y0 + y1) / 2, -TABLE_THICKNESS / 2), (x1 - x0, y1 - y0, TABLE_THICKNESS)
+    table = box(stage, "/World/Table", center, size, Look(TABLE_COLOR, collide=True))
+    apply_api(table, "OimppiTableAPI")
+    bind_physics(table, physics_material(stage, "/World/Materials/Table", TABLE_FRICTION))
+    # The arm is bolted to the table: the lowest capsule of its base reaches into the plate.
+    UsdPhysics.FilteredPairsAPI.Apply(table).CreateFilteredPairsRel().SetTargets(["/World/Robot/base"])
+
+
+def _write_obstacle(stage: Usd.Stage, obstacle: Block | Standing, material: UsdShade.Material) -> None:
+    UsdGeom.Scope.Define(stage, "/World/Obstacles")
+    path = f"/World/Obstacles/{obstacle.name}"
+    if isinstance(obstacle, Block):
+        center = (*obstacle.center, obstacle.size[2] / 2)
+        prim = box(stage, path, center, obstacle.size, Look(obstacle.color, collide=True))
+        bind_physics(prim, material)
+    else:
+        prim = stage.DefinePrim(path)
+        prim.GetReferences().AddReference(f"./objects/{obstacle.thing.name}.usda")
+        place_planar(prim, obstacle.pose, obstacle.thing.height / 2)
+    apply_api(prim, "OimppiObstacleAPI")
+
+
+def _write_view(stage: Usd.Stage) -> None:
+    """Light, and a camera that looks over the table towards the arm."""
+    UsdLux.DomeLight.Define(stage, "/World/Sky").CreateIntensityAttr(300.0)
+    sun = UsdLux.DistantLight.Define(stage, "/World/Sun")
+    sun.CreateIntensityAttr(1500.0)
+    sun.CreateAngleAttr(2.0)
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(35.0, 25.0, 0.0))
+    camera = UsdGeom.Camera.Define(stage, "/World/Camera")
+    camera.CreateFocalLengthAttr(24.0)
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
+    view = Gf.Matrix4d().SetLookAt(Gf.Vec3d(1.55, -0.95, 1.05), Gf.Vec3d(0.32, -0.02, 0.1), Gf.Vec3d(0, 0, 1))
+    pose = view.GetInverse()
+    camera.AddTranslateOp().Set(Gf.Vec3d(*rounded(pose.ExtractTranslation())))
+    q = pose.ExtractRotationQuat()
+    camera.AddOrientOp().Set(Gf.Quatf(*rounded((q.GetReal(), *q.GetImaginary()), 6)))
