@@ -13,11 +13,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # the package as it stands beside this script
 
-import scene_objects  # noqa: E402
 import scene_robot  # noqa: E402
 import scene_tasks  # noqa: E402
 
-from oimppi_warp.authoring import schema, task  # noqa: E402
+from oimppi_warp.authoring import catalog, schema, task  # noqa: E402
+
+NOTE = "Written by tools/make_scenes.py; do not edit by hand."
 
 
 def write_all(folder: Path) -> None:
@@ -27,10 +28,10 @@ def write_all(folder: Path) -> None:
     (folder / "docs").mkdir(exist_ok=True)
     (folder / "docs" / "schema.md").write_text(schema.page())
     scene_robot.write(scenes / "robots" / "xarm6.usda")
-    for thing in scene_objects.THINGS:
-        thing.write(scenes / "objects" / f"{thing.name}.usda")
+    for thing in catalog.THINGS:
+        thing.write(scenes / "objects" / f"{thing.name}.usda", note=NOTE)
     for each in scene_tasks.TASKS:
-        task.write(each, scenes)
+        task.write(each, scenes, note=NOTE)
 
 
 if __name__ == "__main__":

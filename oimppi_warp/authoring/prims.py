@@ -106,11 +106,14 @@ class Look:
 COLLIDER = Look(collide=True)
 
 
-def box(stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look) -> Usd.Prim:
-    """A box with its full side lengths [m]."""
+def box(stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look, *, yaw: float = 0.0) -> Usd.Prim:
+    """A box with its full side lengths [m], turned by yaw [rad]."""
     cube = UsdGeom.Cube.Define(stage, path)
     cube.CreateSizeAttr(1.0)
-    place(cube.GetPrim(), center)
+    if yaw:
+        place_planar(cube.GetPrim(), (center[0], center[1], yaw), center[2])
+    else:
+        place(cube.GetPrim(), center)
     cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*rounded(extents)))
     return _finish(cube, look.color, look.collide, look.opacity)
 
