@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import arg, subcommand
 
+from oimppi_warp.authoring.commands import Import, New
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.options import TaskOptions
@@ -123,6 +124,11 @@ class Scenes:
         return 0
 
 
+SceneCommand = (
+    Annotated[New, subcommand("new", prefix_name=False)] | Annotated[Import, subcommand("import", prefix_name=False)]
+)
+"""The commands below ``oimppi scene``."""
+
 Command = (
     Annotated[Run, subcommand("run", prefix_name=False)]
     | Annotated[Bench, subcommand("bench", prefix_name=False)]
@@ -130,6 +136,10 @@ Command = (
     | Annotated[Compare, subcommand("compare", prefix_name=False)]
     | Annotated[View, subcommand("view", prefix_name=False)]
     | Annotated[Export, subcommand("export", prefix_name=False)]
+    | Annotated[
+        SceneCommand,
+        subcommand("scene", prefix_name=False, description="Write tasks and objects of your own: new, import."),
+    ]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]

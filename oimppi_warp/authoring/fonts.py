@@ -6,6 +6,7 @@ import difflib
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import shapely
 from matplotlib import font_manager
 from matplotlib.font_manager import FontProperties
@@ -36,7 +37,7 @@ def glyph_outline(character: str, font: str, cap: float) -> BaseGeometry:
     if ord(character) not in font_manager.get_font(font_manager.findfont(properties)).get_charmap():
         raise ConfigError(f"{character!r}: the font {font} has no such character\n  allowed: characters that it has")
     rings = TextPath((0.0, 0.0), character, _POINTS, prop=properties).to_polygons(closed_only=True)
-    outline = _filled([shapely.Polygon(scale * ring) for ring in rings if len(ring) > 3])
+    outline = _filled([shapely.Polygon(scale * ring) for ring in map(np.asarray, rings) if len(ring) > 3])
     if outline.is_empty:
         raise ConfigError(f"{character!r} is blank in the font {font}\n  allowed: characters that can be seen")
     return shapely.simplify(outline, COARSE)
