@@ -13,10 +13,15 @@ from oimppi_warp.authoring import import_mesh, write_object
 from oimppi_warp.authoring.convex import compare
 from oimppi_warp.authoring.moments import moments
 from oimppi_warp.authoring.portrait import draw_portrait
-from oimppi_warp.authoring.stored import read_body
+from oimppi_warp.authoring.stored import read_body, read_object
 from oimppi_warp.cli import main
+from oimppi_warp.episode import Episode
 from oimppi_warp.errors import ConfigError, OimppiError, SceneError
 from oimppi_warp.footprint import footprint, outline
+from oimppi_warp.metrics import summarize
+from oimppi_warp.presets import best
+from oimppi_warp.settings import set_option
+from oimppi_warp.usd import load_scene
 
 
 def without(mesh: trimesh.Trimesh, faces: np.ndarray) -> trimesh.Trimesh:
@@ -212,6 +217,9 @@ def test_the_command_writes_object_and_picture_and_states_the_error(tmp_path, ca
     assert "mm off" in out
     assert f"oimppi scene new push_bracket --object bracket --out {tmp_path}" in out
     assert (tmp_path / "objects" / "bracket.png").read_bytes().startswith(b"\x89PNG")
+    named = ["--name", "Angle 2", "--scale", "mm", "--out", str(tmp_path)]
+    assert main(["scene", "import", str(file), *named]) == 0
+    assert read_object(tmp_path / "objects" / "angle_2.usda").doc.startswith("angle_2: a mesh of 0.12 x 0.1 x 0.04 m")
     assert main(["scene", "import", str(file), "--out", str(tmp_path)]) == 2
     assert "--scale mm" in capsys.readouterr().err
 
@@ -221,3 +229,18 @@ def test_a_picture_can_be_made_of_any_object(tmp_path):
     solid = import_mesh(saved(ring, tmp_path, "disc.glb"))
     file = write_object(solid, tmp_path)
     assert draw_portrait(solid, read_body(file), tmp_path / "disc.png").stat().st_size > 5000
+
+
+def test_an_imported_bracket_is_pushed_around_a_box_to_its_goal(tmp_path):
+    file = saved(bracket(), tmp_path, "bracket.stl", scale=1000)
+    assert main(["scene", "import", str(file), "--scale", "mm", "--mass", "0.4", "--out", str(tmp_path)]) == 0
+    options = ["--object", "bracket", "--start", "0.3,-0.4,0", "--goal", "0.45,0.2,1.57"]
+    obstacle = ["--obstacle", "box:0.1,0.1,0.1@0.45,-0.1"]
+    assert main(["scene", "new", "push", *options, *obstacle, "--out", str(tmp_path)]) == 0
+    scene = load_scene(tmp_path / "push.usda")
+    config = set_option(set_option(best("cloi"), "robot.mppi.samples=512"), "object.mppi.samples=512")
+    log = Episode(scene, config, method="cloi", engine="quasistatic", device="cpu").run()
+    metrics = summarize(log)
+    assert metrics.success_tight, (metrics.position_error_m, metrics.yaw_error_rad)
+    assert metrics.min_clearance_m > -0.005
+    assert np.linalg.norm(log["object_pose"][-1][:2] - log["object_pose"][0][:2]) > 0.5
