@@ -128,6 +128,24 @@ def test_parts_that_overlap_weigh_what_their_union_does(tmp_path):
     assert found.volume == pytest.approx(0.03 * (2 * 0.12 * 0.03 - 0.03**2), rel=0.01)
 
 
+def test_parts_that_share_edges_or_a_wall_are_one_object(tmp_path):
+    for shift in (0.035, 0.065):  # with common corners, and side by side
+        legs = [trimesh.creation.box((0.12, 0.03, 0.04)), trimesh.creation.box((0.12, 0.1, 0.04))]
+        legs[1].apply_translation((0.0, shift, 0.0))
+        solid = import_mesh(saved(trimesh.util.concatenate(legs), tmp_path, "legs.stl"), mass=1.0)
+        assert abs(solid.fit.volume) < 0.02
+        shape = shapely.union_all([shapely.MultiPoint(corners[:, :2]).convex_hull for corners, _ in solid.hulls])
+        assert shape.area == pytest.approx(0.12 * (shift + 0.065), rel=1e-3)
+
+
+def test_a_sheet_with_two_sides_is_flat(tmp_path):
+    corners = [(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0), (0, 0.1, 0.05)]
+    file = tmp_path / "sheet.obj"
+    trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3), (2, 1, 0), (3, 2, 0)], process=False).export(file)
+    with pytest.raises(SceneError, match="flat"):
+        import_mesh(file)
+
+
 def test_the_three_errors_are_those_of_a_hull_in_place_of_an_l():
     mesh = bracket()
     hull = mesh.convex_hull
