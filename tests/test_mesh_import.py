@@ -138,6 +138,12 @@ def test_parts_that_share_edges_or_a_wall_are_one_object(tmp_path):
         assert shape.area == pytest.approx(0.12 * (shift + 0.065), rel=1e-3)
 
 
+def test_faces_that_are_there_twice_count_once(tmp_path):
+    mesh = bracket()
+    twice = trimesh.Trimesh(mesh.vertices, np.vstack([mesh.faces, mesh.faces[:7]]), process=False)
+    assert len(import_mesh(saved(twice, tmp_path, "twice.stl")).hulls) == 2
+
+
 def test_a_sheet_with_two_sides_is_flat(tmp_path):
     corners = [(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0), (0, 0.1, 0.05)]
     file = tmp_path / "sheet.obj"

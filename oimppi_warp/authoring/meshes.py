@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from oimppi_warp.authoring.parts import unjoined, without_walls
+from oimppi_warp.authoring.parts import tidied
 from oimppi_warp.errors import ConfigError, SceneError
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
@@ -63,9 +63,8 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
     mesh = _read(file)
     _check_size(file, mesh, scale)
     mesh.apply_scale(UNITS[scale or "m"])
-    without_walls(mesh)
+    mesh = tidied(mesh)
     _check_volume(file, mesh)
-    mesh = unjoined(mesh)
     parts = mesh.body_count
     if parts > PARTS:
         raise SceneError(
@@ -147,10 +146,11 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
         notes.append("faces that looked the wrong way were turned")
     if not mesh.is_watertight:
         area, holes = float(mesh.area), _rims(mesh)
-        if not holes:
-            raise _open(file, "the surface crosses itself: some of its edges have more than two faces")
-        trimesh.repair.fill_holes(mesh)
+        if holes:
+            trimesh.repair.fill_holes(mesh)
         if not mesh.is_watertight:
+            if not _rims(mesh):
+                raise _open(file, "the surface crosses itself: some of its edges have more than two faces")
             _stitch(mesh)
         share = 1.0 - area / float(mesh.area)
         missing = f"{_counted(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of it"

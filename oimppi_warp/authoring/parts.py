@@ -10,13 +10,24 @@ from scipy.sparse.csgraph import connected_components
 _SAME_ANGLE = 1e-6  # faces of a wall lie back to back [rad]
 
 
-def without_walls(mesh: trimesh.Trimesh) -> None:
-    """Join corners that are the same and drop faces that are nothing, in place.
+def tidied(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with corners that are the same joined, without faces that are nothing, its parts told apart.
 
-    A face that is there twice counts once, and two that lie back to back are an inner wall and count for nothing.
+    A face that is there twice counts once, and two that lie back to back are an inner wall and count for nothing;
+    unless the surface is closed with them only, as that of parts is which overlap and have faces in common.
     """
     mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=7)
     mesh.update_faces(mesh.nondegenerate_faces())
+    mesh.remove_unreferenced_vertices()
+    once = unjoined(_each_face_once(mesh))
+    if once.is_watertight:
+        return once
+    every = unjoined(mesh)
+    return every if every.is_watertight else once
+
+
+def _each_face_once(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh without second faces at the same corners, and without both that look opposite ways."""
     a, b, c = mesh.faces.T
     ways = np.where((b - a) * (c - b) * (a - c) < 0, 1, -1)  # even permutations of ascending corners, and odd ones
     groups = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_inverse=True)[1].ravel()
@@ -25,8 +36,10 @@ def without_walls(mesh: trimesh.Trimesh) -> None:
     for way in (1, -1):
         rows = np.flatnonzero((ways == way) & (np.sign(balance[groups]) == way))
         kept[rows[np.unique(groups[rows], return_index=True)[1]]] = True
-    mesh.update_faces(kept)
-    mesh.remove_unreferenced_vertices()
+    once = mesh.copy()
+    once.update_faces(kept)
+    once.remove_unreferenced_vertices()
+    return once
 
 
 def unjoined(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -88,7 +101,13 @@ def _around(mesh: trimesh.Trimesh, ends: np.ndarray, faces: np.ndarray, against:
 
 
 def _brackets(faces: np.ndarray, opens: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
-    """Faces in the order in which they open and close a solid, in pairs: of the same part, if there is such a pair."""
+    """Faces in the order in which they open and close a solid, in pairs: of the same part, if there is such a pair.
+
+    Args:
+        faces: In that order.
+        opens: Which of them open.
+        part: The part of each face of the mesh; parts that meet become one.
+    """
     found, waiting = [], []
     for face, opening in zip(faces.tolist(), opens, strict=True):
         if opening:
@@ -97,4 +116,5 @@ def _brackets(faces: np.ndarray, opens: np.ndarray, part: np.ndarray) -> list[tu
             same = [other for other in waiting if part[other] == part[face]]
             waiting.remove(partner := (same or waiting)[-1])
             found.append((partner, face))
+            part[part == part[partner]] = part[face]
     return found
