@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 import shapely
 import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from meshes import L_SHAPE, bracket, prism, saved
 from pxr import Usd
 
@@ -253,6 +258,55 @@ def test_a_picture_can_be_made_of_any_object(tmp_path):
     solid = import_mesh(saved(ring, tmp_path, "disc.glb"))
     file = write_object(solid, tmp_path)
     assert draw_portrait(solid, read_body(file), tmp_path / "disc.png").stat().st_size > 5000
+
+
+BOXES = st.lists(st.tuples(*[st.integers(-3, 3)] * 2, *[st.integers(1, 4)] * 3), min_size=1, max_size=4)
+
+
+def check_any_mesh(boxes, holes, flips, seed):
+    """Boxes on a grid, in any way into and beside each other, with some faces gone and some turned."""
+    solids = []
+    for x, y, *sides in boxes:
+        solid = trimesh.creation.box(0.02 * np.array(sides))
+        solids.append(solid.apply_translation([0.02 * x, 0.02 * y, 0.01 * sides[2]]))
+    mesh = trimesh.util.concatenate(solids)
+    random = np.random.default_rng(seed)
+    faces = mesh.faces.copy()
+    turned = random.choice(len(faces), flips, replace=False)
+    faces[turned] = faces[turned, ::-1]
+    kept = np.sort(random.choice(len(faces), len(faces) - holes, replace=False))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "part.stl"
+        trimesh.Trimesh(mesh.vertices, faces[kept], process=False).export(file)
+        try:
+            solid = import_mesh(file, mass=0.5)
+        except SceneError as error:
+            assert "allowed:" in str(error) and "to do:" in str(error)
+            return
+        assert (np.linalg.eigvalsh(solid.inertia) > 0.0).all()
+        body = read_body(write_object(solid, folder))
+        shape = outline(footprint(body.colliders))
+        assert shapely.distance(shape.convex_hull, shapely.Point(body.center_of_mass[:2])) == 0.0
+        if not holes and not flips:
+            assert abs(solid.fit.volume) < 0.06
+            assert solid.fit.footprint < 0.06
+
+
+ANY_MESH = {"boxes": BOXES, "holes": st.integers(0, 2), "flips": st.integers(0, 2), "seed": st.integers(0, 99)}
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+@given(**ANY_MESH)
+def test_any_mesh_becomes_a_sound_object_or_is_refused_in_words(boxes, holes, flips, seed):
+    check_any_mesh(boxes, holes, flips, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(**ANY_MESH)
+def test_any_mesh_becomes_a_sound_object_or_is_refused_in_words_at_length(boxes, holes, flips, seed):
+    check_any_mesh(boxes, holes, flips, seed)
 
 
 def test_an_imported_bracket_is_pushed_around_a_box_to_its_goal(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -165,8 +166,8 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
 
 def _stitch(mesh: trimesh.Trimesh) -> None:
     """Close the larger holes with fans of triangles."""
-    faces = trimesh.repair.stitch(mesh)
-    mesh.faces = np.vstack([mesh.faces, faces]) if len(faces) else mesh.faces
+    with suppress(ValueError):  # none of the rims goes all the way round: it stays open
+        mesh.faces = np.vstack([mesh.faces, trimesh.repair.stitch(mesh)])
     trimesh.repair.fix_winding(mesh)
 
 
