@@ -57,7 +57,7 @@ def small(picture: Path, target: Path) -> None:
 def alphabet() -> bytes:
     """The letters A to Z, each convex piece in a colour of its own."""
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 2.5))
+        figure = Figure(figsize=(8.0, 1.35))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         for number, character in enumerate(string.ascii_uppercase):
             place = np.array([0.13 * (number % 13), -0.14 * (number // 13)])
