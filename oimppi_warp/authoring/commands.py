@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +29,7 @@ class ObjectOptions:
     friction: Annotated[float | None, arg(metavar="MU", help_behavior_hint="(default: 0.4 or the object's)")] = None
     """Coulomb coefficient between object and table."""
 
-    height: Annotated[float, arg(metavar="M")] = 0.05
+    height: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: 0.05)")] = None
     """Thickness of letters and words in metres."""
 
     size: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: 0.103, less for long words)")] = None
@@ -107,17 +106,20 @@ class New(ObjectOptions):
         """Write it; returns the exit status."""
         from oimppi_warp.authoring.project import write_task
         from oimppi_warp.authoring.task import PAPER, Task
-        from oimppi_warp.authoring.words import checked_pose, parse_object, parse_obstacles
+        from oimppi_warp.authoring.words import check_used, checked_pose, parse_object, parse_obstacles
+        from oimppi_warp.tipping import can_tip, tipping_height
 
         start, goal = checked_pose("--start", self.start), checked_pose("--goal", self.goal)
-        thing = parse_object(self.object, self.manner(), folder=self.out)
+        manner = self.manner()
+        check_used(manner, (self.object, *self.obstacle))
+        thing = parse_object(self.object, manner, folder=self.out)
         task = Task(
             name=self.name.removesuffix(".usda"),
             title=self.title or f"Push {_article(thing.doc)} to its goal",
             thing=thing,
             start=start,
             goal=goal,
-            obstacles=parse_obstacles(self.obstacle, folder=self.out),
+            obstacles=parse_obstacles(self.obstacle, manner, folder=self.out),
             tolerance=PAPER if thing.turns else (PAPER[0], math.inf),
             tight=(0.05, 0.1 if thing.turns else math.inf),
             robot=self.robot,
@@ -127,6 +129,10 @@ class New(ObjectOptions):
             print(f"wrote {file}")
         body = written.scene.object
         print(f"{thing.doc}: {body.mass:g} kg, friction {body.friction:g}, of {len(body.colliders)} convex pieces")
+        if can_tip(body):
+            print(
+                f"a push above {1000 * tipping_height(body):.0f} mm tips it over: the planner touches it low and slowly"
+            )
         print("checked: nothing overlaps, the arm reaches start and goal")
         _print_next(("view", "run"), written.file)
         return 0
@@ -155,8 +161,9 @@ class Import(ObjectOptions):
         from oimppi_warp.authoring.project import write_object
         from oimppi_warp.authoring.solid import Solid, plain_name
         from oimppi_warp.authoring.stored import read_body
-        from oimppi_warp.authoring.words import parse_object
+        from oimppi_warp.authoring.words import check_used, parse_object
 
+        check_used(self.manner(), (self.source,))
         thing = parse_object(self.source, self.manner())
         if self.name is not None:
             thing = replace(thing, name=plain_name(self.name))  # pyright: ignore[reportArgumentType]
@@ -184,4 +191,4 @@ def _print_next(commands: tuple[str, ...], file: Path) -> None:
     """What to do with a scene."""
     print("next:")
     for command in commands:
-        print("  " + shlex.join(["oimppi", command, os.path.relpath(file)]))
+        print("  " + shlex.join(["oimppi", command, str(file)]))
