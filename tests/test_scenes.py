@@ -20,7 +20,7 @@ from oimppi_warp.reach import can_lift, reach_of
 from oimppi_warp.usd import load_scene, shipped_scenes
 
 ROOT = Path(__file__).resolve().parent.parent
-NAMES = ("lab01", "lab02", "point01", "task01", "task02", "task03", "task03_wide", "task04", "task05")
+NAMES = ("arm7_01", "lab01", "lab02", "point01", "task01", "task02", "task03", "task03_wide", "task04", "task05")
 
 T_START, T_GOAL = (0.30, -0.45, 0.0), (0.50, 0.30, math.pi)
 START_AND_GOAL = {
@@ -30,6 +30,7 @@ START_AND_GOAL = {
     "task03_wide": (T_START, T_GOAL),
     "task04": (T_START, T_GOAL),
     "task05": ((0.30, -0.40, 0.0), (0.50, 0.15, -math.pi / 2)),
+    "arm7_01": (T_START, T_GOAL),
     "point01": (T_START, T_GOAL),
     "lab01": ((0.381, 0.343, 0.0), (0.381, -0.305, 0.0)),
     "lab02": ((0.381, 0.343, 0.0), (0.381, -0.305, 0.0)),
