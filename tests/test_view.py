@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pxr import Usd
 from pxr import Usd, UsdGeom
 
 from oimppi_warp.config import Config
@@ -161,6 +162,7 @@ def test_a_scene_is_saved_as_it_stands(tmp_path):
     scene = load_scene("task02")
     obstacle = scene.obstacles[0]
     moved = scene.with_goal((0.5, 0.2, 1.0)).with_start((0.3, -0.4, 0.5))
+    held = Usd.Stage.Open(str(scene.file))
     file = save_scene(moved, tmp_path / "mine.usda", moves={obstacle.path: (0.05, -0.1, 0.3)})
     again = load_scene(file)
     np.testing.assert_allclose(again.goal, (0.5, 0.2, 1.0), atol=1e-9)
@@ -168,6 +170,7 @@ def test_a_scene_is_saved_as_it_stands(tmp_path):
     shift = again.obstacles[0].colliders[0].transform[:3] - obstacle.colliders[0].transform[:3]
     np.testing.assert_allclose(shift, (0.05, -0.1, 0.0), atol=1e-9)
     assert again.object.mass == scene.object.mass
+    assert held and load_scene("task02").start == scene.start  # the shared layers of the first are as they were
     with pytest.raises(SceneError, match="not the name of a scene"):
         save_scene(scene, tmp_path / "mine.txt")
 
