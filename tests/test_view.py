@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pxr import Usd
 from pxr import Usd, UsdGeom
 
 from oimppi_warp.config import Config

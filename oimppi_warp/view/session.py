@@ -98,6 +98,11 @@ class Session:
         self._builder.shutdown(cancel_futures=True)
 
     @property
+    def running(self) -> Episode:
+        """The episode that runs now."""
+        return self._episode
+
+    @property
     def rate(self) -> float:
         """Control steps a second of late [1/s]; 0 if there were none."""
         times = list(self._times)
