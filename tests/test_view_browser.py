@@ -205,6 +205,24 @@ def test_dragging_the_goal_changes_the_plan(live, page):
     assert page.problems == []
 
 
+def test_the_control_loop_keeps_its_rate_with_a_slow_browser(live, page):
+    """A dialog holds the page's only thread, so that it reads nothing any more."""
+
+    def steps_a_second(seconds=3.0):
+        before, began = len(live.session.running.log), time.perf_counter()
+        time.sleep(seconds)
+        return (len(live.session.running.log) - before) / (time.perf_counter() - began)
+
+    live.session.start()
+    until(lambda: len(live.session.running.log) > 10)
+    alone = steps_a_second()
+    page.goto(live.url)
+    until(lambda: live.session.latest.sampled.size)
+    page.on("dialog", lambda dialog: None)
+    page.evaluate("() => { setTimeout(() => alert('held'), 0) }")
+    assert steps_a_second() > 0.95 * alone
+
+
 def test_a_replay_scrubs(record, page):
     viewer = open_viewer(port=8480, paused=True)
     view = ReplayView(viewer, Replay(record))
