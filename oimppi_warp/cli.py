@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import arg, subcommand
 
+from oimppi_warp.authoring.check_command import Check
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.options import TaskOptions
@@ -123,6 +124,11 @@ class Scenes:
         return 0
 
 
+SceneCommand = (
+    Annotated[Check, subcommand("check", prefix_name=False)] | Annotated[Scenes, subcommand("list", prefix_name=False)]
+)
+"""What can be done with scenes."""
+
 Command = (
     Annotated[Run, subcommand("run", prefix_name=False)]
     | Annotated[Bench, subcommand("bench", prefix_name=False)]
@@ -131,6 +137,7 @@ Command = (
     | Annotated[View, subcommand("view", prefix_name=False)]
     | Annotated[Export, subcommand("export", prefix_name=False)]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
+    | Annotated[SceneCommand, subcommand("scene", prefix_name=False, description="Work on scenes of one's own.")]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import shapely
@@ -28,32 +28,50 @@ def check_task(scene: Scene) -> None:
         SceneError: At its start or goal the object is off the table, in an obstacle, in the robot's base or out of the
             arm's reach; or the tool starts inside something.
     """
-    for name, pose in (("start", scene.start), ("goal", scene.goal)):
-        shape = object_outline(scene, pose)
-        place = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
-        prim = scene.object.path if name == "start" else ""
-        if not np.isfinite(pose).all():
-            raise SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed="x [m], y [m], yaw [rad]")
-        if not shapely.covers(_table(scene), shape):
-            (x0, y0), (x1, y1) = scene.table.lower, scene.table.upper
-            raise SceneError(
-                f"{place} is not wholly on the table",
+    for mistake in task_mistakes(scene):
+        raise mistake
+
+
+def task_mistakes(scene: Scene) -> Iterator[SceneError]:
+    """Everything that :func:`check_task` may raise, one after the other."""
+    yield from pose_mistakes(scene, "start", scene.start)
+    yield from pose_mistakes(scene, "goal", scene.goal)
+    yield from _tool_mistakes(scene)
+
+
+def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneError]:
+    """Why the object cannot stand at a pose or be pushed there.
+
+    Args:
+        scene: The task.
+        name: What to call the pose: "start", "goal", or "start 3" of those that are listed.
+        pose: The pose.
+    """
+    place = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
+    prim = scene.object.path if name == "start" else ""
+    if not np.isfinite(pose).all():
+        yield SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed="x [m], y [m], yaw [rad]")
+        return
+    shape = object_outline(scene, pose)
+    if not shapely.covers(_table(scene), shape):
+        (x0, y0), (x1, y1) = scene.table.lower, scene.table.upper
+        yield SceneError(
+            f"{place} is not wholly on the table",
+            file=scene.file,
+            prim=prim,
+            allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
+            fix=_move(name),
+        )
+    for what, path, other in _surroundings(scene):
+        if shapely.area(shapely.intersection(shape, other)) > 1e-8:
+            yield SceneError(
+                f"{place} is inside {what} <{path}>",
                 file=scene.file,
                 prim=prim,
-                allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
+                allowed="anywhere that the object overlaps nothing",
                 fix=_move(name),
             )
-        for what, path, other in _surroundings(scene):
-            if shapely.area(shapely.intersection(shape, other)) > 1e-8:
-                raise SceneError(
-                    f"{place} is inside {what} <{path}>",
-                    file=scene.file,
-                    prim=prim,
-                    allowed="anywhere that the object overlaps nothing",
-                    fix=_move(name),
-                )
-        _check_reach(scene, name, place, pose)
-    _check_tool(scene)
+    yield from _reach_mistakes(scene, name, place, pose)
 
 
 def draw_start(scene: Scene, seed: int) -> PlanarPose:
@@ -104,17 +122,18 @@ def _table(scene: Scene) -> shapely.Geometry:
 
 
 def _move(name: str) -> str:
-    return "move the object in the file, or give another start" if name == "start" else "change oimppi:goal"
+    fixes = {"start": "move the object in the file, or give another start", "goal": "change oimppi:goal"}
+    return fixes.get(name, "change it in oimppi:starts, or leave it out")
 
 
-def _check_reach(scene: Scene, name: str, place: str, pose: PlanarPose) -> None:
+def _reach_mistakes(scene: Scene, name: str, place: str, pose: PlanarPose) -> Iterator[SceneError]:
     (x, y), (c, s) = scene.object.center_of_mass[:2], (np.cos(pose[2]), np.sin(pose[2]))
     center = np.array([pose[0] + c * x - s * y, pose[1] + s * x + c * y])
     reach = reach_of(scene.robot)
     room = float(reach.room(center[None])[0])
     if room < 0.0:
         where = f"{np.hypot(*center):.2f} m from the arm's base" if reach.border is None else f"{-room:.2f} m beyond it"
-        raise SceneError(
+        yield SceneError(
             f"{place} is out of reach: the object's centre would be {where}",
             file=scene.file,
             prim=scene.object.path if name == "start" else "",
@@ -153,7 +172,7 @@ def _tool(scene: Scene) -> shapely.Geometry | None:
     return shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
 
 
-def _check_tool(scene: Scene) -> None:
+def _tool_mistakes(scene: Scene) -> Iterator[SceneError]:
     tip = tip_frame(scene.robot, scene.robot.start)[1]
     disc = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
     things = [("the object", scene.object.path, object_outline(scene, scene.start))] if _tool(scene) is not None else []
@@ -162,7 +181,7 @@ def _check_tool(scene: Scene) -> None:
             things.append(("the obstacle", obstacle.path, outline(footprint(obstacle.colliders, lower=tip[2]))))
     for what, path, shape in things:
         if disc.intersects(shape):
-            raise SceneError(
+            yield SceneError(
                 f"the tool starts inside {what} <{path}>, with its tip at {np.round(tip, 3).tolist()}",
                 file=scene.file,
                 prim=scene.robot.path,
@@ -170,7 +189,7 @@ def _check_tool(scene: Scene) -> None:
                 fix="change oimppi:startJoints, or start the object elsewhere",
             )
     if _tool(scene) is None and not can_lift(scene.robot):
-        raise SceneError(
+        yield SceneError(
             f"the tool passes over the object: its tip stays {tip[2]:.3f} m above the table",
             file=scene.file,
             prim=scene.robot.path,
@@ -178,7 +197,7 @@ def _check_tool(scene: Scene) -> None:
             fix="lengthen the stick, or take a higher object",
         )
     if tip[2] < 0.0:
-        raise SceneError(
+        yield SceneError(
             f"the tool starts {-tip[2]:.3f} m below the table",
             file=scene.file,
             prim=scene.robot.path,

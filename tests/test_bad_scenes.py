@@ -11,7 +11,7 @@ from variants import variant
 
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task, draw_start
-from oimppi_warp.usd import load_scene
+from oimppi_warp.usd import inspect_scene, load_scene
 
 ROBOT, TIP, START = "/World/Robot", "/World/Robot/tool/tip", "oimppi:startJoints"
 
@@ -243,6 +243,13 @@ def test_a_mistake_is_named_where_it_is(tmp_path, mistake):
     assert "allowed:" in message or "to do:" in message
 
 
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_told_once_and_without_consequences(tmp_path, mistake):
+    change, what, _ = MISTAKES[mistake]
+    (found,) = inspect_scene(variant(tmp_path, change)).mistakes
+    assert what in found.what
+
+
 IMPOSSIBLE = {
     "a goal in an obstacle": (goal_to(0.5, 0.1, 0), "goal (0.5, 0.1, 0)", "obstacle </World/Obstacles/Cube>"),
     "a goal in the base": (goal_to(0.1, 0.1, 0), "goal (0.1, 0.1, 0)", "inside the robot's base"),
@@ -267,19 +274,20 @@ def test_a_task_that_cannot_be_done_is_refused(tmp_path, task):
     assert more in str(error.value)
 
 
-def test_a_start_cannot_be_drawn_where_there_is_no_room(tmp_path):
-    def walls(stage: Usd.Stage) -> None:
-        for i, y in enumerate((-0.35, -0.60)):
-            cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/Wall{i}")
-            cube.CreateSizeAttr(1.0)
-            cube.AddTranslateOp().Set(Gf.Vec3d(0.3, y, 0.05))
-            cube.AddScaleOp().Set(Gf.Vec3f(1.0, 0.02, 0.1))
-            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
-            cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+def walls(stage: Usd.Stage) -> None:
+    """A corridor around the object, narrower than what a drawn start needs."""
+    for i, y in enumerate((-0.35, -0.60)):
+        cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/Wall{i}")
+        cube.CreateSizeAttr(1.0)
+        cube.AddTranslateOp().Set(Gf.Vec3d(0.3, y, 0.05))
+        cube.AddScaleOp().Set(Gf.Vec3f(1.0, 0.02, 0.1))
+        UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+        cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
 
-    scene = load_scene(variant(tmp_path, walls))
+
+def test_a_start_cannot_be_drawn_where_there_is_no_room(tmp_path):
     with pytest.raises(SceneError, match="none of 2000 starts"):
-        draw_start(scene, 0)
+        draw_start(load_scene(variant(tmp_path, walls)), 0)
 
 
 def test_a_missing_scene_is_answered_with_the_nearest_name():

@@ -31,14 +31,16 @@ def collider_prims(root: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tuple[Collider, ...]:
-    """Collision shapes below ``root``.
+    """Collision shapes below ``root``; one with a mistake is left out.
 
     Args:
         scene: The stage.
         root: A body, or an obstacle.
         body: Frame that the shapes are given in.
     """
-    return tuple(_read(scene, prim, scene.frame(prim) * body.GetInverse()) for prim in collider_prims(root))
+    inverse = body.GetInverse()
+    found = [scene.attempt(None, _read, scene, prim, scene.frame(prim) * inverse) for prim in collider_prims(root)]
+    return tuple(collider for collider in found if collider is not None)
 
 
 def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:

@@ -13,6 +13,8 @@ from oimppi_warp.usd.stage import SceneStage, matrix, scales, transform
 
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
 _EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
+_UNREAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+"""Stands for a frame with a mistake, so that what comes after it can be read."""
 
 
 def read_robot(scene: SceneStage) -> Robot:
@@ -24,24 +26,28 @@ def read_robot(scene: SceneStage) -> Robot:
     """
     root = scene.the("OimppiRobotAPI", "robot", "the root prim of the articulation")
     if not any(prim.HasAPI(UsdPhysics.ArticulationRootAPI) for prim in scene.prims(root)):
-        raise scene.error("a robot without an articulation", root, fix="apply PhysicsArticulationRootAPI to it")
+        scene.keep(scene.error("a robot without an articulation", root, fix="apply PhysicsArticulationRootAPI to it"))
+    tip_prim = scene.attempt(None, _tip, scene, root)
+    radius = math.nan if tip_prim is None else scene.attempt(math.nan, _radius, scene, tip_prim)
     chain = _Chain(scene, root)
     joints, links = chain.walk()
-    tip_prim = _tip(scene, root)
-    tip = chain.in_last_link(tip_prim)
-    radius = float(scene.numbers(tip_prim, "oimppi:radius", (), "the stick's radius [m]"))
-    if not 0.0 < radius < math.inf:
-        raise scene.error(f"oimppi:radius is {radius:g}", tip_prim, allowed="more than zero [m]")
     return Robot(
         path=str(root.GetPath()),
         base=chain.base,
         joints=joints,
         links=links,
-        tip=tip,
-        tool_path=str(tip_prim.GetPath()),
+        tip=_UNREAD if tip_prim is None else scene.attempt(_UNREAD, chain.in_last_link, tip_prim),
+        tool_path="" if tip_prim is None else str(tip_prim.GetPath()),
         tool_radius=radius,
-        start=_start(scene, root, joints),
+        start=scene.attempt(np.zeros(len(joints)), _start, scene, root, joints),
     )
+
+
+def _radius(scene: SceneStage, tip: Usd.Prim) -> float:
+    radius = float(scene.numbers(tip, "oimppi:radius", (), "the stick's radius [m]"))
+    if not 0.0 < radius < math.inf:
+        raise scene.error(f"oimppi:radius is {radius:g}", tip, allowed="more than zero [m]")
+    return radius
 
 
 def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
@@ -60,7 +66,7 @@ def _start(scene: SceneStage, root: Usd.Prim, joints: tuple[Joint, ...]) -> np.n
             unit = _UNITS[joint.kind]
             limits = f"{joint.lower:.4g} to {joint.upper:.4g} {unit}"
             what = f"oimppi:startJoints puts <{joint.path}> at {position:.4g} {unit}, beyond its limits"
-            raise scene.error(what, root, allowed=limits)
+            scene.keep(scene.error(what, root, allowed=limits))
     return start
 
 
@@ -125,7 +131,8 @@ class _Chain:
                 if self.ends(moving[0])[0] != group[0][0]:
                     prim = moving[0].GetPrim()
                     raise self.scene.error("a joint on a welded part", prim, allowed="only the tool is welded")
-                joints.append(self.joint(moving[0]))
+                unread = Joint(str(moving[0].GetPath()), _UNREAD, -math.inf, math.inf, math.inf, math.inf)
+                joints.append(self.scene.attempt(unread, self.joint, moving[0]))
                 body = self.ends(moving[0])[1]
         if not joints:
             raise self.scene.error("a robot without moving joints", self.base_prim)
@@ -161,7 +168,7 @@ class _Chain:
         for body, placed in group:
             # The frame that shapes are measured from is the body's own, seen from the link's.
             colliders += read_colliders(self.scene, body, placed.GetInverse() * self.scene.body_frame(body))
-            mass += read_mass(self.scene, body)
+            mass += self.scene.attempt(0.0, read_mass, self.scene, body)
         return Link(str(group[0][0].GetPath()), mass, tuple(colliders))
 
     def joint(self, joint: UsdPhysics.Joint) -> Joint:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from pxr import Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
 from oimppi_warp.errors import SceneError
+
+P = ParamSpec("P")
+Read = TypeVar("Read")
+Otherwise = TypeVar("Otherwise")
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 SCHEMA = SCENES / "schema"
@@ -24,13 +28,15 @@ class SceneStage:
 
     Args:
         file: The USD file.
+        mistakes: Where mistakes are collected; without it, the first one is raised.
 
     Raises:
         SceneError: There is no such file, it is not USD, something that it refers to is missing, or it has other units.
     """
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, mistakes: list[SceneError] | None = None) -> None:
         self.file = file
+        self._mistakes = mistakes
         if not file.is_file():
             raise self.error("there is no such file")
         delegate = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
@@ -43,10 +49,30 @@ class SceneStage:
         finally:
             del delegate
         broken = self.stage.GetCompositionErrors()
-        if broken:
+        for number, each in enumerate(broken, start=1):
             fix = "correct it; the paths of references count from the file that they stand in"
-            raise self.error(str(broken[0]), fix=fix)
+            mistake = self.error(str(each), fix=fix)
+            if number == len(broken):
+                raise mistake  # what is missing would look like further mistakes
+            self.keep(mistake)
         self._check_units()
+
+    def keep(self, mistake: SceneError) -> None:
+        """Note a mistake and go on; where none are collected, raise it."""
+        if self._mistakes is None:
+            raise mistake
+        if str(mistake) not in map(str, self._mistakes):
+            self._mistakes.append(mistake)
+
+    def attempt(
+        self, otherwise: Otherwise, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
+    ) -> Read | Otherwise:
+        """What a reader returns; where it finds a mistake, that is noted, and ``otherwise`` comes back."""
+        try:
+            return read(*args, **kwargs)
+        except SceneError as mistake:
+            self.keep(mistake)
+            return otherwise
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
         """A :class:`SceneError` at a prim of this file."""
@@ -133,11 +159,13 @@ class SceneStage:
         return UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """A rigid body's frame in the world; it must not be scaled."""
+        """A rigid body's frame in the world, without a scale; having one is a mistake."""
         frame = self.frame(prim)
-        if not np.allclose(scales(frame), 1.0, atol=1e-5) or frame.GetDeterminant() < 0:
-            raise self.error(
-                f"a body with a scale {_readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
+        if not is_rigid(frame):
+            self.keep(
+                self.error(
+                    f"a body with a scale {_readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
+                )
             )
         return frame.GetOrthonormalized()
 
@@ -169,6 +197,11 @@ def schema_default(name: str) -> Any:
 def scales(frame: Gf.Matrix4d) -> np.ndarray:
     """Lengths of a frame's axes, shape [3]."""
     return np.array([frame.GetRow3(i).GetLength() for i in range(3)])
+
+
+def is_rigid(frame: Gf.Matrix4d) -> bool:
+    """Whether a frame is turned and moved only, neither scaled nor mirrored."""
+    return bool(np.allclose(scales(frame), 1.0, atol=1e-5)) and frame.GetDeterminant() > 0
 
 
 def transform(frame: Gf.Matrix4d) -> np.ndarray:
