@@ -21,6 +21,7 @@ import tyro
 from tyro.conf import arg, subcommand
 
 from oimppi_warp.authoring.check_command import Check
+from oimppi_warp.authoring.robot_command import AddRobot
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.options import TaskOptions
@@ -125,7 +126,9 @@ class Scenes:
 
 
 SceneCommand = (
-    Annotated[Check, subcommand("check", prefix_name=False)] | Annotated[Scenes, subcommand("list", prefix_name=False)]
+    Annotated[AddRobot, subcommand("robot", prefix_name=False)]
+    | Annotated[Check, subcommand("check", prefix_name=False)]
+    | Annotated[Scenes, subcommand("list", prefix_name=False)]
 )
 """What can be done with scenes."""
 
