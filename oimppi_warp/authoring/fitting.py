@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
-from scipy.spatial import QhullError
+from scipy.spatial import ConvexHull, QhullError
 
 from oimppi_warp.authoring.arm import capsule_between
 from oimppi_warp.scene import Collider
@@ -16,17 +16,16 @@ ROOMY = 1.3
 
 
 def fitted(name: str, points: np.ndarray) -> Collider:
-    """A convex collider around points [n, 3] [m]; a hull is cut down to a few points by a millimetre or so.
+    """A convex collider around points [n, 3] [m]; of a fine mesh a hull with few points.
 
     Raises:
         ValueError: The points lie in a plane.
     """
     try:
-        hull = trimesh.convex.convex_hull(points)
-    except QhullError as error:
-        raise ValueError("a mesh without a volume") from error
-    if not hull.volume > 1e-12:
-        raise ValueError("a mesh without a volume")
+        ConvexHull(points)
+    except QhullError:
+        raise ValueError("a mesh without a volume") from None
+    hull = trimesh.convex.convex_hull(points)
     vertices = np.asarray(hull.vertices)
     capsules = [_capsule(name, vertices, axis) for axis in _axes(hull)]
     best = min(capsules, key=_volume)
@@ -66,11 +65,17 @@ def _volume(capsule: Collider) -> float:
 
 
 def _fewer(vertices: np.ndarray) -> np.ndarray:
-    """The vertices that are farthest in directions spread evenly over a sphere, shape [n, 3]."""
+    """A hull with fewer vertices that holds all of these, shape [n, 3].
+
+    Those are kept that are farthest in directions spread evenly over a sphere, and moved outwards until all are inside.
+    """
     if len(vertices) <= POINTS:
         return vertices
     turn, height = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(POINTS), 1.0 - 2.0 * (np.arange(POINTS) + 0.5) / POINTS
     ring = np.sqrt(1.0 - height**2)
     directions = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
     even = vertices / np.maximum(np.ptp(vertices, axis=0), 1e-9)  # as if it were as long as it is wide
-    return vertices[np.unique(np.argmax(even @ directions.T, axis=0))]
+    kept = vertices[np.unique(np.argmax(even @ directions.T, axis=0))]
+    middle, planes = kept.mean(axis=0), ConvexHull(kept).equations
+    out = ((vertices - middle) @ planes[:, :3].T).max(axis=0) / -(planes[:, :3] @ middle + planes[:, 3])
+    return middle + max(float(out.max()), 1.0) * (kept - middle)
