@@ -62,7 +62,7 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
             allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
             fix=_move(name),
         )
-    for what, path, other in _surroundings(scene):
+    for what, path, other in surroundings(scene):
         if shapely.area(shapely.intersection(shape, other)) > 1e-8:
             yield SceneError(
                 f"{place} is inside {what} <{path}>",
@@ -99,7 +99,7 @@ def draw_start(scene: Scene, seed: int) -> PlanarPose:
         return scene.start
     random = np.random.default_rng(seed)
     reach = reach_of(scene.robot) - 2.0 * scene.robot.tool_radius
-    around = [other for _, _, other in _surroundings(scene)]
+    around = [other for _, _, other in surroundings(scene)]
     tool = _tool(scene)
     if tool is not None:
         around.append(tool)
@@ -175,7 +175,7 @@ def _distance_to_base(scene: Scene, pose: PlanarPose) -> float:
     return float(np.hypot(pose[0] + c * x - s * y, pose[1] + s * x + c * y))
 
 
-def _surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
+def surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
     """What the object could run into: a word for it, its prim, and what it covers at the object's height."""
     low, high = (scene.object.rest_height + z for z in height_range(scene.object.colliders))
 
