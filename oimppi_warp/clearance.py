@@ -187,8 +187,11 @@ def _clearance_field(
 
 def arm_reach_bound(scene: Scene) -> float:
     """A bound on how far the tool can be from the base's axis: the stretched length of the chain [m]."""
-    links = [np.linalg.norm(joint.parent_transform[:3]) for joint in scene.robot.joints[1:]]
-    return float(sum(links) + np.linalg.norm(scene.robot.tip[:3]))
+    joints = scene.robot.joints
+    links = [np.linalg.norm(joint.parent_transform[:3]) for joint in joints[1:]]
+    ways = [max(abs(joint.lower), abs(joint.upper)) for joint in joints if joint.kind == "prismatic"]
+    aside = np.linalg.norm(joints[0].parent_transform[:2])
+    return float(sum(links) + np.linalg.norm(scene.robot.tip[:3]) + aside + sum(ways))
 
 
 def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
 
 import numpy as np
 import shapely
@@ -11,8 +10,9 @@ from shapely import affinity
 
 from oimppi_warp.errors import SceneError
 from oimppi_warp.footprint import footprint, height_range, outline
-from oimppi_warp.kinematics import tip_frame, tip_jacobian
-from oimppi_warp.scene import Collider, PlanarPose, Robot, Scene
+from oimppi_warp.kinematics import tip_frame
+from oimppi_warp.reach import can_lift, reach_of
+from oimppi_warp.scene import Collider, PlanarPose, Scene
 
 CLEAR = 0.045
 """Room that a drawn start leaves around the object [m]."""
@@ -71,15 +71,7 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
                 allowed="anywhere that the object overlaps nothing",
                 fix=_move(name),
             )
-    reach, away = reach_of(scene.robot), _distance_to_base(scene, pose)
-    if away > reach:
-        yield SceneError(
-            f"{place} is out of reach: the object's centre would be {away:.2f} m from the arm's base",
-            file=scene.file,
-            prim=prim,
-            allowed=f"up to {reach:.2f} m, as far as the tool reaches when it points down",
-            fix=_move(name),
-        )
+    yield from _reach_mistakes(scene, name, place, pose)
 
 
 def draw_start(scene: Scene, seed: int) -> PlanarPose:
@@ -98,7 +90,7 @@ def draw_start(scene: Scene, seed: int) -> PlanarPose:
     if position == 0.0 and yaw == 0.0:
         return scene.start
     random = np.random.default_rng(seed)
-    reach = reach_of(scene.robot) - 2.0 * scene.robot.tool_radius
+    reach = reach_of(scene.robot)
     around = [other for _, _, other in surroundings(scene)]
     tool = _tool(scene)
     if tool is not None:
@@ -107,14 +99,14 @@ def draw_start(scene: Scene, seed: int) -> PlanarPose:
         x, y, angle = np.asarray(scene.start) + random.uniform(-1.0, 1.0, 3) * (position, position, yaw)
         pose = (round(float(x), 4), round(float(y), 4), round(float(angle), 4))
         shape = object_outline(scene, pose)
-        far = shapely.hausdorff_distance(shapely.Point(0.0, 0.0), shape)
+        behind = reach.room(shapely.get_coordinates(shape)).min() >= 2.0 * scene.robot.tool_radius
         free = all(shapely.distance(shape, other) >= CLEAR for other in around)
-        if free and far <= reach and shapely.covers(_table(scene), shape):
+        if free and behind and shapely.covers(_table(scene), shape):
             return pose
     raise SceneError(
         f"none of {DRAWS} starts drawn around ({scene.start[0]:.3g}, {scene.start[1]:.3g}) is free and within reach",
         file=scene.file,
-        allowed=f"{CLEAR:g} m of room around the object, and all of it within {reach:.2f} m of the arm's base",
+        allowed=f"{CLEAR:g} m of room around the object, and all of it {_within(scene)}",
         fix="give a start, or make oimppi:spread smaller",
     )
 
@@ -123,42 +115,6 @@ def object_outline(scene: Scene, pose: PlanarPose) -> shapely.Geometry:
     """What the object covers of the table at a pose."""
     shape = affinity.rotate(outline(footprint(scene.object.colliders)), pose[2], origin=(0.0, 0.0), use_radians=True)
     return affinity.translate(shape, pose[0], pose[1])
-
-
-@lru_cache(maxsize=8)
-def reach_of(robot: Robot) -> float:
-    """How far from the base's axis the tip gets at table height with the tool pointing down [m].
-
-    From its start configuration the tip is led to the table and outwards, until no joint positions within the limits
-    are found any more.
-    """
-    joints = _solve(robot, robot.start, float(np.linalg.norm(tip_frame(robot, robot.start)[1][:2])))
-    step, reach = 0.05, 0.0 if joints is None else float(np.linalg.norm(tip_frame(robot, joints)[1][:2]))
-    while step > 5e-4 and joints is not None:
-        further = _solve(robot, joints, reach + step)
-        if further is None:
-            step /= 2.0
-        else:
-            joints, reach = further, reach + step
-    return reach
-
-
-def _solve(robot: Robot, joints: np.ndarray, radius: float) -> np.ndarray | None:
-    """Joint positions with the tip at a radius [m] on the table and the tool pointing down: damped Gauss-Newton."""
-    lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
-    q = np.array(joints, dtype=float)
-    for _ in range(60):
-        rotation, tip = tip_frame(robot, q)
-        axis, outwards = rotation[:, 2], np.array([tip[0], tip[1], 0.0]) / max(np.hypot(tip[0], tip[1]), 1e-9)
-        error = np.array([outwards @ tip - radius, tip[2], axis[0], axis[1]])
-        if np.abs(error).max() < 1e-5 and axis[2] < 0.0:
-            return q
-        linear, angular = np.split(tip_jacobian(robot, q), 2)
-        turning = np.cross(angular.T, axis).T
-        jacobian = np.vstack([outwards @ linear, linear[2], turning[:2]])
-        q = q - jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-6 * np.eye(4), error)
-        q = np.clip(q, lower, upper)
-    return None
 
 
 def _table(scene: Scene) -> shapely.Geometry:
@@ -170,9 +126,29 @@ def _move(name: str) -> str:
     return fixes.get(name, "change it in oimppi:starts, or leave it out")
 
 
-def _distance_to_base(scene: Scene, pose: PlanarPose) -> float:
+def _reach_mistakes(scene: Scene, name: str, place: str, pose: PlanarPose) -> Iterator[SceneError]:
     (x, y), (c, s) = scene.object.center_of_mass[:2], (np.cos(pose[2]), np.sin(pose[2]))
-    return float(np.hypot(pose[0] + c * x - s * y, pose[1] + s * x + c * y))
+    center = np.array([pose[0] + c * x - s * y, pose[1] + s * x + c * y])
+    reach = reach_of(scene.robot)
+    room = float(reach.room(center[None])[0])
+    if room < 0.0:
+        where = f"{np.hypot(*center):.2f} m from the arm's base" if reach.border is None else f"{-room:.2f} m beyond it"
+        yield SceneError(
+            f"{place} is out of reach: the object's centre would be {where}",
+            file=scene.file,
+            prim=scene.object.path if name == "start" else "",
+            allowed=f"{_within(scene)}, as far as the tool reaches when it points down",
+            fix=_move(name),
+        )
+
+
+def _within(scene: Scene) -> str:
+    """Where the arm gets, in words."""
+    reach = reach_of(scene.robot)
+    if reach.border is None:
+        return f"up to {reach.radius:.2f} m from the arm's base"
+    (x0, y0), (x1, y1) = reach.bounds
+    return f"within x from {x0:.2f} to {x1:.2f} m and y from {y0:.2f} to {y1:.2f} m"
 
 
 def surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
@@ -182,7 +158,8 @@ def surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
     def covered(colliders: Iterable[Collider]) -> shapely.Geometry:
         return outline(footprint(colliders, lower=low + 1e-3, upper=high))
 
-    yield "the robot's base", scene.robot.base.path, covered(scene.robot.base.colliders)
+    if scene.robot.base.colliders:
+        yield "the robot's base", scene.robot.base.path, covered(scene.robot.base.colliders)
     for obstacle in scene.obstacles:
         yield "the obstacle", obstacle.path, covered(obstacle.colliders)
 
@@ -211,6 +188,14 @@ def _tool_mistakes(scene: Scene) -> Iterator[SceneError]:
                 allowed="a start of the arm in which the tool touches nothing",
                 fix="change oimppi:startJoints, or start the object elsewhere",
             )
+    if _tool(scene) is None and not can_lift(scene.robot):
+        yield SceneError(
+            f"the tool passes over the object: its tip stays {tip[2]:.3f} m above the table",
+            file=scene.file,
+            prim=scene.robot.path,
+            allowed="lower than the object's top for a robot that cannot lower its tool",
+            fix="lengthen the stick, or take a higher object",
+        )
     if tip[2] < 0.0:
         yield SceneError(
             f"the tool starts {-tip[2]:.3f} m below the table",

@@ -115,8 +115,13 @@ def move_robot(stage: Usd.Stage) -> None:
     xform.AddTranslateOp().Set(Gf.Vec3d(0.1, 0.0, 0.0))
 
 
-def prismatic(stage: Usd.Stage) -> None:
-    prim(stage, f"{ROBOT}/joints/joint3").SetTypeName("PhysicsPrismaticJoint")
+def joint_of_type(name: str) -> Callable[[Usd.Stage], object]:
+    return lambda stage: prim(stage, f"{ROBOT}/joints/joint1").SetTypeName(name)
+
+
+def slide_without_end(stage: Usd.Stage) -> None:
+    joint_of_type("PhysicsPrismaticJoint")(stage)
+    prim(stage, f"{ROBOT}/joints/joint1").GetAttribute("physics:upperLimit").Set(math.inf)
 
 
 def starts_as_pairs(stage: Usd.Stage) -> None:
@@ -181,7 +186,8 @@ MISTAKES = {
     "no articulation": (drop(ROBOT, "PhysicsArticulationRootAPI"), "without an articulation", "apply"),
     "a loose base": (without(f"{ROBOT}/joints/mount"), "not fixed to the world", "PhysicsFixedJoint"),
     "a base elsewhere": (move_robot, "base is at [0.1, 0.0, 0.0]", "world's origin"),
-    "a sliding joint": (prismatic, "PhysicsPrismaticJoint", "allowed: PhysicsRevoluteJoint"),
+    "a ball joint": (joint_of_type("PhysicsSphericalJoint"), "PhysicsSphericalJoint", "or PhysicsPrismaticJoint"),
+    "a joint that slides without end": (slide_without_end, "slides without end", "in metres"),
     "a joint about x": (put(f"{ROBOT}/joints/joint2", "physics:axis", "X"), "about its X axis", "physics:axis = Z"),
     "a shifted joint": (
         put(f"{ROBOT}/joints/joint2", "physics:localPos1", Gf.Vec3f(0, 0, 0.1)),

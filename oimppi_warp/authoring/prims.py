@@ -106,22 +106,34 @@ class Look:
 COLLIDER = Look(collide=True)
 
 
-def box(stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look) -> Usd.Prim:
-    """A box with its full side lengths [m]."""
+def box(
+    stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look, turn: Vector | None = None
+) -> Usd.Prim:
+    """A box with its full side lengths [m], turned by a quaternion xyzw."""
     cube = UsdGeom.Cube.Define(stage, path)
     cube.CreateSizeAttr(1.0)
-    place(cube.GetPrim(), center)
+    place(cube.GetPrim(), center, turn)
     cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*rounded(extents)))
     return _finish(cube, look.color, look.collide, look.opacity)
 
 
-def cylinder(stage: Usd.Stage, path: str, center: Vector, radius: float, height: float, look: Look) -> Usd.Prim:
-    """An upright cylinder."""
+def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Look) -> Usd.Prim:
+    """A ball."""
+    gprim = UsdGeom.Sphere.Define(stage, path)
+    gprim.CreateRadiusAttr(radius)
+    place(gprim.GetPrim(), center)
+    return _finish(gprim, look.color, look.collide, look.opacity)
+
+
+def cylinder(
+    stage: Usd.Stage, path: str, center: Vector, radius: float, height: float, look: Look, turn: Vector | None = None
+) -> Usd.Prim:
+    """An upright cylinder, or one turned by a quaternion xyzw."""
     gprim = UsdGeom.Cylinder.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
     gprim.CreateHeightAttr(height)
     gprim.CreateAxisAttr(UsdGeom.Tokens.z)
-    place(gprim.GetPrim(), center)
+    place(gprim.GetPrim(), center, turn)
     return _finish(gprim, look.color, look.collide, look.opacity)
 
 

@@ -23,6 +23,7 @@ from oimppi_warp.authoring.robot import pose_robot
 from oimppi_warp.authoring.thing import Thing
 from oimppi_warp.feasibility import draw_start
 from oimppi_warp.usd import load_scene
+from oimppi_warp.usd.colliders import collider_prims
 
 Pose = tuple[float, float, float]
 
@@ -124,6 +125,8 @@ def _write_table(stage: Usd.Stage) -> None:
     table = box(stage, "/World/Table", center, size, Look(TABLE_COLOR, collide=True))
     apply_api(table, "OimppiTableAPI")
     bind_physics(table, physics_material(stage, "/World/Materials/Table", TABLE_FRICTION))
+    if not collider_prims(stage.GetPrimAtPath("/World/Robot/base")):
+        return
     # The arm is bolted to the table: the lowest capsule of its base reaches into the plate.
     UsdPhysics.FilteredPairsAPI.Apply(table).CreateFilteredPairsRel().SetTargets(["/World/Robot/base"])
 

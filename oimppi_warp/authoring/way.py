@@ -16,7 +16,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from oimppi_warp.clearance import Geometry, from_center, to_center
-from oimppi_warp.feasibility import object_outline, reach_of, surroundings
+from oimppi_warp.feasibility import object_outline, surroundings
+from oimppi_warp.reach import reach_of
 from oimppi_warp.scene import PlanarPose, Scene
 
 RESOLVED = 1e-4
@@ -60,7 +61,8 @@ class Ways:
         self._origin = np.array([0.0, *field.origin])
         self._step = 1.0 / np.array([field.inv_yaw_step, field.inv_step, field.inv_step])
         x, y = (self._origin[i] + self._step[i] * np.arange(values.shape[i]) for i in (1, 2))
-        within = np.hypot(x[:, None], y[None, :]) <= reach_of(scene.robot)
+        at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+        within = reach_of(scene.robot).room(at.reshape(-1, 2)).reshape(at.shape[:2]) >= 0.0
         self._values = np.where(within, values, -np.inf)
         self._free = _parts(self._values > 0.0)
         self._goals = self._nodes(scene.goal)

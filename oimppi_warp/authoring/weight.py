@@ -48,7 +48,7 @@ def weight_oddities(scene: Scene, inertia: np.ndarray | None) -> Iterator[Oddity
             "correct physics:mass, or the size of the shapes",
         )
     if inertia is not None:
-        uniform = _trace(solids, body.center_of_mass, density)
+        uniform = _trace(solids, density)
         ratio = float(inertia.sum()) / uniform
         if not 1.0 / FACTOR <= ratio <= FACTOR:
             yield Oddity(
@@ -67,10 +67,10 @@ def weight_oddities(scene: Scene, inertia: np.ndarray | None) -> Iterator[Oddity
         )
 
 
-def _trace(solids: list[trimesh.Trimesh], center: np.ndarray, density: float) -> float:
-    """Sum of the moments of inertia of uniform solids about a point [kg m^2]."""
-    total = 0.0
-    for solid in solids:
-        away = np.asarray(solid.center_mass) - center
-        total += density * (float(np.trace(solid.moment_inertia)) + 2.0 * float(solid.volume) * float(away @ away))
-    return total
+def _trace(solids: list[trimesh.Trimesh], density: float) -> float:
+    """Sum of the moments of inertia of uniform solids about their common centre [kg m^2]."""
+    volumes = np.array([solid.volume for solid in solids])
+    centers = np.array([solid.center_mass for solid in solids])
+    away = centers - np.average(centers, axis=0, weights=volumes)
+    own = sum(float(np.trace(solid.moment_inertia)) for solid in solids)
+    return density * (own + 2.0 * float(volumes @ (away**2).sum(axis=1)))

@@ -1,4 +1,4 @@
-"""The arm: a chain of revolute joints from a base that is fixed at the origin to a stick."""
+"""The arm: a chain of joints that turn or slide, from a base that is fixed at the origin to a stick."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import math
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdPhysics
 
-from oimppi_warp.scene import Collider, Joint, Link, Robot
+from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
 from oimppi_warp.usd.colliders import read_colliders
 from oimppi_warp.usd.stage import SceneStage, matrix, scales, transform
 
+_UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
+_EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
 _UNREAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 """Stands for a frame with a mistake, so that what comes after it can be read."""
 
@@ -19,7 +21,7 @@ def read_robot(scene: SceneStage) -> Robot:
     """The scene's robot.
 
     Raises:
-        SceneError: There is none or more than one, it is not a serial arm of revolute joints about their local z axes
+        SceneError: There is none or more than one, it is not a serial arm of joints about or along their local z axes
             with its base fixed at the origin, or its tool or start is wrong.
     """
     root = scene.the("OimppiRobotAPI", "robot", "the root prim of the articulation")
@@ -56,12 +58,14 @@ def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
 
 
 def _start(scene: SceneStage, root: Usd.Prim, joints: tuple[Joint, ...]) -> np.ndarray:
-    meaning = f"one position for each of the {len(joints)} joints [rad]"
+    units = " or ".join(dict.fromkeys(_UNITS[joint.kind] for joint in joints))
+    meaning = f"one position for each of the {len(joints)} joints [{units}]"
     start = scene.numbers(root, "oimppi:startJoints", (len(joints),), meaning)
     for joint, position in zip(joints, start, strict=True):
         if not joint.lower <= position <= joint.upper:
-            limits = f"{joint.lower:.4g} to {joint.upper:.4g} rad"
-            what = f"oimppi:startJoints puts <{joint.path}> at {position:.4g} rad, beyond its limits"
+            unit = _UNITS[joint.kind]
+            limits = f"{joint.lower:.4g} to {joint.upper:.4g} {unit}"
+            what = f"oimppi:startJoints puts <{joint.path}> at {position:.4g} {unit}, beyond its limits"
             scene.keep(scene.error(what, root, allowed=limits))
     return start
 
@@ -170,12 +174,15 @@ class _Chain:
     def joint(self, joint: UsdPhysics.Joint) -> Joint:
         """A moving joint."""
         scene, prim = self.scene, joint.GetPrim()
-        revolute = UsdPhysics.RevoluteJoint(prim)
-        if not revolute:
-            raise scene.error(f"a joint of type {prim.GetTypeName()}", prim, allowed="PhysicsRevoluteJoint")
-        if revolute.GetAxisAttr().Get() != UsdPhysics.Tokens.z:
-            axis = revolute.GetAxisAttr().Get()
-            raise scene.error(f"a joint about its {axis} axis", prim, allowed="physics:axis = Z")
+        turns, slides = UsdPhysics.RevoluteJoint(prim), UsdPhysics.PrismaticJoint(prim)
+        if not (turns or slides):
+            allowed = "PhysicsRevoluteJoint or PhysicsPrismaticJoint"
+            raise scene.error(f"a joint of type {prim.GetTypeName()}", prim, allowed=allowed)
+        axis = (turns or slides).GetAxisAttr().Get()
+        if axis != UsdPhysics.Tokens.z:
+            raise scene.error(
+                f"a joint {'about' if turns else 'along'} its {axis} axis", prim, allowed="physics:axis = Z"
+            )
         before, after = joint_frames(joint)
         if not np.allclose(np.array(after), np.eye(4), atol=1e-6):
             raise scene.error(
@@ -183,16 +190,22 @@ class _Chain:
                 prim,
                 allowed="physics:localPos1 = 0 and physics:localRot1 = 1",
             )
-        lower = math.radians(scene.number(prim, "physics:lowerLimit", -math.inf))
-        upper = math.radians(scene.number(prim, "physics:upperLimit", math.inf))
+        kind, drive, inward = ("revolute", "angular", math.radians) if turns else ("prismatic", "linear", float)
+        unit = _UNITS[kind]
+        lower = inward(scene.number(prim, "physics:lowerLimit", -math.inf))
+        upper = inward(scene.number(prim, "physics:upperLimit", math.inf))
         if not lower < upper:
-            raise scene.error(f"limits of {lower:.4g} and {upper:.4g} rad", prim, allowed="lower below upper")
-        driven = prim.HasAPI(UsdPhysics.DriveAPI, "angular")
-        effort = scene.number(prim, "drive:angular:physics:maxForce", math.inf) if driven else math.inf
-        velocity = math.radians(scene.number(prim, "newton:velocityLimit", math.inf))
+            raise scene.error(f"limits of {lower:.4g} and {upper:.4g} {unit}", prim, allowed="lower below upper")
+        if slides and not math.isfinite(upper - lower):
+            fix = "give physics:lowerLimit and physics:upperLimit in metres"
+            raise scene.error("a joint that slides without end", prim, allowed="finite limits", fix=fix)
+        driven = prim.HasAPI(UsdPhysics.DriveAPI, drive)
+        effort = scene.number(prim, f"drive:{drive}:physics:maxForce", math.inf) if driven else math.inf
+        velocity = inward(scene.number(prim, "newton:velocityLimit", math.inf))
         if effort <= 0.0 or velocity <= 0.0:
-            raise scene.error(f"limits of {effort:g} N m and {velocity:g} rad/s", prim, allowed="more than zero")
-        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort)
+            what = f"limits of {effort:g} {_EFFORTS[kind]} and {velocity:g} {unit}/s"
+            raise scene.error(what, prim, allowed="more than zero")
+        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind)
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
         """A prim's transform in the frame of the last link, shape [7]."""

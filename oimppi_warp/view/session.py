@@ -87,8 +87,9 @@ class Session:
         self._thread = threading.Thread(target=self._loop, name="oimppi-control", daemon=True)
 
     def start(self) -> None:
-        """Begin with the control loop."""
-        self._thread.start()
+        """Begin with the control loop, unless it goes already."""
+        if not self._thread.is_alive():
+            self._thread.start()
 
     def close(self) -> None:
         """End it."""
@@ -96,6 +97,16 @@ class Session:
         if self._thread.is_alive():
             self._thread.join()
         self._builder.shutdown(cancel_futures=True)
+
+    @property
+    def running(self) -> Episode:
+        """The episode that runs now."""
+        return self._episode
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode is at its end."""
+        return self._over
 
     @property
     def rate(self) -> float:
