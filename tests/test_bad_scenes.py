@@ -157,10 +157,10 @@ def far_reference(stage: Usd.Stage) -> None:
 
 
 MISTAKES = {
-    "centimetres": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 0.01), "not in metres", "metersPerUnit is 0.01, given"),
-    "no unit": (lambda s: s.ClearMetadata("metersPerUnit"), "not in metres", "not given, which means 0.01"),
-    "y up": (lambda s: UsdGeom.SetStageUpAxis(s, "Y"), "Y is up", "allowed: Z"),
-    "grams": (lambda s: UsdPhysics.SetStageKilogramsPerUnit(s, 0.001), "not in kilograms", "kilogramsPerUnit"),
+    "no unit": (lambda s: s.ClearMetadata("metersPerUnit"), "the unit of length is not given", "1 for metres"),
+    "no axis": (lambda s: s.ClearMetadata("upAxis"), "which axis is up is not given", '"Z" for z'),
+    "no length": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 0.0), "metersPerUnit is 0", "above zero"),
+    "no weight": (lambda s: UsdPhysics.SetStageKilogramsPerUnit(s, -1.0), "kilogramsPerUnit is -1", "above zero"),
     "a missing reference": (far_reference, "nowhere.usda", "to do:"),
     "no task": (drop("/World", "OimppiTaskAPI"), "no task", "apply OimppiTaskAPI"),
     "no robot": (without(ROBOT), "no robot", "OimppiRobotAPI"),
