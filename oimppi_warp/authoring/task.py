@@ -186,7 +186,7 @@ def _write_table(stage: Usd.Stage) -> None:
     table = box(stage, "/World/Table", center, size, Look(TABLE_COLOR, collide=True))
     apply_api(table, "OimppiTableAPI")
     bind_physics(table, physics_material(stage, "/World/Materials/Table", TABLE_FRICTION))
-    if not collider_prims(stage.GetPrimAtPath("/World/Robot/base")):
+    if not any(collider_prims(stage.GetPrimAtPath("/World/Robot/base"))):
         return
     # The arm is bolted to the table: the lowest capsule of its base reaches into the plate.
     UsdPhysics.FilteredPairsAPI.Apply(table).CreateFilteredPairsRel().SetTargets(["/World/Robot/base"])
