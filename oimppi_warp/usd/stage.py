@@ -10,7 +10,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from pxr import Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
-from oimppi_warp.errors import SceneError
+from oimppi_warp.errors import Problem, SceneError
 
 P = ParamSpec("P")
 Read = TypeVar("Read")
@@ -78,6 +78,11 @@ class SceneStage:
         """A :class:`SceneError` at a prim of this file."""
         place = prim if isinstance(prim, str) else prim.GetPath()
         return SceneError(what, file=self.file, prim=place, allowed=allowed, fix=fix)
+
+    def doubt(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> Problem:
+        """A warning at a prim of this file."""
+        place = prim if isinstance(prim, str) else str(prim.GetPath())
+        return Problem(str(self.file), "warning", place, what, allowed, fix)
 
     def _check_units(self) -> None:
         convert = "export the scene again with this setting; the physics in it is not converted on reading"
@@ -192,6 +197,12 @@ def schema_default(name: str) -> Any:
         if name in prim.attributes:
             return prim.attributes[name].default
     raise KeyError(name)
+
+
+@cache
+def schema_attributes() -> dict[str, tuple[str, ...]]:
+    """Our API schemas with the names of their attributes."""
+    return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}
 
 
 def scales(frame: Gf.Matrix4d) -> np.ndarray:
