@@ -22,6 +22,7 @@ from oimppi_warp.cache import cached, content_of
 from oimppi_warp.footprint import LimitSurface, Piece, core_points, footprint, height_range, limit_surface, outline
 from oimppi_warp.kernels import clearance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
+from oimppi_warp.reach import stretched_length
 from oimppi_warp.scene import Collider, Scene
 
 STEP = 0.01
@@ -187,11 +188,7 @@ def _clearance_field(
 
 def arm_reach_bound(scene: Scene) -> float:
     """A bound on how far the tool can be from the base's axis: the stretched length of the chain [m]."""
-    joints = scene.robot.joints
-    links = [np.linalg.norm(joint.parent_transform[:3]) for joint in joints[1:]]
-    ways = [max(abs(joint.lower), abs(joint.upper)) for joint in joints if joint.kind == "prismatic"]
-    aside = np.linalg.norm(joints[0].parent_transform[:2])
-    return float(sum(links) + np.linalg.norm(scene.robot.tip[:3]) + aside + sum(ways))
+    return stretched_length(scene.robot)
 
 
 def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:

@@ -10,12 +10,11 @@ from itertools import product
 import numpy as np
 import shapely
 
-from oimppi_warp.footprint import rotation_matrix
-from oimppi_warp.kinematics import tip_frame, tip_jacobian, turning
+from oimppi_warp.kinematics import link_frames, tip_frame, tip_jacobian, turning
 from oimppi_warp.scene import Robot
 
-_DIRECTIONS = 24
-"""Directions in which the border is looked for, where an arm does not turn about the base's axis."""
+_SIDES = 32
+"""Sides of the polygon around a disc that is carried along."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 Wanted = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -55,22 +54,41 @@ class Reach:
 def reach_of(robot: Robot) -> Reach:
     """Where a robot's tip gets.
 
-    From its start configuration the tip is led to the table and outwards, until no joint positions within the limits
-    are found any more: in one direction where the arm turns about the base's axis, else in all. A robot of sliding
-    joints gets wherever their limits leave room.
+    From its start configuration the tip is led to the table and away from the axis of the first joint that turns, until
+    no joint positions within the limits are found any more: the arm gets so far to all sides. Joints that slide before
+    that one carry this disc along. A robot of sliding joints alone gets wherever their limits leave room. Where the
+    first joint that turns does not stand upright, the stretched length of the chain is the bound.
     """
-    if turns_about_base(robot):
-        start = float(np.linalg.norm(tip_frame(robot, robot.start)[1][:2]))
-        return Reach(_farthest(robot, start, lambda radius: lambda tip: _at_radius(tip, radius)))
-    border = _corners(robot) if not turning(robot).any() else _border(robot)
+    turns = np.flatnonzero(turning(robot))
+    if not len(turns):
+        return _region(_corners(robot, robot.dof))
+    first = int(turns[0])
+    rotations, positions = link_frames(robot, robot.start)
+    axis, carried = positions[first][:2], np.hypot(*rotations[:first, :2, 2].T) > 1e-6
+    if abs(rotations[first][2, 2]) < 1.0 - 1e-9:
+        return Reach(stretched_length(robot))
+    free = np.append(~carried, np.ones(robot.dof - first, dtype=bool))
+    radius = _farthest(robot, axis, free)
+    if not carried.any() and np.hypot(*axis) < 1e-9:
+        return Reach(radius)
+    angles = np.arange(_SIDES) * 2.0 * np.pi / _SIDES
+    disc = radius / np.cos(np.pi / _SIDES) * np.column_stack([np.cos(angles), np.sin(angles)])
+    offset = axis - tip_frame(robot, robot.start)[1][:2]
+    return _region((_corners(robot, first)[:, None] + offset + disc).reshape(-1, 2))
+
+
+def stretched_length(robot: Robot) -> float:
+    """A bound on how far the tip can be from the base's axis [m]."""
+    links = [np.linalg.norm(joint.parent_transform[:3]) for joint in robot.joints[1:]]
+    ways = [max(abs(joint.lower), abs(joint.upper)) for joint in robot.joints if joint.kind == "prismatic"]
+    aside = np.linalg.norm(robot.joints[0].parent_transform[:2])
+    return float(sum(links) + np.linalg.norm(robot.tip[:3]) + aside + sum(ways))
+
+
+def _region(points: np.ndarray) -> Reach:
+    """The convex hull of points [n, 2]."""
+    border = shapely.get_coordinates(shapely.convex_hull(shapely.multipoints(points)))[:-1]
     return Reach(float(np.hypot(*border.T).max()), border)
-
-
-def turns_about_base(robot: Robot) -> bool:
-    """Whether the first joint turns all that follows about the base's axis."""
-    first = robot.joints[0]
-    upright = abs(rotation_matrix(first.parent_transform[3:])[2, 2]) > 1.0 - 1e-9
-    return first.kind == "revolute" and upright and bool(np.hypot(*first.parent_transform[:2]) < 1e-9)
 
 
 @lru_cache(maxsize=8)
@@ -92,49 +110,32 @@ def joints_for(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray 
     return _led(robot, joints, lambda at: (np.eye(3), at - tip))
 
 
-def _at_radius(tip: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """At a distance from the base's axis, on the table."""
-    outwards = np.array([tip[0], tip[1], 0.0]) / max(np.hypot(tip[0], tip[1]), 1e-9)
-    return np.array([outwards, _UP]), np.array([outwards @ tip - radius, tip[2]])
+def _corners(robot: Robot, count: int) -> np.ndarray:
+    """Where the tip is with each of the first sliding joints at one of its limits, the others at their start [m]."""
+    limits = product(*[(joint.lower, joint.upper) for joint in robot.joints[:count]])
+    return np.array([tip_frame(robot, np.array([*ends, *robot.start[count:]]))[1][:2] for ends in limits])
 
 
-def _along(tip: np.ndarray, direction: np.ndarray, distance: float, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """So far in a direction from the origin, at a height."""
-    return np.array([direction, _UP]), np.array([direction @ tip - distance, tip[2] - height])
+def _farthest(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
+    """How far from an axis [2] the tip gets with the joints that are free, led there step by step; 0: nowhere [m]."""
 
+    def at(radius: float) -> Wanted:
+        def away(tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            x, y = tip[:2] - axis
+            outwards = np.array([x, y, 0.0]) / max(np.hypot(x, y), 1e-9)
+            return np.array([outwards, _UP]), np.array([np.hypot(x, y) - radius, tip[2]])
 
-def _corners(robot: Robot) -> np.ndarray:
-    """Where the tip is with each sliding joint at one of its limits, shape [n, 2] [m]."""
-    limits = [(joint.lower, joint.upper) for joint in robot.joints]
-    return np.array([tip_frame(robot, np.array(joints))[1][:2] for joints in product(*limits)])
+        return away
 
-
-def _border(robot: Robot) -> np.ndarray:
-    """The farthest point in each direction, shape [direction, 2] [m]."""
-    tip, points = tip_frame(robot, robot.start)[1], []
-    height = 0.0 if can_lift(robot) else float(tip[2])
-    for angle in (np.arange(_DIRECTIONS) + 0.5) * 2.0 * np.pi / _DIRECTIONS:
-        direction = np.array([np.cos(angle), np.sin(angle), 0.0])
-        distance = _farthest(robot, float(direction @ tip), lambda d, n=direction: lambda at: _along(at, n, d, height))
-        points.append((distance, direction[:2]))
-    # The region's corners are where the lines across the directions meet.
-    ends, normals = np.array([d for d, _ in points]), np.array([n for _, n in points])
-    pairs = np.stack([normals, np.roll(normals, -1, axis=0)], axis=1)
-    return np.linalg.solve(pairs, np.stack([ends, np.roll(ends, -1)], axis=1)[..., None])[..., 0]
-
-
-def _farthest(robot: Robot, begin: float, wanted: Callable[[float], Wanted]) -> float:
-    """The largest distance for which joint positions are found, led there step by step; zero where none are [m]."""
-    joints, step, distance = _led(robot, robot.start, wanted(begin)), 0.05, begin
-    if joints is None:
-        return 0.0
-    while step > 5e-4:
-        further = _led(robot, joints, wanted(distance + step))
+    radius = float(np.linalg.norm(tip_frame(robot, robot.start)[1][:2] - axis))
+    joints, step = _led(robot, robot.start, at(radius), free), 0.05
+    while step > 5e-4 and joints is not None:
+        further = _led(robot, joints, at(radius + step), free)
         if further is None:
             step /= 2.0
         else:
-            joints, distance = further, distance + step
-    return distance
+            joints, radius = further, radius + step
+    return 0.0 if joints is None else radius
 
 
 def _rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -144,8 +145,11 @@ def _rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return linear, np.cross(angular.T, axis).T[:2]
 
 
-def _led(robot: Robot, joints: np.ndarray, wanted: Wanted) -> np.ndarray | None:
-    """Joint positions with the tip as wanted and the tool pointing down: damped Gauss-Newton within the limits."""
+def _led(robot: Robot, joints: np.ndarray, wanted: Wanted, free: np.ndarray | None = None) -> np.ndarray | None:
+    """Joint positions with the tip as wanted and the tool pointing down: damped Gauss-Newton within the limits.
+
+    Only the joints that are free [dof] move; default: all.
+    """
     lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
     q = np.array(joints, dtype=float)
     for _ in range(60):
@@ -157,6 +161,8 @@ def _led(robot: Robot, joints: np.ndarray, wanted: Wanted) -> np.ndarray | None:
             return q
         linear, tilting = _rates(robot, q)
         jacobian = np.vstack([directions @ linear, tilting])
+        if free is not None:
+            jacobian = jacobian * free
         q = q - jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-6 * np.eye(len(error)), error)
         q = np.clip(q, lower, upper)
     return None

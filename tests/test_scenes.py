@@ -266,3 +266,10 @@ def test_only_what_has_a_role_collides(scenes, name):
     bodies = (scene.object, *scene.robot.links, scene.robot.base, *scene.obstacles)
     known = {collider.path for body in bodies for collider in body.colliders}
     assert colliding == known | {scene.table.path}
+
+
+def test_every_shipped_scene_has_its_picture_and_its_command():
+    page = (ROOT / "docs" / "scenes.md").read_text()
+    for scene in shipped_scenes():
+        assert f"(images/view/{scene.name}.png)" in page and f"oimppi view {scene.name} " in page
+        assert (ROOT / "docs" / "images" / "view" / f"{scene.name}.png").is_file()

@@ -15,7 +15,7 @@ from oimppi_warp.scene import Collider, Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.world import World
 
-SCENES = ("task01", "task02", "task03", "task03_wide", "task04", "task05", "lab01", "lab02")
+SCENES = ("task01", "task02", "task03", "task03_wide", "task04", "task05", "lab01", "lab02", "point01", "arm7_01")
 
 FLOAT32 = 1e-6
 """Tolerance of what went through single precision: metres, or parts of a unit quaternion."""

@@ -14,12 +14,13 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # the package as it stands beside this script
 
 import scene_arm7  # noqa: E402
-import scene_objects  # noqa: E402
 import scene_point  # noqa: E402
 import scene_robot  # noqa: E402
 import scene_tasks  # noqa: E402
 
-from oimppi_warp.authoring import schema, task  # noqa: E402
+from oimppi_warp.authoring import catalog, schema, task  # noqa: E402
+
+NOTE = "Written by tools/make_scenes.py; do not edit by hand."
 
 
 def write_all(folder: Path) -> None:
@@ -31,10 +32,10 @@ def write_all(folder: Path) -> None:
     scene_robot.write(scenes / "robots")
     scene_arm7.write(scenes / "robots")
     scene_point.write(scenes / "robots")
-    for thing in scene_objects.THINGS:
-        thing.write(scenes / "objects" / f"{thing.name}.usda")
+    for thing in catalog.THINGS:
+        thing.write(scenes / "objects" / f"{thing.name}.usda", note=NOTE)
     for each in scene_tasks.TASKS:
-        task.write(each, scenes)
+        task.write(each, scenes, note=NOTE)
 
 
 if __name__ == "__main__":

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 
-from scene_objects import LETTER_I, LETTER_O, LETTER_R, LETTER_S, SOUP_CAN, T_BLOCK
-
+from oimppi_warp.authoring.catalog import LETTER_I, LETTER_O, LETTER_R, LETTER_S, SOUP_CAN, T_BLOCK
 from oimppi_warp.authoring.task import Block, Standing, Task
 
 YELLOW, CREAM, NAVY = (0.75, 0.55, 0.08), (0.72, 0.66, 0.5), (0.08, 0.12, 0.3)
@@ -58,7 +57,7 @@ TASKS = (
         ),
     ),
     Task("arm7_01", "Push the T across an open table with an arm of seven joints", *_T, robot="arm7"),
-    Task("point01", "Push the T across an open table with a point that slides in x and y", *_T, robot="point"),
+    Task("point01", "Push the T across an open table with a point robot", *_T, robot="point"),
     Task("lab01", "Push the soup can across the table, as in the laboratory", *_LAB, (), *_LAB_TOLERANCES),
     Task(
         "lab02",

@@ -174,6 +174,11 @@ def prism(stage: Usd.Stage, path: str, polygon: np.ndarray, height: float, look:
     return mesh(stage, path, points, [list(range(n))[::-1], list(range(n, 2 * n)), *sides], look)
 
 
+def about_z(yaw: float) -> np.ndarray | None:
+    """A turn about z [rad] as a quaternion xyzw; none where there is nothing to turn."""
+    return np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]) if yaw else None
+
+
 def z_to(direction: Vector) -> np.ndarray:
     """The shortest rotation that turns z into ``direction``, as a quaternion xyzw."""
     d = np.asarray(direction, float) / np.linalg.norm(direction)

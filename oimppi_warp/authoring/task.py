@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
@@ -10,18 +11,21 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 from oimppi_warp.authoring.prims import (
     Color,
     Look,
+    about_z,
     apply_api,
     attribute,
     bind_physics,
     box,
+    cylinder,
     new_stage,
     physics_material,
     place_planar,
     rounded,
 )
 from oimppi_warp.authoring.robot import pose_robot
-from oimppi_warp.authoring.thing import Thing
-from oimppi_warp.feasibility import draw_start
+from oimppi_warp.authoring.thing import Pushable
+from oimppi_warp.errors import SceneError
+from oimppi_warp.feasibility import check_task, draw_start
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.colliders import collider_prims
 
@@ -37,11 +41,23 @@ PAPER, TIGHT = (0.2, 0.5), (0.05, 0.1)  # m, rad
 
 @dataclass(frozen=True)
 class Block:
-    """A static box standing on the table: centre (x, y) and side lengths (x, y, z) [m]."""
+    """A static box standing on the table: centre (x, y) and side lengths (x, y, z) [m], turned by yaw [rad]."""
 
     name: str
     center: tuple[float, float]
     size: tuple[float, float, float]
+    color: Color = OBSTACLE_COLOR
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True)
+class Pillar:
+    """A static upright cylinder standing on the table: centre (x, y), radius and height [m]."""
+
+    name: str
+    center: tuple[float, float]
+    radius: float
+    height: float
     color: Color = OBSTACLE_COLOR
 
 
@@ -50,31 +66,53 @@ class Standing:
     """A thing that stands fast as an obstacle."""
 
     name: str
-    thing: Thing
+    thing: Pushable
     pose: Pose
+
+
+Obstacle = Block | Pillar | Standing
 
 
 @dataclass(frozen=True)
 class Task:
-    """One scene; poses are (x [m], y [m], yaw [rad])."""
+    """One scene; poses are (x [m], y [m], yaw [rad]).
+
+    Attributes:
+        name: Name of its file.
+        title: One line about it.
+        thing: What is pushed.
+        start, goal: From where to where.
+        obstacles: What stands in its way.
+        tolerance, tight: Success, and a stricter measure beside it: position [m] and yaw [rad].
+        robot_start: Joint positions at the start [rad]; none: the robot's own.
+        robot: Name of the robot's file in ``robots/``.
+    """
 
     name: str
     title: str
-    thing: Thing
+    thing: Pushable
     start: Pose
     goal: Pose
-    obstacles: tuple[Block | Standing, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
     tolerance: tuple[float, float] = PAPER
     tight: tuple[float, float] = TIGHT
     robot_start: tuple[float, ...] = field(default=())
     robot: str = "xarm6"
 
 
-def write(task: Task, folder: Path) -> None:
-    """Write a task's scene to ``folder``, where ``robots`` and ``objects`` already are."""
-    stage = new_stage(
-        folder / f"{task.name}.usda", "World", f"{task.title}. Written by tools/make_scenes.py; do not edit by hand."
-    )
+def write(task: Task, folder: Path, *, note: str = "") -> Path:
+    """Write a task's scene to ``folder``, where ``robots`` and ``objects`` already are.
+
+    Args:
+        task: The task.
+        folder: Where to.
+        note: What the file's documentation says beyond the title.
+
+    Raises:
+        SceneError: The task cannot be done (:func:`oimppi_warp.feasibility.check_task`).
+    """
+    file = folder / f"{task.name}.usda"
+    stage = new_stage(file, "World", ". ".join(filter(None, (task.title, note))))
     world = stage.GetDefaultPrim()
     Usd.ModelAPI(world).SetKind("assembly")
     apply_api(world, "OimppiTaskAPI")
@@ -100,21 +138,44 @@ def write(task: Task, folder: Path) -> None:
     body.GetReferences().AddReference(f"./objects/{task.thing.name}.usda")
     UsdPhysics.RigidBodyAPI.Apply(body)
     apply_api(body, "OimppiObjectAPI")
-    place_planar(body, task.start, task.thing.height / 2)
+    place_planar(body, task.start, task.thing.rest_height)
 
     material = physics_material(stage, "/World/Materials/Obstacle", OBSTACLE_FRICTION)
     for obstacle in task.obstacles:
         _write_obstacle(stage, obstacle, material)
 
     ghost = UsdGeom.Xform.Define(stage, "/World/Goal").GetPrim()
-    place_planar(ghost, task.goal, task.thing.height / 2)
+    place_planar(ghost, task.goal, task.thing.rest_height)
     task.thing.draw(stage, "/World/Goal", Look(task.thing.color, opacity=0.25))
     stage.Save()
 
-    # The nine others are drawn from the scene as it now is; `oimppi run --seed` draws from 0 upwards, and so not these.
-    scene = load_scene(folder / f"{task.name}.usda")
-    starts = [task.start, *(draw_start(scene, seed) for seed in range(1001, 1010))]
-    attribute(world, "oimppi:starts", types.Double3Array, [Gf.Vec3d(*rounded(start)) for start in starts])
+    add_starts(stage, file)
+    return file
+
+
+def add_starts(stage: Usd.Stage, file: Path) -> None:
+    """List the start with nine others around it; where there is less room for them, from a smaller spread.
+
+    They are drawn from the scene as it is in its file; `oimppi run --seed` draws from 0 upwards, and so not these.
+
+    Raises:
+        SceneError: The task cannot be done from its own start.
+    """
+    scene = load_scene(file)
+    check_task(scene)
+    for share in (1.0, 0.5, 0.25, 0.125, 0.0):
+        spread = (share * SPREAD[0], share * SPREAD[1])
+        tried = replace(scene, spread=spread)
+        drawn: list[Pose] = []
+        if share:
+            with suppress(SceneError):  # no room to draw from: the next share is smaller
+                drawn = [draw_start(tried, seed) for seed in range(1001, 1010)]
+        if drawn or not share:
+            break
+    world = stage.GetDefaultPrim()
+    world.GetAttribute("oimppi:spread").Set(Gf.Vec2d(*spread))
+    starts = [Gf.Vec3d(*rounded(start)) for start in (scene.start, *drawn)]
+    attribute(world, "oimppi:starts", Sdf.ValueTypeNames.Double3Array, starts)
     stage.Save()
 
 
@@ -125,23 +186,27 @@ def _write_table(stage: Usd.Stage) -> None:
     table = box(stage, "/World/Table", center, size, Look(TABLE_COLOR, collide=True))
     apply_api(table, "OimppiTableAPI")
     bind_physics(table, physics_material(stage, "/World/Materials/Table", TABLE_FRICTION))
-    if not collider_prims(stage.GetPrimAtPath("/World/Robot/base")):
+    if not any(collider_prims(stage.GetPrimAtPath("/World/Robot/base"))):
         return
     # The arm is bolted to the table: the lowest capsule of its base reaches into the plate.
     UsdPhysics.FilteredPairsAPI.Apply(table).CreateFilteredPairsRel().SetTargets(["/World/Robot/base"])
 
 
-def _write_obstacle(stage: Usd.Stage, obstacle: Block | Standing, material: UsdShade.Material) -> None:
+def _write_obstacle(stage: Usd.Stage, obstacle: Obstacle, material: UsdShade.Material) -> None:
     UsdGeom.Scope.Define(stage, "/World/Obstacles")
     path = f"/World/Obstacles/{obstacle.name}"
     if isinstance(obstacle, Block):
         center = (*obstacle.center, obstacle.size[2] / 2)
-        prim = box(stage, path, center, obstacle.size, Look(obstacle.color, collide=True))
+        prim = box(stage, path, center, obstacle.size, Look(obstacle.color, collide=True), about_z(obstacle.yaw))
+        bind_physics(prim, material)
+    elif isinstance(obstacle, Pillar):
+        center = (*obstacle.center, obstacle.height / 2)
+        prim = cylinder(stage, path, center, obstacle.radius, obstacle.height, Look(obstacle.color, collide=True))
         bind_physics(prim, material)
     else:
         prim = stage.DefinePrim(path)
         prim.GetReferences().AddReference(f"./objects/{obstacle.thing.name}.usda")
-        place_planar(prim, obstacle.pose, obstacle.thing.height / 2)
+        place_planar(prim, obstacle.pose, obstacle.thing.rest_height)
     apply_api(prim, "OimppiObstacleAPI")
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from pxr import Usd, UsdGeom
@@ -46,6 +47,38 @@ class Disc:
     radius: float
 
 
+class Pushable(Protocol):
+    """What a task can be written with: an object that has a file of its own.
+
+    Attributes:
+        name: Name of its file.
+        doc: What it is.
+        color: It is drawn in.
+    """
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def doc(self) -> str: ...  # noqa: D102
+    @property
+    def color(self) -> Color: ...  # noqa: D102
+    @property
+    def rest_height(self) -> float:
+        """Height of its frame when it lies on the table [m]."""
+        ...
+
+    @property
+    def turns(self) -> bool:
+        """Whether its yaw can be seen."""
+        ...
+
+    def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
+        """Write its shape below ``root``."""
+
+    def write(self, file: Path, *, note: str = "") -> None:
+        """Write the object's file."""
+
+
 @dataclass(frozen=True)
 class Thing:
     """A flat object: convex pieces that do not overlap, all of one height.
@@ -70,6 +103,16 @@ class Thing:
     friction: float
     color: Color
 
+    @property
+    def rest_height(self) -> float:
+        """Height of its frame when it lies on the table [m]."""
+        return self.height / 2
+
+    @property
+    def turns(self) -> bool:
+        """Whether its yaw can be seen: a disc's cannot."""
+        return not all(isinstance(piece, Disc) for piece in self.pieces)
+
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
         """Write the pieces below ``root``."""
         for number, piece in enumerate(self.pieces):
@@ -81,9 +124,9 @@ class Thing:
             else:
                 prism(stage, path, piece, self.height, look)
 
-    def write(self, file: Path) -> None:
-        """Write the object's file."""
-        stage = new_stage(file, self.prim, f"{self.doc}. Written by tools/make_scenes.py; do not edit by hand.")
+    def write(self, file: Path, *, note: str = "") -> None:
+        """Write the object's file; ``note`` is what its documentation says beyond what it is."""
+        stage = new_stage(file, self.prim, ". ".join(filter(None, (self.doc, note))))
         root = stage.GetDefaultPrim()
         material = physics_material(stage, f"/{self.prim}/Material", self.friction)
         UsdGeom.Scope.Define(stage, f"/{self.prim}/shape")

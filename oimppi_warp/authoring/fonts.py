@@ -1,0 +1,73 @@
+"""Outlines of the characters of an installed font."""
+
+from __future__ import annotations
+
+import difflib
+from functools import cache
+from pathlib import Path
+
+import shapely
+from matplotlib import font_manager
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+from shapely.geometry.base import BaseGeometry
+
+from oimppi_warp.errors import ConfigError
+
+COARSE = 0.0012
+"""How far an outline may be from the font's curve [m]: fewer corners make fewer convex pieces."""
+
+_POINTS = 100.0
+
+
+def glyph_outline(character: str, font: str, cap: float) -> BaseGeometry:
+    """What a character covers, on the base line y = 0 [m].
+
+    Args:
+        character: One character.
+        font: An installed font's name, or the file of one.
+        cap: Height of the font's capital H [m].
+
+    Raises:
+        ConfigError: There is no such font, or it has no such character.
+    """
+    properties = _properties(font)
+    scale = cap / TextPath((0.0, 0.0), "H", _POINTS, prop=properties).get_extents().height
+    if ord(character) not in font_manager.get_font(font_manager.findfont(properties)).get_charmap():
+        raise ConfigError(f"{character!r}: the font {font} has no such character\n  allowed: characters that it has")
+    rings = TextPath((0.0, 0.0), character, _POINTS, prop=properties).to_polygons(closed_only=True)
+    outline = _filled([shapely.Polygon(scale * ring) for ring in rings if len(ring) > 3])
+    if outline.is_empty:
+        raise ConfigError(f"{character!r} is blank in the font {font}\n  allowed: characters that can be seen")
+    return shapely.simplify(outline, COARSE)
+
+
+def _filled(rings: list[shapely.Polygon]) -> BaseGeometry:
+    """The area within contours: those that run as the largest does are filled, the others are holes."""
+    if not rings:
+        return shapely.Polygon()
+    ways = [ring.exterior.is_ccw for ring in rings]
+    outer = ways[max(range(len(rings)), key=lambda i: rings[i].area)]
+    whole = [shapely.make_valid(ring) for ring in rings]
+    filled = shapely.union_all([ring for ring, way in zip(whole, ways, strict=True) if way == outer])
+    return shapely.difference(
+        filled, shapely.union_all([r for r, way in zip(whole, ways, strict=True) if way != outer])
+    )
+
+
+@cache
+def _properties(font: str) -> FontProperties:
+    """How matplotlib finds a font."""
+    if Path(font).is_file():
+        return FontProperties(fname=font)
+    properties = FontProperties(family=font)
+    try:
+        font_manager.findfont(properties, fallback_to_default=False)
+    except ValueError:
+        names = sorted({entry.name for entry in font_manager.fontManager.ttflist})
+        near = difflib.get_close_matches(font, names, n=3, cutoff=0.4) or names[:5]
+        raise ConfigError(
+            f"--font {font}: no such font is installed\n  allowed: a font's file, or one of "
+            f"{len(names)} installed ones, such as {', '.join(near)}"
+        ) from None
+    return properties

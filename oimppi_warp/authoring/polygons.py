@@ -1,0 +1,66 @@
+"""Any flat shape as convex pieces that do not overlap, as colliders have to be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import combinations
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+from shapely.geometry.polygon import orient
+
+GRID = 1e-5
+"""Distance of the points that corners are rounded to [m]."""
+
+LEAST_AREA = 1e-8
+"""Pieces that are smaller are dust of the arithmetic [m^2]."""
+
+
+def convex_pieces(shape: BaseGeometry) -> tuple[np.ndarray, ...]:
+    """Cut a shape into convex pieces.
+
+    It is triangulated (constrained Delaunay), and neighbours whose union is convex are joined again, those with the
+    longest common edge first (Hertel and Mehlhorn, 1983: at most four times as many pieces as there need be).
+
+    Args:
+        shape: A polygon or several, holes included [m].
+
+    Returns:
+        Convex polygons, counter-clockwise, shape [n, 2] each [m]; from left to right.
+    """
+    clean = shapely.set_precision(shape, GRID)
+    triangles = [part for part in shapely.constrained_delaunay_triangles(clean).geoms if part.area > LEAST_AREA]
+    pieces = _join(triangles)
+    corners = [_corners(piece) for piece in pieces]
+    return tuple(sorted(corners, key=lambda polygon: tuple(np.round(polygon.mean(axis=0), 6))))
+
+
+def _join(parts: Iterable[shapely.Polygon]) -> list[shapely.Polygon]:
+    """Join convex neighbours while their union is convex."""
+    alive = dict(enumerate(parts))
+    edges = {(i, j): _common(alive[i], alive[j]) for i, j in combinations(alive, 2)}
+    edges = {pair: length for pair, length in edges.items() if length > GRID}
+    while edges:
+        (i, j), _ = max(edges.items(), key=lambda item: (round(item[1], 9), item[0]))
+        joined = shapely.union(alive[i], alive[j], grid_size=GRID)
+        if joined.geom_type != "Polygon" or joined.convex_hull.area - joined.area > LEAST_AREA:
+            del edges[i, j]
+            continue
+        number = max(alive) + 1
+        del alive[i], alive[j]
+        alive[number] = joined
+        around = {a if b in (i, j) else b for a, b in edges if {a, b} & {i, j}} - {i, j}
+        edges = {pair: length for pair, length in edges.items() if not {i, j} & set(pair)}
+        edges |= {(k, number): _common(alive[k], joined) for k in around}
+    return list(alive.values())
+
+
+def _common(a: shapely.Polygon, b: shapely.Polygon) -> float:
+    """Length of the edge that two polygons share [m]."""
+    return shapely.length(shapely.intersection(a.exterior, b.exterior)) if a.intersects(b) else 0.0
+
+
+def _corners(piece: shapely.Polygon) -> np.ndarray:
+    """A convex polygon's corners, counter-clockwise; those on a straight edge are left out."""
+    return np.round(np.asarray(orient(piece.convex_hull.simplify(GRID / 2)).exterior.coords)[:-1], 6)
