@@ -62,6 +62,41 @@ def with_y_up(stage: Usd.Stage) -> None:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
 
 
+def reframed(stage: Usd.Stage, path: str, by: Gf.Rotation, joints: tuple[str, ...] = ()) -> None:
+    """Turn the frame of a body, but nothing that is in it.
+
+    Args:
+        stage: The stage.
+        path: The body.
+        by: The new frame in the old one.
+        joints: Joints that start at the body.
+    """
+    turned = Gf.Matrix4d().SetRotate(by)
+    body = stage.GetPrimAtPath(path)
+    UsdGeom.Xformable(body).AddOrientOp(UsdGeom.XformOp.PrecisionDouble, "drawn").Set(by.GetQuat())
+    for part in body.GetChildren():
+        if part.IsA(UsdGeom.Xformable):
+            _prepend(UsdGeom.Xformable(part), turned.GetInverse())
+        for inner in part.GetChildren() if not part.IsA(UsdGeom.Xformable) else ():
+            _prepend(UsdGeom.Xformable(inner), turned.GetInverse())
+    center, axes = (body.GetAttribute(f"physics:{name}") for name in ("centerOfMass", "principalAxes"))
+    if center:
+        center.Set(Gf.Vec3f(turned.GetInverse().Transform(Gf.Vec3d(center.Get()))))
+        axes.Set(Gf.Quatf(by.GetInverse().GetQuat() * Gf.Quatd(axes.Get())))
+    for name in joints:
+        joint = UsdPhysics.Joint(stage.GetPrimAtPath(name))
+        joint.CreateLocalPos0Attr(Gf.Vec3f(turned.GetInverse().Transform(Gf.Vec3d(joint.GetLocalPos0Attr().Get()))))
+        orientation = by.GetInverse().GetQuat() * Gf.Quatd(joint.GetLocalRot0Attr().Get())
+        joint.CreateLocalRot0Attr(Gf.Quatf(orientation))
+
+
+def _prepend(xform: UsdGeom.Xformable, matrix: Gf.Matrix4d) -> None:
+    operations = xform.GetOrderedXformOps()
+    turn = xform.AddTransformOp(UsdGeom.XformOp.PrecisionDouble, "drawn")
+    turn.Set(matrix)
+    xform.SetXformOpOrder([turn, *operations])
+
+
 def written(stage: Usd.Stage, file: Path) -> Path:
     """Write a stage to a file."""
     stage.GetRootLayer().Export(str(file))

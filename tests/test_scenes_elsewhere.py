@@ -6,9 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from elsewhere import differences, flat, measured_in, with_y_up, written
-from pxr import Usd
+import shapely
+from elsewhere import differences, flat, measured_in, reframed, with_y_up, written
+from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
+from oimppi_warp.clearance import to_center
+from oimppi_warp.errors import SceneError
+from oimppi_warp.feasibility import object_outline
+from oimppi_warp.footprint import limit_surface
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.plant import SimulatedPlant
@@ -83,3 +88,72 @@ def test_a_file_in_other_units_is_left_as_it_is(tmp_path):
     assert "metersPerUnit = 1\n" in saved.read_text()
     assert differences(scene.with_goal((0.4, 0.3, 0.0)), load_scene(saved), tolerance=1e-6) == []
     assert Usd.Stage.Open(str(scene.file)).GetMetadata("upAxis") == "Y"
+
+
+Y_TO_Z = Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), 90.0)
+TURNS = {
+    "y up": Y_TO_Z.GetInverse(),
+    "y down": Y_TO_Z,
+    "x up": Gf.Rotation(Gf.Vec3d(0.0, 1.0, 0.0), 90.0),
+    "z down": Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), 180.0),
+}
+
+
+@pytest.mark.parametrize("name", ["task02", "task05", "lab02"])
+@pytest.mark.parametrize("drawn", TURNS)
+def test_an_object_drawn_with_another_axis_up_is_given_a_frame_with_z_up(tmp_path, name, drawn):
+    stage = flat(name)
+    reframed(stage, "/World/Object", TURNS[drawn])
+    scene, expected = load_scene(written(stage, tmp_path / f"{name}.usda")), load_scene(name)
+    assert scene.object.rest_height == pytest.approx(expected.object.rest_height, abs=1e-6)
+    here, there = (object_outline(each, each.start) for each in (scene, expected))
+    assert shapely.area(shapely.symmetric_difference(here, there)) < 1e-6
+    assert to_center(limit_surface(scene.object), np.array(scene.start))[:2] == pytest.approx(
+        to_center(limit_surface(expected.object), np.array(expected.start))[:2], abs=1e-6
+    )
+
+
+def test_an_object_drawn_with_y_up_moves_as_the_same_object(tmp_path):
+    stage = flat("task05")
+    reframed(stage, "/World/Object", TURNS["y up"])
+    scene = load_scene(written(stage, tmp_path / "task05.usda"))
+    assert differences(load_scene("task05"), scene, tolerance=1e-6) == []
+    np.testing.assert_allclose(pushed(scene)[1], pushed(load_scene("task05"))[1], atol=SAME)
+
+
+def test_a_robot_and_an_object_drawn_with_y_up_on_a_stage_with_y_up_are_the_same_task(tmp_path):
+    stage = flat("task02")
+    with_y_up(stage)
+    reframed(stage, "/World/Object", TURNS["y up"])
+    reframed(stage, "/World/Robot/base", Y_TO_Z, ("/World/Robot/joints/joint1",))
+    mount = UsdPhysics.Joint(stage.GetPrimAtPath("/World/Robot/joints/mount"))
+    mount.GetLocalRot0Attr().Set(Gf.Quatf(1.0))
+    base = stage.GetPrimAtPath("/World/Robot/base")
+    world = UsdGeom.Xformable(base).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+    np.testing.assert_allclose(np.array(world), np.eye(4), atol=1e-9)
+
+    scene = load_scene(written(stage, tmp_path / "task02.usda"))
+    assert differences(load_scene("task02"), scene, tolerance=1e-6) == []
+    joints = np.array([0.3, -0.4, -0.2, 0.1, 0.5, -0.3])
+    links = (World(each).link_transforms(joints) for each in (scene, load_scene("task02")))
+    np.testing.assert_allclose(*(np.abs(each) for each in links), atol=1e-5)
+
+
+def test_a_base_held_elsewhere_than_it_stands_is_a_mistake(tmp_path):
+    stage = flat("task02")
+    UsdPhysics.Joint(stage.GetPrimAtPath("/World/Robot/joints/mount")).CreateLocalPos0Attr(Gf.Vec3f(0.0, 0.0, 0.3))
+    with pytest.raises(SceneError, match="holds the base elsewhere than where it stands"):
+        load_scene(written(stage, tmp_path / "task02.usda"))
+
+
+def test_a_table_turned_by_a_quarter_is_as_broad_as_it_looks(tmp_path):
+    stage = flat("task02")
+    table = stage.GetPrimAtPath("/World/Table")
+    table.GetAttribute("xformOp:scale").Set(Gf.Vec3d(1.6, 1.25, 0.04))
+    _, scale = UsdGeom.Xformable(table).GetOrderedXformOps()
+    turn = UsdGeom.Xformable(table).AddRotateZOp()
+    turn.Set(90.0)
+    UsdGeom.Xformable(table).SetXformOpOrder([UsdGeom.Xformable(table).GetOrderedXformOps()[0], turn, scale])
+    scene = load_scene(written(stage, tmp_path / "task02.usda"))
+    assert scene.table.lower == pytest.approx((-0.25, -0.8))
+    assert scene.table.upper == pytest.approx((1.0, 0.8))

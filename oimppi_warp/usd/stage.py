@@ -12,6 +12,7 @@ from pxr import Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
 from oimppi_warp.errors import Problem, SceneError
 from oimppi_warp.usd.units import to_si, to_z_up
+from oimppi_warp.usd.upright import stand_upright
 
 P = ParamSpec("P")
 Read = TypeVar("Read")
@@ -70,6 +71,7 @@ class SceneStage:
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         to_si(self.stage)
         to_z_up(self.stage)
+        stand_upright(self.stage)
 
     def keep(self, mistake: SceneError) -> None:
         """Note a mistake and go on; where none are collected, raise it."""
