@@ -177,10 +177,10 @@ def _places(values: np.ndarray, wanted: np.ndarray | int) -> np.ndarray:
 
 def _content(scene: Scene) -> str:
     """Hash of all that a scene's MuJoCo model is made from: its layers, what is set here, and who translates."""
-    from oimppi_warp.usd import stage, units, upright
+    from oimppi_warp.usd import meshes, stage, units, upright
 
     digest = hashlib.sha256()
-    for source in (__file__, newton_model.__file__, units.__file__, upright.__file__):
+    for source in (__file__, newton_model.__file__, units.__file__, upright.__file__, meshes.__file__):
         digest.update(Path(source).read_bytes())
     for layer in sorted(stage.SceneStage(scene.file).layers):
         digest.update(layer.read_bytes())

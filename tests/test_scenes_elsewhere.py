@@ -7,19 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+import trimesh
 from elsewhere import differences, flat, measured_in, reframed, with_y_up, written
-from pxr import Gf, Usd, UsdGeom, UsdPhysics
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
+from oimppi_warp.authoring.check import check_scene
 from oimppi_warp.clearance import to_center
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import object_outline
-from oimppi_warp.footprint import limit_surface
+from oimppi_warp.footprint import footprint, limit_surface, outline
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
+from oimppi_warp.newton_model import ROLES
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.plant import SimulatedPlant
 from oimppi_warp.reach import joints_for
 from oimppi_warp.scene import Scene
-from oimppi_warp.usd import load_scene
+from oimppi_warp.usd import load_scene, scene_content, shipped_scenes
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.world import World
 
@@ -157,3 +160,133 @@ def test_a_table_turned_by_a_quarter_is_as_broad_as_it_looks(tmp_path):
     scene = load_scene(written(stage, tmp_path / "task02.usda"))
     assert scene.table.lower == pytest.approx((-0.25, -0.8))
     assert scene.table.upper == pytest.approx((1.0, 0.8))
+
+
+def box_mesh(stage: Usd.Stage, path: str, approximation: str | None) -> None:
+    """A cube of 0.1 m as a triangle mesh in the place of task02's."""
+    stage.GetPrimAtPath("/World/Obstacles/Cube").SetActive(False)
+    solid = trimesh.creation.box((0.1, 0.1, 0.1))
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr([Gf.Vec3f(*map(float, point)) for point in solid.vertices])
+    mesh.CreateFaceVertexCountsAttr([3] * len(solid.faces))
+    mesh.CreateFaceVertexIndicesAttr([int(i) for face in solid.faces for i in face])
+    mesh.AddTranslateOp().Set(Gf.Vec3d(0.5, 0.05, 0.05))
+    UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
+    mesh.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+    material = UsdShade.Material(stage.GetPrimAtPath("/World/Materials/Obstacle"))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material, materialPurpose="physics")
+    if approximation is not None:
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(approximation)
+
+
+@pytest.mark.parametrize(
+    ("approximation", "kind", "radius"),
+    [
+        (None, "mesh", 0.05),
+        ("none", "mesh", 0.05),
+        ("convexHull", "mesh", 0.05),
+        ("boundingCube", "box", 0.05),
+        ("boundingSphere", "sphere", 0.05 * 3**0.5),
+    ],
+)
+def test_a_mesh_collides_as_the_convex_shape_that_stands_for_it(tmp_path, approximation, kind, radius):
+    stage = flat("task02")
+    box_mesh(stage, "/World/Obstacles/Mesh", approximation)
+    scene = load_scene(written(stage, tmp_path / "task02.usda"))
+    ((collider,),) = [obstacle.colliders for obstacle in scene.obstacles]
+    assert collider.kind == kind
+    x0, y0, x1, y1 = outline(footprint([collider])).bounds
+    assert (x0, y0, x1, y1) == pytest.approx((0.5 - radius, 0.05 - radius, 0.5 + radius, 0.05 + radius), abs=1e-3)
+    model = World(scene).newton
+    assert list(model.roles).count(ROLES.index("obstacle")) == 1
+    assert 0 not in model.roles
+
+
+def test_meshes_in_instances_are_simplified_too(tmp_path):
+    library = Usd.Stage.CreateNew(str(tmp_path / "library.usda"))
+    UsdGeom.SetStageMetersPerUnit(library, 1.0)
+    UsdGeom.SetStageUpAxis(library, "Z")
+    source = flat("task02")
+    box_mesh(source, "/World/Obstacles/Mesh", "boundingCube")
+    library.SetDefaultPrim(UsdGeom.Xform.Define(library, "/Block").GetPrim())
+    Sdf.CopySpec(source.GetRootLayer(), "/World/Obstacles/Mesh", library.GetRootLayer(), "/Block/Mesh")
+    library.GetPrimAtPath("/Block/Mesh").RemoveAppliedSchema("OimppiObstacleAPI")
+    library.GetPrimAtPath("/Block/Mesh").RemoveProperty("material:binding:physics")
+    library.Save()
+    stage = flat("task01")
+    for i, x in enumerate((0.0, 0.2)):
+        block = UsdGeom.Xform.Define(stage, f"/World/Obstacles/Block{i}")
+        block.GetPrim().GetReferences().AddReference(str(tmp_path / "library.usda"))
+        block.GetPrim().SetInstanceable(True)
+        block.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+        block.AddTranslateOp().Set(Gf.Vec3d(x, 0.0, 0.0))
+    scene = load_scene(written(stage, tmp_path / "task01.usda"))
+    centers = [collider.transform[0] for obstacle in scene.obstacles for collider in obstacle.colliders]
+    assert centers == pytest.approx([0.5, 0.7])
+    assert list(World(scene).newton.roles).count(ROLES.index("obstacle")) == 2
+
+
+def packed(folder: Path) -> Path:
+    """task02 with all that it refers to as one USDZ file."""
+    (shipped,) = [scene.path for scene in shipped_scenes() if scene.name == "task02"]
+    assert UsdUtils.CreateNewUsdzPackage(str(shipped), str(folder / "task02.usdz"))
+    return folder / "task02.usdz"
+
+
+def test_a_packed_scene_is_the_same_task(tmp_path):
+    file = packed(tmp_path)
+    scene = load_scene(file)
+    assert differences(load_scene("task02"), scene, tolerance=1e-9) == []
+    assert scene_content(file) == scene_content(file)
+    assert [problem for problem in check_scene(file) if problem.severity == "error"] == []
+    assert World(scene).newton.model.body_count == World(load_scene("task02")).newton.model.body_count
+
+
+def test_a_scene_with_variants_is_read_with_those_that_are_selected(tmp_path):
+    stage = flat("task02")
+    variants = stage.GetPrimAtPath("/World").GetVariantSets().AddVariantSet("goal")
+    for name, x in (("near", 0.4), ("far", 0.5)):
+        variants.AddVariant(name)
+        variants.SetVariantSelection(name)
+        with variants.GetVariantEditContext():
+            goal = stage.OverridePrim("/World").GetAttribute("oimppi:spread")
+            goal.Set(Gf.Vec2d(x, 0.1))
+    stage.GetRootLayer().GetPrimAtPath("/World").properties["oimppi:spread"].ClearDefaultValue()
+    for name, x in (("near", 0.4), ("far", 0.5)):
+        variants.SetVariantSelection(name)
+        assert load_scene(written(stage, tmp_path / f"{name}.usda")).spread[0] == x
+
+
+def test_payloads_and_references_of_references_are_followed(tmp_path):
+    (shipped,) = [scene.path for scene in shipped_scenes() if scene.name == "task02"]
+    for name, source in (("inner", str(shipped)), ("middle", "./inner.usda"), ("outer", "./middle.usda")):
+        stage = Usd.Stage.CreateNew(str(tmp_path / f"{name}.usda"))
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdGeom.SetStageUpAxis(stage, "Z")
+        world = stage.DefinePrim("/World")
+        stage.SetDefaultPrim(world)
+        if name == "middle":
+            world.GetPayloads().AddPayload(source)
+        else:
+            world.GetReferences().AddReference(source)
+        stage.Save()
+    assert differences(load_scene("task02"), load_scene(tmp_path / "outer.usda"), tolerance=1e-9) == []
+
+
+def test_an_obstacle_below_scaled_and_mirrored_frames_is_read_or_refused(tmp_path):
+    def nested(scale: Gf.Vec3f) -> Path:
+        stage = flat("task02")
+        outer = UsdGeom.Xform.Define(stage, "/World/Obstacles/Outer")
+        outer.AddScaleOp().Set(scale)
+        cube = UsdGeom.Cube.Define(stage, "/World/Obstacles/Outer/Block")
+        cube.CreateSizeAttr(0.1)
+        cube.AddTranslateOp().Set(Gf.Vec3d(0.3, 0.0, 0.05))
+        UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+        outer.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+        return written(stage, tmp_path / "nested.usda")
+
+    (block,) = load_scene(nested(Gf.Vec3f(2.0, 2.0, 1.0))).obstacles[-1].colliders
+    assert block.transform[:3] == pytest.approx((0.6, 0.0, 0.05))
+    assert block.size == pytest.approx((0.1, 0.1, 0.05))
+    with pytest.raises(SceneError, match="zero or negative"):
+        load_scene(nested(Gf.Vec3f(1.0, 1.0, -1.0)))

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+from pxr import Ar, Sdf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.errors import Problem
 from oimppi_warp.usd.stage import SCENES, SceneStage, schema_attributes
@@ -122,14 +122,14 @@ def _is_assets(value: object) -> bool:
 
 
 def _layers_elsewhere(stage: SceneStage) -> Iterator[Problem]:
-    for layer in stage.stage.GetUsedLayers():
-        if layer.realPath and not _belongs(stage, layer.realPath):
-            yield _elsewhere(stage, layer.realPath)
+    for file in stage.layers:
+        if not _belongs(stage, str(file)):
+            yield _elsewhere(stage, str(file))
 
 
 def _belongs(stage: SceneStage, path: str) -> bool:
     """Whether a file lies in the scene's folder or comes with the package."""
-    place = Path(path.partition("[")[0]).resolve()
+    place = Path(Ar.SplitPackageRelativePathOuter(path)[0]).resolve()
     return any(place.is_relative_to(folder.resolve()) for folder in (stage.file.parent, SCENES))
 
 
@@ -144,18 +144,12 @@ def _elsewhere(stage: SceneStage, path: str, prim: Usd.Prim | str = "") -> Probl
 
 def _layers_in_other_units(stage: SceneStage) -> Iterator[Problem]:
     """Files that are referred to with other units than the scene's: USD composes them as they are."""
-    root = stage.stage.GetRootLayer()
-    own = UsdGeom.GetStageMetersPerUnit(stage.stage)
-    axis = UsdGeom.GetStageUpAxis(stage.stage)
+    own = stage.stage.GetRootLayer().pseudoRoot.GetInfo("metersPerUnit")
     for layer in stage.stage.GetUsedLayers():
-        if layer == root or not layer.realPath:
-            continue
-        metres, up = (layer.pseudoRoot.GetInfo(name) for name in ("metersPerUnit", "upAxis"))
-        if layer.pseudoRoot.HasInfo("metersPerUnit") and abs(metres - own) > 1e-9 * own:
-            what, allowed = f"metersPerUnit is {metres:g} in {layer.realPath}", f"{own:g}, as in the scene"
-        elif layer.pseudoRoot.HasInfo("upAxis") and up != axis:
-            what, allowed = f"{up} is up in {layer.realPath}", f"{axis}, as in the scene"
-        else:
-            continue
-        fix = "convert that file, since USD takes its numbers as they are"
-        yield stage.doubt(what, allowed=allowed, fix=fix)
+        head = layer.pseudoRoot
+        if layer.realPath and head.HasInfo("metersPerUnit") and head.GetInfo("metersPerUnit") != own:
+            yield stage.doubt(
+                f"metersPerUnit is {head.GetInfo('metersPerUnit'):g} in {layer.realPath}",
+                allowed=f"{own:g}, as in the scene",
+                fix="convert that file, or scale its shapes: USD takes its numbers as they are",
+            )

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-from pxr import Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
+from pxr import Ar, Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
 from oimppi_warp.errors import Problem, SceneError
+from oimppi_warp.usd.meshes import simplify_meshes
 from oimppi_warp.usd.units import to_si, to_z_up
 from oimppi_warp.usd.upright import stand_upright
 
@@ -28,8 +29,9 @@ Plug.Registry().RegisterPlugins(str(SCHEMA))
 class SceneStage:
     """A composed USD stage in metres, kilograms and z up, and where its task, robot, object and table are.
 
-    A file in other units, or with y up, is converted as it is opened (:mod:`oimppi_warp.usd.units`). Whoever reads a
-    scene's file reads this stage, so that all read the same numbers.
+    A file in other units, with another axis up, or with meshes that a simple shape stands for, is converted as it is
+    opened (``units.py``, ``upright.py``, ``meshes.py``). Whoever reads a scene's file reads this stage, so that all
+    read the same numbers.
 
     Attributes:
         file: The USD file.
@@ -66,12 +68,13 @@ class SceneStage:
             if number == len(broken):
                 raise mistake  # what is missing would look like further mistakes
             self.keep(mistake)
-        self.layers = tuple(Path(layer.realPath) for layer in self.stage.GetUsedLayers() if layer.realPath)
+        self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
         self._check_units()
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         to_si(self.stage)
         to_z_up(self.stage)
         stand_upright(self.stage)
+        simplify_meshes(self.stage)
 
     def keep(self, mistake: SceneError) -> None:
         """Note a mistake and go on; where none are collected, raise it."""
@@ -198,6 +201,11 @@ class SceneStage:
         if not (np.isfinite(value) and value >= 0.0):
             raise self.error(f"physics:dynamicFriction is {value:g}", material.GetPrim(), allowed="zero or more")
         return value
+
+
+def file_of(layer: Sdf.Layer) -> Path:
+    """The file that a layer stands in: of one in a USDZ package, the package."""
+    return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
 
 
 @cache
