@@ -13,7 +13,6 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,8 +23,7 @@ from oimppi_warp.authoring.check_command import Check
 from oimppi_warp.authoring.robot_command import AddRobot
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
-from oimppi_warp.options import TaskOptions
-from oimppi_warp.task import make_task, parse_pose, parse_start
+from oimppi_warp.options import TaskOptions, notices
 from oimppi_warp.upkeep import Doctor, Warmup
 from oimppi_warp.view.commands import Export, View
 
@@ -54,42 +52,18 @@ class Run(TaskOptions):
 
     def execute(self) -> int:
         """Run the episode; returns the exit status."""
-        config = self.settings()
-        start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
         _check_outputs(self.record, self.json)
+        setup = self.setup()
+        console = notices()
 
-        import warp as wp
-        from rich.console import Console
-
-        from oimppi_warp import device
         from oimppi_warp.log import write_whole
         from oimppi_warp.metrics import summarize
 
-        console = Console(stderr=True, highlight=False)
-        say = partial(console.print, soft_wrap=True)
-        wp.set_logger(device.CompileNotice(say))
-        where = device.pick_device(self.device)
-        with console.status("reading the scene"):
-            scene = make_task(self.scene, start=start, goal=goal, seed=self.seed)
         with console.status("loading kernels"):
-            if not device.kernels_are_cached():
-                say("First run on this machine: compiling kernels, which takes about half a minute and is done once.")
-            from oimppi_warp.episode import Episode
-
-            episode = Episode(
-                scene,
-                config,
-                method=self.method,
-                engine=self.engine,
-                device=where,
-                threads=self.threads,
-                seed=self.seed,
-                plant=self.plant,
-                mode=self.mode,
-            )
+            episode = setup.episode()
         if episode.planner.engine_reason:
-            say(f"engine {episode.planner.engine}: {episode.planner.engine_reason}")
-        with _progress(config.episode.max_sim_seconds, console) as on_step:
+            console.print(f"engine {episode.planner.engine}: {episode.planner.engine_reason}", soft_wrap=True)
+        with _progress(setup.config.episode.max_sim_seconds, console) as on_step:
             log = episode.run(on_step=on_step)
         metrics = summarize(log)
         if self.json is not None:
@@ -100,7 +74,7 @@ class Run(TaskOptions):
             with console.status("drawing"):
                 from oimppi_warp.report import draw
 
-                draw(log, scene, self.record)
+                draw(log, setup.scene, self.record)
         _print_summary(metrics, self.record)
         if metrics.ended == "interrupted":
             return 130

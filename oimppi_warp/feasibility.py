@@ -62,7 +62,7 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
             allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
             fix=_move(name),
         )
-    for what, path, other in _surroundings(scene):
+    for what, path, other in surroundings(scene):
         if shapely.area(shapely.intersection(shape, other)) > 1e-8:
             yield SceneError(
                 f"{place} is inside {what} <{path}>",
@@ -91,7 +91,7 @@ def draw_start(scene: Scene, seed: int) -> PlanarPose:
         return scene.start
     random = np.random.default_rng(seed)
     reach = reach_of(scene.robot)
-    around = [other for _, _, other in _surroundings(scene)]
+    around = [other for _, _, other in surroundings(scene)]
     tool = _tool(scene)
     if tool is not None:
         around.append(tool)
@@ -151,7 +151,7 @@ def _within(scene: Scene) -> str:
     return f"within x from {x0:.2f} to {x1:.2f} m and y from {y0:.2f} to {y1:.2f} m"
 
 
-def _surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
+def surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
     """What the object could run into: a word for it, its prim, and what it covers at the object's height."""
     low, high = (scene.object.rest_height + z for z in height_range(scene.object.colliders))
 

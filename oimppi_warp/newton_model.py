@@ -90,10 +90,12 @@ def import_scene(scene: Scene, *, worlds: int | None = None, device: str = "cpu"
         import newton
         from newton.solvers import SolverMuJoCo
 
+        from oimppi_warp.usd.stage import SceneStage
+
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     builder.rigid_gap = 0.0  # shapes that do not touch are of no interest
     SolverMuJoCo.register_custom_attributes(builder)
-    found = builder.add_usd(str(scene.file), load_visual_shapes=False, enable_self_collisions=False)
+    found = builder.add_usd(SceneStage(scene.file).stage, load_visual_shapes=False, enable_self_collisions=False)
     bodies, joints = found["path_body_map"], found["path_joint_map"]
     robot_joints = [joints[joint.path] for joint in scene.robot.joints]
     object_body = bodies[scene.object.path]

@@ -87,7 +87,7 @@ class Robot:
 
     Attributes:
         path: Prim path.
-        base: The fixed base link.
+        base: The fixed base link; its shapes are in the world's frame.
         joints: The moving joints from base to flange, length dof.
         links: The link that each joint moves, length dof; bodies welded to the last one (the tool) count to it.
         tip: The tool's tip in the last link's frame, shape [7]; its z axis points out of the tool.

@@ -61,9 +61,37 @@ def collider(define: Callable[[Usd.Stage, str], UsdGeom.Gprim]) -> Callable[[Usd
     return change
 
 
-def triangle_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+def hollow_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    """Three faces of a tetrahedron."""
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreatePointsAttr([Gf.Vec3f(0, 0, 0), Gf.Vec3f(1, 0, 0), Gf.Vec3f(0, 1, 0), Gf.Vec3f(0, 0, 1)])
+    mesh.CreateFaceVertexCountsAttr([3, 3, 3])
+    mesh.CreateFaceVertexIndicesAttr([0, 2, 1, 0, 1, 3, 0, 3, 2])
+    return mesh
+
+
+def cut_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    mesh = hollow_mesh(stage, path)
+    UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexDecomposition")
+    return mesh
+
+
+def hull_with(face: tuple[int, ...], count: int = 3) -> Callable[[Usd.Stage, str], UsdGeom.Gprim]:
+    """The hull of a mesh with one face."""
+
+    def define(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+        mesh = UsdGeom.Mesh(hollow_mesh(stage, path).GetPrim())
+        mesh.CreateFaceVertexCountsAttr([count])
+        mesh.CreateFaceVertexIndicesAttr(list(face))
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
+        return mesh
+
+    return define
+
+
+def far_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    mesh = UsdGeom.Mesh(hull_with((0, 1, 2))(stage, path).GetPrim())
+    mesh.CreatePointsAttr([Gf.Vec3f(0, 0, math.inf), Gf.Vec3f(1, 0, 0), Gf.Vec3f(0, 1, 0), Gf.Vec3f(0, 0, 1)])
     return mesh
 
 
@@ -157,10 +185,10 @@ def far_reference(stage: Usd.Stage) -> None:
 
 
 MISTAKES = {
-    "centimetres": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 0.01), "not in metres", "metersPerUnit is 0.01, given"),
-    "no unit": (lambda s: s.ClearMetadata("metersPerUnit"), "not in metres", "not given, which means 0.01"),
-    "y up": (lambda s: UsdGeom.SetStageUpAxis(s, "Y"), "Y is up", "allowed: Z"),
-    "grams": (lambda s: UsdPhysics.SetStageKilogramsPerUnit(s, 0.001), "not in kilograms", "kilogramsPerUnit"),
+    "no unit": (lambda s: s.ClearMetadata("metersPerUnit"), "the unit of length is not given", "1 for metres"),
+    "no axis": (lambda s: s.ClearMetadata("upAxis"), "which axis is up is not given", '"Z" for z'),
+    "no length": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 0.0), "metersPerUnit is 0", "above zero"),
+    "no weight": (lambda s: UsdPhysics.SetStageKilogramsPerUnit(s, -1.0), "kilogramsPerUnit is -1", "above zero"),
     "a missing reference": (far_reference, "nowhere.usda", "to do:"),
     "no task": (drop("/World", "OimppiTaskAPI"), "no task", "apply OimppiTaskAPI"),
     "no robot": (without(ROBOT), "no robot", "OimppiRobotAPI"),
@@ -216,7 +244,11 @@ MISTAKES = {
     "an empty obstacle": (drop("/World/Obstacles/Cube", "PhysicsCollisionAPI"), "obstacle without a collider", "Cube"),
     "a moving obstacle": (add("/World/Obstacles/Cube", "PhysicsRigidBodyAPI"), "rigid body in the obstacle", "static"),
     "something without a role": (loose_ball, "no role in the task", "</World/Ball>"),
-    "a triangle mesh": (collider(triangle_mesh), "physics:approximation = none", "allowed: convexHull"),
+    "a hollow mesh": (collider(hollow_mesh), "physics:approximation = none", "allowed: convexHull"),
+    "a mesh to be cut": (collider(cut_mesh), "physics:approximation = convexDecomposition", "oimppi scene import"),
+    "a mesh with a hole": (collider(hull_with((0, 1, 7))), "name points that are not there", "a closed surface"),
+    "a mesh of lines": (collider(hull_with((0, 1), 2)), "name points that are not there", "3 or more"),
+    "a mesh at infinity": (collider(far_mesh), "points that are not finite", "allowed: numbers"),
     "a flat mesh": (collider(flat_hull), "without volume (4 points)", "a solid shape"),
     "a cone": (collider(UsdGeom.Cone.Define), "collider of type Cone", "allowed: Cube, Sphere"),
     "an ellipsoid": (collider(uneven_sphere), "scaled unevenly", "one scale"),

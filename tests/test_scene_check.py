@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from pxr import Gf, Usd, UsdGeom, UsdPhysics
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from test_bad_scenes import START, TIP, drop, goal_to, object_to, prim, put, walls, without
 from variants import variant
 
@@ -198,3 +198,156 @@ def test_a_stage_without_anything_is_told_all_that_it_needs(tmp_path):
     whats = [mistake.what for mistake in inspect_scene(variant(tmp_path, nothing)).mistakes]
     assert whats == ["no task", "no robot", "no table", "no object"]
     assert not prim(Usd.Stage.Open(str(tmp_path / "variant.usda")), ROBOT)
+
+
+def barrier(gap: float):
+    """A wall across the table of task01, with one gap of this width."""
+
+    def change(stage: Usd.Stage) -> None:
+        for name, left, right in (("A", -0.25, -0.05), ("B", 0.05, 0.44), ("C", 0.44 + gap, 1.0)):
+            cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/{name}")
+            cube.CreateSizeAttr(1.0)
+            cube.AddTranslateOp().Set(Gf.Vec3d((left + right) / 2, -0.02, 0.05))
+            cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(right - left, 0.14, 0.1))
+            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+            cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+
+    return change
+
+
+def test_a_gap_narrower_than_the_object_is_warned_of_with_its_sides_and_by_how_much(tmp_path):
+    problem = check_scene(variant(tmp_path, barrier(0.12), "task01"))[-1]
+    assert problem.severity == "warning"
+    assert problem.what.startswith("no way to the goal is free from the object's start and 9 others: at (")
+    assert "between the obstacle </World/Obstacles/B> and the obstacle </World/Obstacles/C>" in problem.what
+    assert "which are 120 mm apart: about " in problem.what
+    missing = float(
+        problem.what.rpartition("apart: about ")[2].split()[0]
+    )  # the T is 150 mm broad where it is narrowest
+    assert missing == pytest.approx(30.0, abs=12.0)
+    assert problem.what.endswith("mm less than the object needs there")
+
+
+def test_a_gap_that_the_object_hardly_fits_through_is_warned_of(tmp_path):
+    problem = check_scene(variant(tmp_path, barrier(0.162), "task01"))[-1]
+    assert problem.what.startswith("the way to the goal is narrow: at (")
+    assert problem.what.endswith("162 mm apart: about 4 mm more than the object needs there")
+
+
+def test_a_gap_that_is_wide_enough_is_nothing_to_warn_of(tmp_path):
+    assert found(variant(tmp_path, barrier(0.2), "task01")) == []
+
+
+def test_listed_starts_without_a_way_are_warned_of(tmp_path):
+    starts = [Gf.Vec3d(0.5, 0.3, 0.0), Gf.Vec3d(0.3, -0.45, 0.0), Gf.Vec3d(0.3, -0.4, 0.0)]
+    at_the_goal = [put(OBJECT, "xformOp:translate", Gf.Vec3d(0.5, 0.3, 0.025)), put("/World", "oimppi:starts", starts)]
+    problem = check_scene(variant(tmp_path, several(barrier(0.12), *at_the_goal), "task01"))[-1]
+    assert problem.what.startswith("no way to the goal is free from the object's start 1 and 1 others: ")
+
+
+def test_any_yaw_will_do_at_a_goal_without_one(tmp_path):
+    change = several(barrier(0.12), put("/World", "oimppi:tolerance", Gf.Vec2d(0.1, float("inf"))))
+    assert "no way to the goal is free" in found(variant(tmp_path, change, "task01"))[-1][1]
+    assert found("lab02")[1:] == []
+
+
+def author(path: str, name: str, kind: Sdf.ValueTypeName, value: object):
+    """Give a prim an attribute that it does not have."""
+    return lambda stage: prim(stage, path).CreateAttribute(name, kind, custom=True).Set(value)
+
+
+def texture(path: str):
+    return author("/World/Table", "inputs:file", Sdf.ValueTypeNames.Asset, Sdf.AssetPath(path))
+
+
+def timed(stage: Usd.Stage) -> None:
+    prim(stage, "/World/Obstacles/Cube").GetAttribute("xformOp:translate").Set(Gf.Vec3d(0.5, 0.05, 0.05), 1.0)
+
+
+def schema(path: str, name: str):
+    return lambda stage: prim(stage, path).AddAppliedSchema(name)
+
+
+double, double2 = Sdf.ValueTypeNames.Double, Sdf.ValueTypeNames.Double2
+DOUBTFUL = {
+    "a misspelt attribute": (
+        author("/World", "oimppi:tolerence", double2, Gf.Vec2d(0.1)),
+        ("/World", "an attribute that nothing reads: oimppi:tolerence", "did you mean oimppi:tolerance?"),
+    ),
+    "a misspelt namespace": (
+        author("/World", "oimpi:goal", double2, Gf.Vec2d(0.1)),
+        ("/World", "an attribute that nothing reads: oimpi:goal", "did you mean oimppi:goal?"),
+    ),
+    "an attribute in the wrong place": (
+        author(OBJECT, "oimppi:goal", double2, Gf.Vec2d(0.1)),
+        (OBJECT, "oimppi:goal does nothing here", "on a prim with OimppiTaskAPI"),
+    ),
+    "a misspelt schema": (
+        schema("/World/Table", "OimppiObstackleAPI"),
+        ("/World/Table", "an API schema that does not exist: OimppiObstackleAPI", "did you mean OimppiObstacleAPI?"),
+    ),
+    "a prim that moves in time": (
+        timed,
+        (CUBE, "xformOp:translate with time samples, which are not read", "default value"),
+    ),
+    "a texture that is not there": (
+        texture("./wood.png"),
+        ("/World/Table", "inputs:file names a file that is not there: ./wood.png", "counts from the file"),
+    ),
+    "a texture from elsewhere": (
+        texture(__file__),
+        ("/World/Table", f"a file outside the scene's folder is used: {__file__}", "copy it there"),
+    ),
+    "an inertia that no body has": (
+        put(f"{ROBOT}/link3", "physics:diagonalInertia", Gf.Vec3f(0.001, 0.001, 0.01)),
+        (f"{ROBOT}/link3", "physics:diagonalInertia is (0.001, 0.001, 0.01), which no body can have", "leave it out"),
+    ),
+    "an object of feathers": (
+        several(put(OBJECT, "physics:mass", 0.001), put(OBJECT, "physics:diagonalInertia", Gf.Vec3f(0.0))),
+        (OBJECT, "a mass of 0.001 kg in a volume of 0.75 litres is 1.33 kg/m^3", "10 (foam) to 20000 (gold)"),
+    ),
+    "an object heavier than gold": (
+        several(put(OBJECT, "physics:mass", 50.0), put(OBJECT, "physics:diagonalInertia", Gf.Vec3f(0.0))),
+        (OBJECT, "a mass of 50 kg in a volume of 0.75 litres is 6.67e+04 kg/m^3", "correct physics:mass"),
+    ),
+    "an inertia of another object": (
+        put(OBJECT, "physics:diagonalInertia", Gf.Vec3f(0.09, 0.12, 0.19)),
+        (OBJECT, "physics:diagonalInertia is 96", "0.25 to 4 times"),
+    ),
+    "a centre of mass beside the object": (
+        put(OBJECT, "physics:centerOfMass", Gf.Vec3f(0.2, 0.0, 0.0)),
+        (OBJECT, "physics:centerOfMass (0.2, 0, 0) is outside the object", "leave it out"),
+    ),
+}
+
+
+@pytest.mark.parametrize("doubt", DOUBTFUL)
+def test_what_is_allowed_but_hardly_meant_is_warned_of(tmp_path, doubt):
+    change, (path, what, more) = DOUBTFUL[doubt]
+    problem = check_scene(variant(tmp_path, change))[0]
+    assert problem.severity == "warning"
+    assert problem.prim == path
+    assert problem.what.startswith(what)
+    assert more in f"{problem.allowed} {problem.fix}"
+
+
+def test_a_file_in_other_units_that_is_referred_to_is_warned_of(tmp_path):
+    other = Usd.Stage.CreateNew(str(tmp_path / "post.usda"))
+    UsdGeom.SetStageMetersPerUnit(other, 0.01)
+    other.SetDefaultPrim(UsdGeom.Cylinder.Define(other, "/Post").GetPrim())
+    other.Save()
+
+    def change(stage: Usd.Stage) -> None:
+        stage.DefinePrim("/World/Decoration").GetReferences().AddReference("./post.usda")
+
+    (problem,) = check_scene(variant(tmp_path, change))
+    assert problem.what == f"metersPerUnit is 0.01 in {tmp_path.resolve()}/post.usda"
+    assert problem.allowed == "1, as in the scene"
+
+
+def test_warnings_help_where_a_scene_cannot_be_read(tmp_path):
+    file = variant(tmp_path, several(drop("/World/Table", "OimppiTableAPI"), schema("/World/Table", "OimppiTabelAPI")))
+    assert found(file) == [
+        ("error", "no table"),
+        ("warning", "an API schema that does not exist: OimppiTabelAPI"),
+    ]

@@ -9,7 +9,7 @@ from newton.viewer import ViewerNull
 from pxr import Usd, UsdGeom
 
 from oimppi_warp.config import Config
-from oimppi_warp.episode import Episode
+from oimppi_warp.episode import Episode, Setup
 from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.log import EpisodeLog, LogError
 from oimppi_warp.observation import planar_pose, planar_transform
@@ -21,7 +21,7 @@ from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.export import export, rows_of
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.replay import Replay
-from oimppi_warp.view.session import SAMPLED, Session, Setup
+from oimppi_warp.view.session import SAMPLED, Session
 
 
 def small(samples: int = 64) -> Config:

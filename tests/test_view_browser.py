@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from oimppi_warp.episode import Episode
+from oimppi_warp.episode import Episode, Setup
 from oimppi_warp.presets import best
 from oimppi_warp.settings import set_option
 from oimppi_warp.usd import load_scene
@@ -21,7 +21,7 @@ from oimppi_warp.view.browser import open_viewer
 from oimppi_warp.view.export import export
 from oimppi_warp.view.live import LiveView
 from oimppi_warp.view.replay import Replay, ReplayView
-from oimppi_warp.view.session import Session, Setup
+from oimppi_warp.view.session import Session
 
 playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

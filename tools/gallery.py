@@ -19,12 +19,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from oimppi_warp.episode import Setup
 from oimppi_warp.presets import best
 from oimppi_warp.task import make_task
 from oimppi_warp.usd import shipped_scenes
 from oimppi_warp.view.browser import open_viewer
 from oimppi_warp.view.canvas import Canvas
-from oimppi_warp.view.session import Session, Setup
+from oimppi_warp.view.session import Session
 
 SIZE = (720, 450)
 """Of a picture [pixel]."""

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
@@ -39,10 +40,14 @@ class Check:
         """Print what was found; returns the exit status."""
         if not self.files:
             raise ConfigError("no file to check\n  allowed: one or more USD files, or names of shipped scenes")
+        import warp as wp
         from rich.console import Console
 
+        from oimppi_warp import device
         from oimppi_warp.authoring.check import check_scene
 
+        wp.set_logger(device.CompileNotice(partial(print, file=sys.stderr)))
+        device.start_warp()
         console = Console(highlight=False, emoji=False, markup=False)
         problems: list[Problem] = []
         missing = False

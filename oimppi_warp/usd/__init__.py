@@ -133,9 +133,7 @@ def scene_content(file: Path) -> str:
     Raises:
         SceneError: It is not USD.
     """
-    opened = SceneStage(file)  # kept, because its layers live as long as it does
-    files = [Path(layer.realPath) for layer in opened.stage.GetUsedLayers() if layer.realPath]
-    found = sorted(hashlib.sha256(each.read_bytes()).hexdigest() for each in files)
+    found = sorted(hashlib.sha256(each.read_bytes()).hexdigest() for each in SceneStage(file).layers)
     return hashlib.sha256("".join(found).encode()).hexdigest()[:24]
 
 

@@ -10,6 +10,7 @@ from pxr import Gf, Usd, UsdGeom
 from oimppi_warp.errors import SceneError
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.usd.stage import SceneStage
 
 
 def save_scene(scene: Scene, file: str | Path, *, moves: Mapping[str, PlanarPose] | None = None) -> Path:
@@ -29,7 +30,7 @@ def save_scene(scene: Scene, file: str | Path, *, moves: Mapping[str, PlanarPose
     if file.suffix not in (".usda", ".usdc"):
         raise SceneError(f"{file.name}: not the name of a scene", file=file, allowed="a name with .usda or .usdc")
     # A flattened copy: the layers of the file itself are shared by all in this process that have it open.
-    flat = Usd.Stage.Open(str(scene.file)).Flatten(addSourceFileComment=False)
+    flat = SceneStage(scene.file).stage.Flatten(addSourceFileComment=False)
     stage = Usd.Stage.Open(flat)
     root = stage.GetDefaultPrim()
     root.GetAttribute("oimppi:goal").Set(Gf.Vec3d(*scene.goal))

@@ -85,15 +85,19 @@ class _Chain:
             )
         base = self.ends(mounts[0])[1]
         assert base is not None
-        frame = np.array(scene.body_frame(base))
-        if not np.allclose(frame, np.eye(4), atol=1e-6):
+        frame = scene.body_frame(base)
+        position = np.array(frame.ExtractTranslation())
+        if not np.allclose(position, 0.0, atol=1e-6):
+            what = f"the robot's base is at {np.round(position, 4).tolist()}"
+            raise scene.error(what, base, allowed="at the world's origin", fix="move everything else instead")
+        held, at = joint_frames(mounts[0])
+        if not np.allclose(np.array(at.GetInverse() * held), np.array(frame), atol=1e-5):
+            fix = "make its physics:localPos0 and localRot0 the base's frame in the world, or place the base there"
             raise scene.error(
-                f"the robot's base is at {np.round(frame[3, :3], 4).tolist()}",
-                base,
-                allowed="at the world's origin, turned by nothing",
-                fix="move everything else instead",
+                "a joint that holds the base elsewhere than where it stands", mounts[0].GetPrim(), fix=fix
             )
-        self.base = self.link([(base, Gf.Matrix4d(1.0))])
+        self.base_frame = frame
+        self.base = self.link([(base, frame)])  # what is fixed has its shapes in the world's frame
         self.base_prim = base
         self.welded: list[tuple[Usd.Prim, Gf.Matrix4d]] = []
         self.reached: set[Sdf.Path] = set()
@@ -184,6 +188,8 @@ class _Chain:
                 f"a joint {'about' if turns else 'along'} its {axis} axis", prim, allowed="physics:axis = Z"
             )
         before, after = joint_frames(joint)
+        if self.ends(joint)[0] == self.base_prim:
+            before = before * self.base_frame
         if not np.allclose(np.array(after), np.eye(4), atol=1e-6):
             raise scene.error(
                 "a joint whose frame is not that of the link it moves",

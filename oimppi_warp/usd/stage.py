@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-from pxr import Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
+from pxr import Ar, Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
-from oimppi_warp.errors import SceneError
+from oimppi_warp.errors import Problem, SceneError
+from oimppi_warp.usd.meshes import simplify_meshes
+from oimppi_warp.usd.units import to_si, to_z_up
+from oimppi_warp.usd.upright import stand_upright
 
 P = ParamSpec("P")
 Read = TypeVar("Read")
@@ -26,12 +29,22 @@ Plug.Registry().RegisterPlugins(str(SCHEMA))
 class SceneStage:
     """A composed USD stage in metres, kilograms and z up, and where its task, robot, object and table are.
 
+    A file in other units, with another axis up, or with meshes that a simple shape stands for, is converted as it is
+    opened (``units.py``, ``upright.py``, ``meshes.py``). Whoever reads a scene's file reads this stage, so that all
+    read the same numbers.
+
+    Attributes:
+        file: The USD file.
+        stage: The stage; what is set on it goes to its session layer, and leaves the file as it is.
+        layers: The files that it is composed of.
+
     Args:
         file: The USD file.
         mistakes: Where mistakes are collected; without it, the first one is raised.
 
     Raises:
-        SceneError: There is no such file, it is not USD, something that it refers to is missing, or it has other units.
+        SceneError: There is no such file, it is not USD, something that it refers to is missing, or its units are not
+            given.
     """
 
     def __init__(self, file: Path, mistakes: list[SceneError] | None = None) -> None:
@@ -55,7 +68,13 @@ class SceneStage:
             if number == len(broken):
                 raise mistake  # what is missing would look like further mistakes
             self.keep(mistake)
+        self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
         self._check_units()
+        self.stage.SetEditTarget(self.stage.GetSessionLayer())
+        to_si(self.stage)
+        to_z_up(self.stage)
+        stand_upright(self.stage)
+        simplify_meshes(self.stage)
 
     def keep(self, mistake: SceneError) -> None:
         """Note a mistake and go on; where none are collected, raise it."""
@@ -79,19 +98,23 @@ class SceneStage:
         place = prim if isinstance(prim, str) else prim.GetPath()
         return SceneError(what, file=self.file, prim=place, allowed=allowed, fix=fix)
 
+    def doubt(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> Problem:
+        """A warning at a prim of this file."""
+        place = prim if isinstance(prim, str) else str(prim.GetPath())
+        return Problem(str(self.file), "warning", place, what, allowed, fix)
+
     def _check_units(self) -> None:
-        convert = "export the scene again with this setting; the physics in it is not converted on reading"
-        metres = UsdGeom.GetStageMetersPerUnit(self.stage)
-        if abs(metres - 1.0) > 1e-9:
-            given = "given" if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage) else "not given, which means 0.01"
-            what = f"lengths are not in metres (metersPerUnit is {metres:g}, {given})"
-            raise self.error(what, allowed="1", fix=convert)
-        if UsdGeom.GetStageUpAxis(self.stage) != UsdGeom.Tokens.z:
-            raise self.error("Y is up (upAxis)", allowed="Z", fix=convert)
-        kilograms = UsdPhysics.GetStageKilogramsPerUnit(self.stage)
-        if abs(kilograms - 1.0) > 1e-9:
-            what = f"masses are not in kilograms (kilogramsPerUnit is {kilograms:g})"
-            raise self.error(what, allowed="1", fix=convert)
+        """What is said about units is converted; what is not said is not guessed."""
+        lengths, masses = UsdGeom.GetStageMetersPerUnit(self.stage), UsdPhysics.GetStageKilogramsPerUnit(self.stage)
+        if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
+            what = "the unit of length is not given: by USD's rule it would be a centimetre"
+            raise self.error(what, allowed="metersPerUnit", fix="give it at the head of the file: 1 for metres")
+        if not self.stage.HasAuthoredMetadata("upAxis"):
+            what = "which axis is up is not given: by USD's rule it would be y"
+            raise self.error(what, allowed='upAxis "Y" or "Z"', fix='give it at the head of the file: "Z" for z')
+        for name, unit in (("metersPerUnit", lengths), ("kilogramsPerUnit", masses)):
+            if not (np.isfinite(unit) and unit > 0.0):
+                raise self.error(f"{name} is {unit:g}", allowed="a number above zero")
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
         """All active prims below ``root`` (itself included), those in instances too, in the order of the file."""
@@ -180,6 +203,11 @@ class SceneStage:
         return value
 
 
+def file_of(layer: Sdf.Layer) -> Path:
+    """The file that a layer stands in: of one in a USDZ package, the package."""
+    return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
+
+
 @cache
 def _schema_layer() -> Any:
     return Sdf.Layer.FindOrOpen(str(SCHEMA / "generatedSchema.usda"))
@@ -192,6 +220,12 @@ def schema_default(name: str) -> Any:
         if name in prim.attributes:
             return prim.attributes[name].default
     raise KeyError(name)
+
+
+@cache
+def schema_attributes() -> dict[str, tuple[str, ...]]:
+    """Our API schemas with the names of their attributes."""
+    return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}
 
 
 def scales(frame: Gf.Matrix4d) -> np.ndarray:

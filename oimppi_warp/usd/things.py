@@ -7,7 +7,7 @@ import math
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdPhysics
 
-from oimppi_warp.footprint import height_range
+from oimppi_warp.footprint import height_range, rotation_matrix
 from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
 from oimppi_warp.usd.robot import read_mass
@@ -26,22 +26,30 @@ def read_table(stage: SceneStage) -> Table:
         SceneError: There is none or more than one, or it is not a level box with its top at z = 0.
     """
     prim = stage.the("OimppiTableAPI", "table", "the box that the object slides on")
-    allowed = "a Cube with CollisionAPI, aligned with the world's axes (yaw 0), its top at z = 0"
+    allowed = "a Cube with CollisionAPI, aligned with the world's axes, its top at z = 0"
     moving = _moving_parts(stage, prim, "table")
     colliders = read_colliders(stage, prim, _WORLD)
+    tops = []
     for collider in colliders:
-        if _is_level(collider) and abs(collider.transform[2] + collider.size[2]) < 1e-6:
-            (x, y), (hx, hy) = collider.transform[:2], collider.size[:2]
-            return Table(str(prim.GetPath()), (float(x - hx), float(y - hy)), (float(x + hx), float(y + hy)))
+        half = _level_half(collider)
+        if half is not None:
+            center, top = collider.transform[:3], collider.transform[2] + half[2]
+            if abs(top) < 1e-6:
+                lower, upper = (center - half)[:2].tolist(), (center + half)[:2].tolist()
+                return Table(str(prim.GetPath()), (lower[0], lower[1]), (upper[0], upper[1]))
+            tops.append(f"{top:.4g} m")
     if moving or len(colliders) < len(list(collider_prims(prim))):
         return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are known
-    tops = [f"{each.transform[2] + each.size[2]:.4g} m" for each in colliders if _is_level(each)]
     found = f"; what is flat has its top at {', '.join(tops)}" if tops else ""
     raise stage.error(f"a table without a flat top at z = 0{found}", prim, allowed=allowed)
 
 
-def _is_level(collider: Collider) -> bool:
-    return collider.kind == "box" and np.allclose(np.abs(collider.transform[3:]), (0, 0, 0, 1), atol=1e-6)
+def _level_half(collider: Collider) -> np.ndarray | None:
+    """Half extents in the world of a box aligned with its axes, shape [3] [m]; ``None`` for any other shape."""
+    turned = np.abs(rotation_matrix(collider.transform[3:]))
+    if collider.kind != "box" or not np.allclose(turned, np.round(turned), atol=1e-6):
+        return None
+    return np.round(turned) @ np.asarray(collider.size)
 
 
 def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
@@ -121,7 +129,8 @@ def check_roles(stage: SceneStage) -> None:
 def _check_lies(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:
     """An object lies flat, and neither above nor in the table."""
     if abs(pose[3]) > 1e-4 or abs(pose[4]) > 1e-4:
-        stage.keep(stage.error("an object that does not lie flat", prim, allowed="turned about z only"))
+        fix = "turn it until one of its axes points up; turn its shapes in it if they are drawn askew"
+        stage.keep(stage.error("an object that does not lie flat", prim, allowed="turned about z only", fix=fix))
         return
     above = float(pose[2]) - rest_height
     if abs(above) > FLOATING:

@@ -1,0 +1,167 @@
+"""A closed surface as convex pieces, and how far they are from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import coacd
+import numpy as np
+import shapely
+import trimesh
+from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
+
+from oimppi_warp.authoring.moments import moments, points_in_box
+
+Hull = tuple[np.ndarray, np.ndarray]
+"""Corners [n, 3] [m] and triangles [m, 3] of a convex piece."""
+
+THRESHOLDS = (0.05, 0.02)
+"""CoACD's concavity, coarse to fine: the first that is close enough is taken."""
+
+CLOSE = (0.04, 0.04, 0.004)
+"""Close enough: errors of the volume and of the footprint, and distance of the surfaces [m]."""
+
+PIECES, CORNERS = 32, 64
+"""Most pieces of an object, and most corners of a piece."""
+
+_POINTS = 60_000  # that a volume is sampled with
+_ON_SURFACE = 8000  # that a distance is sampled with
+_WALL = 2e-3  # slits between pieces that are narrower are none to a stick [m]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How far convex pieces are from the mesh that they stand for.
+
+    Attributes:
+        volume: Volume of their union over the mesh's, less one.
+        footprint: What only one of them covers of the table, over what the mesh covers.
+        distance: Hausdorff distance of the surfaces, sampled [m].
+    """
+
+    volume: float
+    footprint: float
+    distance: float
+
+    @property
+    def close(self) -> bool:
+        """Whether it is good enough to stop."""
+        return abs(self.volume) < CLOSE[0] and self.footprint < CLOSE[1] and self.distance < CLOSE[2]
+
+    def __str__(self) -> str:
+        """The three errors in words."""
+        return (
+            f"volume {100 * self.volume:+.1f} %, footprint {100 * self.footprint:.1f} %, "
+            f"at most {1000 * self.distance:.1f} mm off"
+        )
+
+
+def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
+    """Cut a closed surface into convex pieces with CoACD (Wei et al., 2022).
+
+    It is cut finer until the pieces are :data:`CLOSE` to the mesh or as many as :data:`PIECES`.
+
+    Args:
+        mesh: A closed surface [m].
+
+    Returns:
+        The pieces, and how far they are from the mesh.
+    """
+    solids = mesh.split(only_watertight=False)
+    coacd.set_log_level("error")
+    best: tuple[tuple[Hull, ...], Fit] | None = None
+    for threshold in THRESHOLDS:
+        hulls = tuple(hull for solid in solids for hull in _cut(solid, threshold, PIECES // len(solids)))
+        fit = compare(mesh, hulls)
+        if best is None or fit.footprint + fit.distance < best[1].footprint + best[1].distance:
+            best = hulls, fit
+        if fit.close or len(hulls) >= PIECES:
+            break
+    assert best is not None
+    return best
+
+
+def _cut(solid: trimesh.Trimesh, threshold: float, most: int) -> list[Hull]:
+    """Convex pieces of one solid part."""
+    if solid.is_convex:
+        return [_hull(solid.vertices)]
+    parts = coacd.run_coacd(
+        coacd.Mesh(solid.vertices, solid.faces),
+        threshold=threshold,
+        max_convex_hull=max(most, 2),
+        decimate=True,
+        max_ch_vertex=CORNERS,
+        seed=0,
+    )
+    return [_hull(np.asarray(corners)) for corners, _ in parts]
+
+
+def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
+    """How far convex pieces are from the closed surface that they stand for."""
+    covered, shadow = shadow_of(mesh.vertices, mesh.faces), shapely.union_all([_shadow_of_hull(h) for h in hulls])
+    footprint = shapely.area(shapely.symmetric_difference(covered, shadow)) / shapely.area(covered)
+    volume = _volume_of_union(hulls) / moments(mesh).volume - 1.0
+    there, _ = trimesh.sample.sample_surface(mesh, _ON_SURFACE, seed=0)
+    whole = trimesh.util.concatenate([trimesh.Trimesh(*hull) for hull in hulls])
+    here = _outer_points(whole, hulls)
+    ways = distances(whole, np.vstack([there, mesh.vertices])), distances(mesh, here)
+    return Fit(float(volume), float(footprint), float(max(way.max(initial=0.0) for way in ways)))
+
+
+def shadow_of(vertices: np.ndarray, faces: np.ndarray) -> BaseGeometry:
+    """What triangles cover of the table, seen from above."""
+    triangles = vertices[faces][:, :, :2]
+    (ux, uy), (vx, vy) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
+    return shapely.union_all(shapely.polygons(triangles[np.abs(ux * vy - uy * vx) > 1e-12]), grid_size=1e-6)
+
+
+def _shadow_of_hull(hull: Hull) -> BaseGeometry:
+    return shapely.MultiPoint(hull[0][:, :2]).convex_hull
+
+
+def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """Distance of points [n, 3] to a surface, shape [n] [m]: exact to the triangles whose samples are nearest."""
+    samples, owner = trimesh.sample.sample_surface(mesh, 4 * _ON_SURFACE, seed=1)
+    samples = np.vstack([samples, mesh.triangles_center])
+    owner = np.concatenate([owner, np.arange(len(mesh.faces))])
+    _, near = cKDTree(samples).query(points, k=min(20, len(samples)))
+    candidates = owner[near]
+    closest = trimesh.triangles.closest_point(
+        mesh.triangles[candidates.ravel()], np.repeat(points, candidates.shape[1], axis=0)
+    )
+    away = np.linalg.norm(closest.reshape(*candidates.shape, 3) - points[:, None], axis=-1)
+    return away.min(axis=1)
+
+
+def _outer_points(whole: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> np.ndarray:
+    """Points on the surface of the union [n, 3]: those of a wall between two pieces have one of them before them."""
+    points, faces = trimesh.sample.sample_surface(whole, _ON_SURFACE, seed=0)
+    return points[_depth(hulls, points + _WALL * whole.face_normals[faces]) < 0.0]
+
+
+def _volume_of_union(hulls: tuple[Hull, ...]) -> float:
+    """Volume of the union of convex pieces [m^3]: their sum less what is covered more than once, which is sampled."""
+    total = sum(float(trimesh.Trimesh(*hull).volume) for hull in hulls)
+    if len(hulls) == 1:
+        return total
+    every = np.vstack([corners for corners, _ in hulls])
+    points, box = points_in_box(np.array([every.min(axis=0), every.max(axis=0)]), _POINTS)
+    times = sum((_depth((hull,), points) > 0.0).astype(int) for hull in hulls)
+    return total - float(box * np.maximum(times - 1, 0).mean())
+
+
+def _depth(hulls: tuple[Hull, ...], points: np.ndarray) -> np.ndarray:
+    """How deep points are in the piece that they are deepest in [m]; negative outside."""
+    deepest = np.full(len(points), -np.inf)
+    for corners, faces in hulls:
+        shell = trimesh.Trimesh(corners, faces, process=False)
+        inward = np.einsum("fi,fi->f", shell.face_normals, shell.triangles[:, 0]) - points @ shell.face_normals.T
+        deepest = np.maximum(deepest, inward.min(axis=1))
+    return deepest
+
+
+def _hull(points: np.ndarray) -> Hull:
+    """The convex hull of points, its corners rounded as they are written."""
+    hull = trimesh.convex.convex_hull(np.round(points, 5))
+    return np.asarray(hull.vertices), np.asarray(hull.faces)
