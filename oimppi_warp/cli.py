@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse and execute; returns the exit status."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # threads of NumPy's BLAS slow the planner's kernels down
-    about = "Object-informed MPPI: an xArm6 pushes an object to its goal."
+    about = "Object-informed MPPI: an arm pushes an object to its goal."
     command = tyro.cli(Command, prog="oimppi", description=about, args=arguments)
     try:
         return command.execute()
