@@ -72,7 +72,10 @@ def test_a_base_on_a_pedestal_stays_there(tmp_path):
         UsdGeom.Xformable(stage.GetDefaultPrim()).AddTranslateOp().Set(Gf.Vec3d(0.0, 0.1, 0.2))
         UsdPhysics.Joint(stage.GetPrimAtPath("/Arm7/joints/mount")).CreateLocalPos0Attr(Gf.Vec3f(0.0, 0.1, 0.2))
 
-    lifted, plain = arm_of(foreign(tmp_path, lift)), arm_of(foreign(tmp_path))
+    folders = tmp_path / "lifted", tmp_path / "plain"
+    for folder in folders:
+        folder.mkdir()
+    lifted, plain = arm_of(foreign(folders[0], lift)), arm_of(foreign(folders[1]))
     joints = np.linspace(-0.5, 0.7, 7)
     offset = tip_frame(lifted.robot(), joints)[1] - tip_frame(plain.robot(), joints)[1]
     np.testing.assert_allclose(offset, [0.0, 0.1, 0.2], atol=1e-6)
