@@ -81,7 +81,8 @@ class SceneStage:
         if self._mistakes is None:
             raise mistake
         if str(mistake) not in map(str, self._mistakes):
-            self._mistakes.append(mistake)
+            # Without its traceback, whose frames would keep the stage alive, and USD from reading a changed file anew.
+            self._mistakes.append(mistake.with_traceback(None))
 
     def attempt(
         self, otherwise: Otherwise, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
