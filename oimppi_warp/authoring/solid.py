@@ -24,7 +24,6 @@ from oimppi_warp.authoring.prims import (
 )
 from oimppi_warp.authoring.shapes import FRICTION, checked_friction, checked_mass
 from oimppi_warp.errors import SceneError
-from oimppi_warp.scene import Collider, PushedObject
 
 STEEL: Color = (0.45, 0.47, 0.5)
 
@@ -33,8 +32,6 @@ LOWEST = 0.008
 
 SHOWN_FACES = 20_000
 """A surface of more triangles is not kept; its convex pieces are shown instead."""
-
-_IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,20 +155,6 @@ def import_mesh(
         fit=fit,
         notes=(*found.notes, done, pieces),
         color=color,
-    )
-
-
-def pushed(solid: Solid) -> PushedObject:
-    """A solid as the planner takes it."""
-    colliders = [Collider(f"/piece{i}", "mesh", _IDENTITY, (), corners) for i, (corners, _) in enumerate(solid.hulls)]
-    return PushedObject(
-        path=f"/{solid.prim}",
-        mass=solid.mass,
-        friction=solid.friction,
-        tool_friction=solid.friction,
-        center_of_mass=solid.center,
-        colliders=tuple(colliders),
-        rest_height=solid.rest_height,
     )
 
 
