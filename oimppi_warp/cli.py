@@ -117,7 +117,9 @@ Command = (
     | Annotated[Export, subcommand("export", prefix_name=False)]
     | Annotated[
         SceneCommand,
-        subcommand("scene", prefix_name=False, description="Write tasks, objects and robots of your own, and check them."),
+        subcommand(
+            "scene", prefix_name=False, description="Write tasks, objects and robots of your own, and check them."
+        ),
     ]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
