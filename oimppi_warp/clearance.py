@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -79,11 +80,12 @@ def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None 
         return float("nan")
     values = field.values.numpy() if values is None else values
     nyaw, nx, ny = values.shape
-    x = np.clip((pose[0] - field.origin[0]) * field.inv_step, 0.0, nx - 1 - 1e-3)
-    y = np.clip((pose[1] - field.origin[1]) * field.inv_step, 0.0, ny - 1 - 1e-3)
-    t = (pose[2] / (2.0 * np.pi)) % 1.0 * nyaw
+    px, py, yaw = pose.tolist()
+    x = min(max((px - field.origin[0]) * field.inv_step, 0.0), nx - 1 - 1e-3)
+    y = min(max((py - field.origin[1]) * field.inv_step, 0.0), ny - 1 - 1e-3)
+    t = (yaw / (2.0 * math.pi)) % 1.0 * nyaw
     i, j, k = int(x), int(y), int(t) % nyaw
-    cube = values[[k, (k + 1) % nyaw]][:, i : i + 2, j : j + 2]
+    cube = values[[k, (k + 1) % nyaw], i : i + 2, j : j + 2]
     ax, ay, at = x - i, y - j, t - int(t)
     return float(np.einsum("tij,t,i,j->", cube, [1 - at, at], [1 - ax, ax], [1 - ay, ay]))
 

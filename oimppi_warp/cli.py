@@ -20,6 +20,7 @@ import tyro
 from tyro.conf import arg, subcommand
 
 from oimppi_warp.authoring.check_command import Check
+from oimppi_warp.authoring.commands import Import, New
 from oimppi_warp.authoring.robot_command import AddRobot
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
@@ -100,11 +101,12 @@ class Scenes:
 
 
 SceneCommand = (
-    Annotated[AddRobot, subcommand("robot", prefix_name=False)]
+    Annotated[New, subcommand("new", prefix_name=False)]
+    | Annotated[Import, subcommand("import", prefix_name=False)]
+    | Annotated[AddRobot, subcommand("robot", prefix_name=False)]
     | Annotated[Check, subcommand("check", prefix_name=False)]
-    | Annotated[Scenes, subcommand("list", prefix_name=False)]
 )
-"""What can be done with scenes."""
+"""The commands below ``oimppi scene``."""
 
 Command = (
     Annotated[Run, subcommand("run", prefix_name=False)]
@@ -113,8 +115,13 @@ Command = (
     | Annotated[Compare, subcommand("compare", prefix_name=False)]
     | Annotated[View, subcommand("view", prefix_name=False)]
     | Annotated[Export, subcommand("export", prefix_name=False)]
+    | Annotated[
+        SceneCommand,
+        subcommand(
+            "scene", prefix_name=False, description="Write tasks, objects and robots of your own, and check them."
+        ),
+    ]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
-    | Annotated[SceneCommand, subcommand("scene", prefix_name=False, description="Work on scenes of one's own.")]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
 )

@@ -248,7 +248,7 @@ MISTAKES = {
     "a mesh to be cut": (collider(cut_mesh), "physics:approximation = convexDecomposition", "oimppi scene import"),
     "a mesh with a hole": (collider(hull_with((0, 1, 7))), "name points that are not there", "a closed surface"),
     "a mesh of lines": (collider(hull_with((0, 1), 2)), "name points that are not there", "3 or more"),
-    "a mesh at infinity": (collider(far_mesh), "points that are not finite", "allowed: numbers"),
+    "a mesh at infinity": (collider(far_mesh), "points that are not finite", "allowed: numbers below"),
     "a flat mesh": (collider(flat_hull), "without volume (4 points)", "a solid shape"),
     "a cone": (collider(UsdGeom.Cone.Define), "collider of type Cone", "allowed: Cube, Sphere"),
     "an ellipsoid": (collider(uneven_sphere), "scaled unevenly", "one scale"),

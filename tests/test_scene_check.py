@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
 
 import pytest
+from elsewhere import flat
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from test_bad_scenes import START, TIP, drop, goal_to, object_to, prim, put, walls, without
 from variants import variant
@@ -188,6 +190,19 @@ def test_something_that_is_no_usd_is_a_mistake_in_the_file(tmp_path):
     file.write_text("not a scene at all")
     (problem,) = check_scene(file)
     assert "not a USD file" in problem.what
+
+
+def test_a_file_that_was_mended_is_read_anew(tmp_path):
+    file = tmp_path / "scene.usda"
+    for mass, expected in (("-1", 1), ("0.5", 0), ("-2", 1)):
+        stage = flat("task02")
+        stage.GetPrimAtPath(OBJECT).GetAttribute("physics:mass").Set(float(mass))
+        file.write_text(stage.ExportToString())
+        gc.disable()
+        try:
+            assert len(inspect_scene(file).mistakes) == expected
+        finally:
+            gc.enable()
 
 
 def test_a_stage_without_anything_is_told_all_that_it_needs(tmp_path):

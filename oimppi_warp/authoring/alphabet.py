@@ -113,10 +113,11 @@ SIMPLE: dict[str, tuple[Box | np.ndarray, ...]] = {
 def outline_of(letter: str) -> BaseGeometry:
     """What a capital letter covers, about the middle of its box [m]."""
     if letter in SIMPLE:
-        pieces = [piece.polygon() if isinstance(piece, Box) else piece for piece in SIMPLE[letter]]
-        return shapely.union_all([shapely.Polygon(piece) for piece in pieces], grid_size=1e-6)
+        corners = [piece.polygon() if isinstance(piece, Box) else piece for piece in SIMPLE[letter]]
+        return shapely.union_all([shapely.Polygon(each) for each in corners], grid_size=1e-6)
     half, lines = _LINES[letter]
-    pieces = [shapely.Polygon(piece) for points, chamfer in lines for piece in stroke(points, PEN, chamfer)]
+    strokes = [piece for points, chamfer in lines for piece in stroke(points, PEN, chamfer)]
+    pieces: list[BaseGeometry] = [shapely.Polygon(piece) for piece in strokes]
     if letter == "Q":
         pieces.append(outline_of("O"))
     return shapely.intersection(shapely.union_all(pieces), shapely.box(-half, _DOWN, half, _UP))

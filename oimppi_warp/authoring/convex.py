@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import coacd
 import numpy as np
 import shapely
 import trimesh
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from shapely.geometry.base import BaseGeometry
 
 from oimppi_warp.authoring.moments import moments, points_in_box
@@ -102,8 +103,8 @@ def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
     covered, shadow = shadow_of(mesh.vertices, mesh.faces), shapely.union_all([_shadow_of_hull(h) for h in hulls])
     footprint = shapely.area(shapely.symmetric_difference(covered, shadow)) / shapely.area(covered)
     volume = _volume_of_union(hulls) / moments(mesh).volume - 1.0
-    there, _ = trimesh.sample.sample_surface(mesh, _ON_SURFACE, seed=0)
-    whole = trimesh.util.concatenate([trimesh.Trimesh(*hull) for hull in hulls])
+    there, _ = _sampled(mesh, _ON_SURFACE, 0)
+    whole = cast(trimesh.Trimesh, trimesh.util.concatenate([trimesh.Trimesh(*hull) for hull in hulls]))
     here = _outer_points(whole, hulls)
     ways = distances(whole, np.vstack([there, mesh.vertices])), distances(mesh, here)
     return Fit(float(volume), float(footprint), float(max(way.max(initial=0.0) for way in ways)))
@@ -122,10 +123,10 @@ def _shadow_of_hull(hull: Hull) -> BaseGeometry:
 
 def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """Distance of points [n, 3] to a surface, shape [n] [m]: exact to the triangles whose samples are nearest."""
-    samples, owner = trimesh.sample.sample_surface(mesh, 4 * _ON_SURFACE, seed=1)
+    samples, owner = _sampled(mesh, 4 * _ON_SURFACE, 1)
     samples = np.vstack([samples, mesh.triangles_center])
     owner = np.concatenate([owner, np.arange(len(mesh.faces))])
-    _, near = cKDTree(samples).query(points, k=min(20, len(samples)))
+    _, near = KDTree(samples).query(points, k=min(20, len(samples)))
     candidates = owner[near]
     closest = trimesh.triangles.closest_point(
         mesh.triangles[candidates.ravel()], np.repeat(points, candidates.shape[1], axis=0)
@@ -136,8 +137,14 @@ def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 def _outer_points(whole: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> np.ndarray:
     """Points on the surface of the union [n, 3]: those of a wall between two pieces have one of them before them."""
-    points, faces = trimesh.sample.sample_surface(whole, _ON_SURFACE, seed=0)
+    points, faces = _sampled(whole, _ON_SURFACE, 0)
     return points[_depth(hulls, points + _WALL * whole.face_normals[faces]) < 0.0]
+
+
+def _sampled(mesh: trimesh.Trimesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points on a surface [n, 3] [m], and the triangles that they are on [n]."""
+    points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)[:2]
+    return np.asarray(points), np.asarray(faces)
 
 
 def _volume_of_union(hulls: tuple[Hull, ...]) -> float:

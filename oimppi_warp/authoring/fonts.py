@@ -6,6 +6,7 @@ import difflib
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import shapely
 from matplotlib import font_manager
 from matplotlib.font_manager import FontProperties
@@ -32,20 +33,18 @@ def glyph_outline(character: str, font: str, cap: float) -> BaseGeometry:
         ConfigError: There is no such font, or it has no such character.
     """
     properties = _properties(font)
+    if character.isspace() or not character.isprintable():
+        raise ConfigError(f"{character!r} is blank in the font {font}\n  allowed: characters that can be seen")
     scale = cap / TextPath((0.0, 0.0), "H", _POINTS, prop=properties).get_extents().height
     if ord(character) not in font_manager.get_font(font_manager.findfont(properties)).get_charmap():
         raise ConfigError(f"{character!r}: the font {font} has no such character\n  allowed: characters that it has")
     rings = TextPath((0.0, 0.0), character, _POINTS, prop=properties).to_polygons(closed_only=True)
-    outline = _filled([shapely.Polygon(scale * ring) for ring in rings if len(ring) > 3])
-    if outline.is_empty:
-        raise ConfigError(f"{character!r} is blank in the font {font}\n  allowed: characters that can be seen")
+    outline = _filled([shapely.Polygon(scale * ring) for ring in map(np.asarray, rings) if len(ring) > 3])
     return shapely.simplify(outline, COARSE)
 
 
 def _filled(rings: list[shapely.Polygon]) -> BaseGeometry:
     """The area within contours: those that run as the largest does are filled, the others are holes."""
-    if not rings:
-        return shapely.Polygon()
     ways = [ring.exterior.is_ccw for ring in rings]
     outer = ways[max(range(len(rings)), key=lambda i: rings[i].area)]
     whole = [shapely.make_valid(ring) for ring in rings]

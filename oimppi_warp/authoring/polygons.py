@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import combinations
+from typing import cast
 
 import numpy as np
 import shapely
+from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
@@ -30,13 +32,13 @@ def convex_pieces(shape: BaseGeometry) -> tuple[np.ndarray, ...]:
         Convex polygons, counter-clockwise, shape [n, 2] each [m]; from left to right.
     """
     clean = shapely.set_precision(shape, GRID)
-    triangles = [part for part in shapely.constrained_delaunay_triangles(clean).geoms if part.area > LEAST_AREA]
-    pieces = _join(triangles)
+    triangles = [cast(Polygon, part) for part in shapely.constrained_delaunay_triangles(clean).geoms]
+    pieces = _join(part for part in triangles if part.area > LEAST_AREA)
     corners = [_corners(piece) for piece in pieces]
     return tuple(sorted(corners, key=lambda polygon: tuple(np.round(polygon.mean(axis=0), 6))))
 
 
-def _join(parts: Iterable[shapely.Polygon]) -> list[shapely.Polygon]:
+def _join(parts: Iterable[Polygon]) -> list[Polygon]:
     """Join convex neighbours while their union is convex."""
     alive = dict(enumerate(parts))
     edges = {(i, j): _common(alive[i], alive[j]) for i, j in combinations(alive, 2)}
@@ -44,7 +46,7 @@ def _join(parts: Iterable[shapely.Polygon]) -> list[shapely.Polygon]:
     while edges:
         (i, j), _ = max(edges.items(), key=lambda item: (round(item[1], 9), item[0]))
         joined = shapely.union(alive[i], alive[j], grid_size=GRID)
-        if joined.geom_type != "Polygon" or joined.convex_hull.area - joined.area > LEAST_AREA:
+        if not isinstance(joined, Polygon) or joined.convex_hull.area - joined.area > LEAST_AREA:
             del edges[i, j]
             continue
         number = max(alive) + 1
@@ -56,11 +58,12 @@ def _join(parts: Iterable[shapely.Polygon]) -> list[shapely.Polygon]:
     return list(alive.values())
 
 
-def _common(a: shapely.Polygon, b: shapely.Polygon) -> float:
+def _common(a: Polygon, b: Polygon) -> float:
     """Length of the edge that two polygons share [m]."""
     return shapely.length(shapely.intersection(a.exterior, b.exterior)) if a.intersects(b) else 0.0
 
 
-def _corners(piece: shapely.Polygon) -> np.ndarray:
+def _corners(piece: Polygon) -> np.ndarray:
     """A convex polygon's corners, counter-clockwise; those on a straight edge are left out."""
-    return np.round(np.asarray(orient(piece.convex_hull.simplify(GRID / 2)).exterior.coords)[:-1], 6)
+    hull = cast(Polygon, piece.convex_hull.simplify(GRID / 2))
+    return np.round(np.asarray(orient(hull).exterior.coords)[:-1], 6)

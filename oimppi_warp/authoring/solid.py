@@ -24,7 +24,6 @@ from oimppi_warp.authoring.prims import (
 )
 from oimppi_warp.authoring.shapes import FRICTION, checked_friction, checked_mass
 from oimppi_warp.errors import SceneError
-from oimppi_warp.scene import Collider, PushedObject
 
 STEEL: Color = (0.45, 0.47, 0.5)
 
@@ -34,17 +33,14 @@ LOWEST = 0.008
 SHOWN_FACES = 20_000
 """A surface of more triangles is not kept; its convex pieces are shown instead."""
 
-_IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-
 
 @dataclass(frozen=True, eq=False)
 class Solid:
     """An object from a mesh; its frame is above its centre of mass, seen from above, at half its height.
 
     Attributes:
-        name: Name of its file.
-        prim: Name of its prim.
-        doc: What it is.
+        name: Its name, and that of its file.
+        about: Its size, and where it is from.
         hulls: Its convex pieces in its frame: corners [n, 3] [m] and triangles [m, 3] each.
         surface: What is shown of it, as the pieces are given; empty: the pieces.
         mass: [kg].
@@ -57,8 +53,7 @@ class Solid:
     """
 
     name: str
-    prim: str
-    doc: str
+    about: str
     hulls: tuple[Hull, ...]
     surface: tuple[Hull, ...]
     mass: float
@@ -68,6 +63,17 @@ class Solid:
     fit: Fit
     notes: tuple[str, ...] = field(default=())
     color: Color = STEEL
+
+    @property
+    def doc(self) -> str:
+        """What it is."""
+        return f"{self.name}: {self.about}"
+
+    @property
+    def prim(self) -> str:
+        """Name of its prim."""
+        title = "".join(part.title() for part in self.name.split("_"))
+        return title if title[0].isalpha() else f"Object{title}"
 
     @property
     def rest_height(self) -> float:
@@ -140,15 +146,12 @@ def import_mesh(
     solid = moments(surface)
     weight = checked_mass(mass, solid.volume)
     hulls, fit = decompose(surface)
-    name = plain_name(name or file.stem)
-    title = "".join(part.title() for part in name.split("_"))
     size = " x ".join(f"{side:.3g}" for side in surface.extents)
     pieces = f"{len(hulls)} convex piece{'' if len(hulls) == 1 else 's'}: {fit}"
     shown = ((np.asarray(surface.vertices), np.asarray(surface.faces)),) if len(surface.faces) <= SHOWN_FACES else ()
     return Solid(
-        name=name,
-        prim=title if title[0].isalpha() else f"Object{title}",
-        doc=f"{name}: a mesh of {size} m, from {file.name}",
+        name=plain_name(name or file.stem),
+        about=f"a mesh of {size} m, from {file.name}",
         hulls=hulls,
         surface=shown,
         mass=weight,
@@ -158,20 +161,6 @@ def import_mesh(
         fit=fit,
         notes=(*found.notes, done, pieces),
         color=color,
-    )
-
-
-def pushed(solid: Solid) -> PushedObject:
-    """A solid as the planner takes it."""
-    colliders = [Collider(f"/piece{i}", "mesh", _IDENTITY, (), corners) for i, (corners, _) in enumerate(solid.hulls)]
-    return PushedObject(
-        path=f"/{solid.prim}",
-        mass=solid.mass,
-        friction=solid.friction,
-        tool_friction=solid.friction,
-        center_of_mass=solid.center,
-        colliders=tuple(colliders),
-        rest_height=solid.rest_height,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from oimppi_warp.authoring.robot import pose_robot
 from oimppi_warp.authoring.thing import Pushable
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task, draw_start
+from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.colliders import collider_prims
 
@@ -100,13 +102,16 @@ class Task:
     robot: str = "xarm6"
 
 
-def write(task: Task, folder: Path, *, note: str = "") -> Path:
+def write(
+    task: Task, folder: Path, *, note: str = "", settle: Callable[[Scene], Sequence[float] | None] | None = None
+) -> Path:
     """Write a task's scene to ``folder``, where ``robots`` and ``objects`` already are.
 
     Args:
         task: The task.
         folder: Where to.
         note: What the file's documentation says beyond the title.
+        settle: Gives the arm's joint positions at the start [rad], or ``None`` for the robot's own, once all stands.
 
     Raises:
         SceneError: The task cannot be done (:func:`oimppi_warp.feasibility.check_task`).
@@ -149,6 +154,10 @@ def write(task: Task, folder: Path, *, note: str = "") -> Path:
     task.thing.draw(stage, "/World/Goal", Look(task.thing.color, opacity=0.25))
     stage.Save()
 
+    joints = settle(load_scene(file)) if settle is not None else None
+    if joints is not None:
+        pose_robot(stage, "/World/Robot", joints)
+        stage.Save()
     add_starts(stage, file)
     return file
 

@@ -76,7 +76,7 @@ def load_scene(scene: str | Path) -> Scene:
     found = inspect_scene(scene)
     if found.scene is None:
         first, *others = found.mistakes
-        raise first.among(len(others)) if others else first
+        raise first.among(len(others))
     return found.scene
 
 
@@ -95,7 +95,7 @@ def inspect_scene(scene: str | Path) -> Inspection:
         stage = SceneStage(file, mistakes)
         read = _read(stage)
     except SceneError as error:
-        mistakes.append(error)
+        mistakes.append(error.with_traceback(None))
     return Inspection(file, None if mistakes else read, tuple(mistakes), stage)
 
 

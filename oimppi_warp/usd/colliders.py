@@ -10,7 +10,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.scene import Collider
 from oimppi_warp.usd.meshes import approximation, triangles
-from oimppi_warp.usd.stage import SceneStage, scales, transform
+from oimppi_warp.usd.stage import FARTHEST, SceneStage, scales, transform
 
 ALLOWED = "Cube, Sphere, Cylinder, Capsule, or a Mesh that is convex or has a convex physics:approximation"
 
@@ -74,8 +74,8 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
 
 def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
     value = scene.number(prim, name, 0.0)
-    if not (math.isfinite(value) and value > 0.0):
-        raise scene.error(f"{name} is {value:g}", prim, allowed="more than zero [m]")
+    if not 0.0 < value < FARTHEST:
+        raise scene.error(f"{name} is {value:g}", prim, allowed=f"more than zero and less than {FARTHEST:g} m")
     return value
 
 
@@ -100,8 +100,9 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
             fix="set physics:approximation to one of them; `oimppi scene import` cuts a hollow shape into convex ones",
         )
     points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
-    if not np.isfinite(points).all():
-        raise scene.error("a mesh collider with points that are not finite", prim, allowed="numbers [m]")
+    if not (np.abs(points) < FARTHEST).all():
+        allowed = f"numbers below {FARTHEST:g} m"
+        raise scene.error("a mesh collider with points that are not finite, or far away", prim, allowed=allowed)
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
     if spread[-1] < 1e-6:
         raise scene.error(f"a mesh collider without volume ({len(points)} points)", prim, allowed="a solid shape")

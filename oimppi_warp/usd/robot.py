@@ -9,7 +9,7 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 
 from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
 from oimppi_warp.usd.colliders import read_colliders
-from oimppi_warp.usd.stage import SceneStage, matrix, scales, transform
+from oimppi_warp.usd.stage import FARTHEST, SceneStage, matrix, scales, transform
 
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
 _EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
@@ -90,7 +90,7 @@ class _Chain:
         if not np.allclose(position, 0.0, atol=1e-6):
             what = f"the robot's base is at {np.round(position, 4).tolist()}"
             raise scene.error(what, base, allowed="at the world's origin", fix="move everything else instead")
-        held, at = joint_frames(mounts[0])
+        held, at = self.frames(mounts[0])
         if not np.allclose(np.array(at.GetInverse() * held), np.array(frame), atol=1e-5):
             fix = "make its physics:localPos0 and localRot0 the base's frame in the world, or place the base there"
             raise scene.error(
@@ -115,6 +115,16 @@ class _Chain:
         if found[1] is None:
             raise self.scene.error("a joint that moves nothing", joint.GetPrim(), allowed="physics:body1 names a link")
         return found[0], found[1]
+
+    def frames(self, joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
+        """A joint's frame in the body it stands on and in the body it moves."""
+        before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
+        after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
+        if not (np.abs([np.array(before), np.array(after)]) < FARTHEST).all():
+            allowed = f"numbers, and lengths below {FARTHEST:g} m"
+            what = "a joint whose frames are not finite, or far away"
+            raise self.scene.error(what, joint.GetPrim(), allowed=allowed)
+        return before, after
 
     def walk(self) -> tuple[tuple[Joint, ...], tuple[Link, ...]]:
         """Moving joints and their links, from base to flange."""
@@ -153,7 +163,7 @@ class _Chain:
                     continue
                 if joint.GetPrim().IsA(UsdPhysics.FixedJoint):
                     self.reach(child)
-                    before, after = joint_frames(joint)
+                    before, after = self.frames(joint)
                     group.append((child, after.GetInverse() * before * placed))
                 else:
                     moving.append(joint)
@@ -187,7 +197,7 @@ class _Chain:
             raise scene.error(
                 f"a joint {'about' if turns else 'along'} its {axis} axis", prim, allowed="physics:axis = Z"
             )
-        before, after = joint_frames(joint)
+        before, after = self.frames(joint)
         if self.ends(joint)[0] == self.base_prim:
             before = before * self.base_frame
         if not np.allclose(np.array(after), np.eye(4), atol=1e-6):
@@ -202,7 +212,7 @@ class _Chain:
         upper = inward(scene.number(prim, "physics:upperLimit", math.inf))
         if not lower < upper:
             raise scene.error(f"limits of {lower:.4g} and {upper:.4g} {unit}", prim, allowed="lower below upper")
-        if slides and not math.isfinite(upper - lower):
+        if slides and not max(abs(lower), abs(upper)) < FARTHEST:
             fix = "give physics:lowerLimit and physics:upperLimit in metres"
             raise scene.error("a joint that slides without end", prim, allowed="finite limits", fix=fix)
         driven = prim.HasAPI(UsdPhysics.DriveAPI, drive)
@@ -224,13 +234,6 @@ class _Chain:
         raise self.scene.error(
             "a tool that is not on the robot's last link", prim, allowed=f"on {self.welded[0][0].GetPath()}, unscaled"
         )
-
-
-def joint_frames(joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
-    """A joint's frame in the body it stands on and in the body it moves."""
-    before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
-    after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
-    return before, after
 
 
 def read_mass(scene: SceneStage, body: Usd.Prim) -> float:

@@ -8,16 +8,20 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-from pxr import Ar, Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
+from pxr import Ar, Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
 from oimppi_warp.errors import Problem, SceneError
 from oimppi_warp.usd.meshes import simplify_meshes
+from oimppi_warp.usd.sound import unsound_properties, usd_reason
 from oimppi_warp.usd.units import to_si, to_z_up
 from oimppi_warp.usd.upright import stand_upright
 
 P = ParamSpec("P")
 Read = TypeVar("Read")
 Otherwise = TypeVar("Otherwise")
+
+FARTHEST = 1e3
+"""No length in a scene is larger [m]."""
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 SCHEMA = SCENES / "schema"
@@ -55,19 +59,16 @@ class SceneStage:
         delegate = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
         try:
             self.stage = Usd.Stage.Open(str(file))
-        except Exception as error:  # Tf.ErrorException: its text is a list of places in USD's own source
-            reason = str(error).partition(" : ")[2].split("\n")[0].strip(" '")
+        except Tf.ErrorException as error:
             formats = ".usda, .usd, .usdc, .usdz"
-            raise self.error(f"not a USD file that can be read ({reason})", allowed=formats) from None
+            raise self.error(f"not a USD file that can be read ({usd_reason(error)})", allowed=formats) from None
         finally:
             del delegate
         broken = self.stage.GetCompositionErrors()
-        for number, each in enumerate(broken, start=1):
-            fix = "correct it; the paths of references count from the file that they stand in"
-            mistake = self.error(str(each), fix=fix)
-            if number == len(broken):
-                raise mistake  # what is missing would look like further mistakes
-            self.keep(mistake)
+        fix = "correct it; the paths of references count from the file that they stand in"
+        self._give_up_on([self.error(str(each), fix=fix) for each in broken])
+        unsound = unsound_properties(self.stage)
+        self._give_up_on([self.error(each.what, each.prim, allowed=each.allowed) for each in unsound])
         self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
         self._check_units()
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
@@ -76,12 +77,20 @@ class SceneStage:
         stand_upright(self.stage)
         simplify_meshes(self.stage)
 
+    def _give_up_on(self, mistakes: list[SceneError]) -> None:
+        """Note mistakes and, if there are any, read no further: what cannot be read would look like more of them."""
+        for mistake in mistakes[:-1]:
+            self.keep(mistake)
+        if mistakes:
+            raise mistakes[-1]
+
     def keep(self, mistake: SceneError) -> None:
         """Note a mistake and go on; where none are collected, raise it."""
         if self._mistakes is None:
             raise mistake
         if str(mistake) not in map(str, self._mistakes):
-            self._mistakes.append(mistake)
+            # Without its traceback, whose frames would keep the stage alive, and USD from reading a changed file anew.
+            self._mistakes.append(mistake.with_traceback(None))
 
     def attempt(
         self, otherwise: Otherwise, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
@@ -91,7 +100,9 @@ class SceneStage:
             return read(*args, **kwargs)
         except SceneError as mistake:
             self.keep(mistake)
-            return otherwise
+        except Tf.ErrorException as error:
+            self.keep(self.error(f"OpenUSD cannot read it ({usd_reason(error)})", allowed="sound USD"))
+        return otherwise
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
         """A :class:`SceneError` at a prim of this file."""
@@ -170,16 +181,23 @@ class SceneStage:
         attribute = prim.GetAttribute(name)
         return str((attribute.Get() if attribute else None) or schema_default(name))
 
-    @staticmethod
-    def number(prim: Usd.Prim, name: str, fallback: float) -> float:
+    def number(self, prim: Usd.Prim, name: str, fallback: float) -> float:
         """An attribute of a schema of USD's own, or what it falls back to where it has no value."""
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
-        return fallback if value is None else single(value)
+        if value is None:
+            return fallback
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(f"{name} is {value!r}", prim, allowed="a number")
+        return single(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
         """A prim's frame in the world, as USD has it (row vectors, scale included)."""
-        return UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+        frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+        if not (np.abs(np.array(frame)) < FARTHEST).all():
+            allowed = f"numbers, and lengths below {FARTHEST:g} m"
+            raise self.error("a place that is not finite, or far away", prim, allowed=allowed)
+        return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
         """A rigid body's frame in the world, without a scale; having one is a mistake."""

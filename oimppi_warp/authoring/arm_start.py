@@ -1,0 +1,90 @@
+"""Where the arm begins, so that neither its tool nor its links are in anything."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+
+from oimppi_warp.feasibility import object_outline
+from oimppi_warp.footprint import core_points, footprint, height_range, outline
+from oimppi_warp.kinematics import link_frames, tip_frame
+from oimppi_warp.reach import Reach, joints_for, reach_of
+from oimppi_warp.scene import Collider, Robot, Scene
+
+ROOM = 0.02
+"""Around the stick at the start [m], beyond its radius."""
+
+_RADII = np.arange(0.25, 0.60, 0.05)
+_ANGLES = np.radians(np.arange(-150.0, 151.0, 10.0))
+
+
+def clear_start(scene: Scene) -> tuple[float, ...] | None:
+    """Joint positions to begin with.
+
+    Args:
+        scene: The task.
+
+    Returns:
+        None where the robot's own start is clear of object and obstacles; otherwise joint positions [rad] with the tip
+        as high as there and the tool pointing down, as near to it as it can be.
+
+    Where no such start is found, the robot's own is kept, and :func:`oimppi_warp.feasibility.check_task` has the word.
+    """
+    robot = scene.robot
+    if _clear(scene, robot.start):
+        return None
+    tip = tip_frame(robot, robot.start)[1]
+    for place in _places(tip, reach_of(robot)):
+        joints = _joints_at(robot, place)
+        if joints is not None and _clear(scene, joints):
+            return tuple(round(float(q), 5) for q in joints)
+    return None
+
+
+def _joints_at(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
+    """Joint positions with the tip at a place [3] [m], from the robot's start with its first joint turned there."""
+    joints = np.array(robot.start, dtype=float)
+    if robot.joints[0].kind == "revolute":
+        own = tip_frame(robot, joints)[1]
+        turn = np.arctan2(tip[1], tip[0]) - np.arctan2(own[1], own[0])
+        joints[0] = np.clip(joints[0] + math.remainder(turn, 2.0 * np.pi), robot.joints[0].lower, robot.joints[0].upper)
+    return joints_for(robot, joints, tip)
+
+
+def _places(tip: np.ndarray, reach: Reach) -> list[np.ndarray]:
+    """Places for the tip at its height within reach, the nearest first [m]."""
+    grid = np.array([(r * np.cos(a), r * np.sin(a), tip[2]) for r in _RADII for a in _ANGLES])
+    within = grid[reach.room(grid[:, :2]) > 0.0]
+    return list(within[np.argsort(np.linalg.norm(within - tip, axis=1), kind="stable")])
+
+
+def _clear(scene: Scene, joints: np.ndarray) -> bool:
+    """Whether the arm, so posed, is clear of the object at its start and of the obstacles."""
+    rotations, positions = link_frames(scene.robot, joints)
+    tip = tip_frame(scene.robot, joints)[1]
+    stick = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius + ROOM)
+    if shapely.intersects(stick, object_outline(scene, scene.start)):
+        return False
+    around = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
+    if any(shapely.intersects(stick, outline(footprint([c], lower=tip[2]))) for c in around):
+        return False
+    links = [
+        (collider, rotation, position)
+        for link, rotation, position in zip(scene.robot.links, rotations, positions, strict=True)
+        for collider in link.colliders
+    ]
+    return not any(_meet(link, collider) for link in links for collider in around)
+
+
+def _meet(link: tuple[Collider, np.ndarray, np.ndarray], other: Collider) -> bool:
+    """Whether a link's shape and an obstacle overlap from above and in height: no less than they do in space."""
+    collider, rotation, position = link
+    points, radius = core_points(collider)
+    points = points @ rotation.T + position
+    low, high = height_range([other])
+    if points[:, 2].min() - radius > high or points[:, 2].max() + radius < low:
+        return False
+    shape = shapely.MultiPoint(points[:, :2]).convex_hull.buffer(radius)
+    return bool(shapely.intersects(shape, outline(footprint([other]))))

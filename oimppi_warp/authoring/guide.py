@@ -1,0 +1,62 @@
+"""What each attribute of a written file means and its unit, in the file itself, where USD tools show it."""
+
+from __future__ import annotations
+
+from pxr import Usd
+
+from oimppi_warp.authoring.schema import SCHEMAS
+
+_STANDARD = {
+    "physics:mass": "Mass [kg].",
+    "physics:centerOfMass": "Centre of mass in the object's frame [m].",
+    "physics:diagonalInertia": "Principal moments of inertia about the centre of mass [kg m^2].",
+    "physics:principalAxes": "How the principal axes of inertia are turned: a quaternion (w, x, y, z).",
+    "physics:dynamicFriction": "Coulomb coefficient of sliding; between two shapes the larger one counts.",
+    "physics:staticFriction": "Coulomb coefficient at rest; the planner goes by dynamicFriction.",
+    "physics:restitution": "Bounce, 0 to 1; not used.",
+    "physics:gravityDirection": "Down.",
+    "physics:gravityMagnitude": "[m/s^2]",
+    "physics:approximation": "The collision shape is the convex hull of the points.",
+    "xformOp:translate": "Position (x, y, z) [m]; the table's top is at z = 0, the arm's base at the origin.",
+    "xformOp:rotateZ": "Yaw [degrees].",
+    "xformOp:scale": "Side lengths (x, y, z) [m], as `size` is 1.",
+    "radius": "[m]",
+    "height": "[m], along z",
+}
+
+_OURS = {a.name: f"{a.doc}{f' [{a.unit}]' if a.unit else ''}" for schema in SCHEMAS for a in schema.attributes}
+_ROLES = {schema.name: schema.doc for schema in SCHEMAS}
+
+_PLACES = {
+    "/World/Robot": "The arm, from its own file.",
+    "/World/Object": "The object to be pushed, from its own file; where it stands here is where it starts.",
+    "/World/Goal": "A ghost that shows the goal; it is only looked at. What counts is oimppi:goal.",
+    "/World/Obstacles": "What stands in the way: neither arm nor object may run into it.",
+    "/World/Table": "What the object slides on: a box with its top at z = 0.",
+    "/World/Materials": "Friction of table and obstacles.",
+    "/World/Camera": "Looks over the table towards the arm.",
+}
+
+
+def explain(stage: Usd.Stage) -> None:
+    """Write into a stage's root layer what its prims and attributes are; units in square brackets.
+
+    Prims that stand for a part of another file, as the links of a posed arm do, are left as they are.
+    """
+    layer = stage.GetRootLayer()
+    for prim in stage.TraverseAll():
+        spec = layer.GetPrimAtPath(prim.GetPath())
+        path = str(prim.GetPath())
+        if spec is None:
+            continue
+        if path in _PLACES:
+            prim.SetDocumentation(_PLACES[path])
+        elif "OimppiTaskAPI" in prim.GetAppliedSchemas():
+            prim.SetDocumentation(_ROLES["OimppiTaskAPI"])
+        below_ghost = path.startswith("/World/Goal/")
+        below_robot = path.startswith("/World/Robot/")
+        if below_ghost or below_robot:
+            continue
+        for name in [each.name for each in spec.properties]:
+            if text := _OURS.get(name) or _STANDARD.get(name):
+                prim.GetAttribute(name).SetDocumentation(text)

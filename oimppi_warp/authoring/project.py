@@ -1,0 +1,188 @@
+"""A task with all that it needs in a folder of one's own, checked before it is left there."""
+
+from __future__ import annotations
+
+import filecmp
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pxr import Usd
+
+from oimppi_warp.authoring.arm_start import clear_start
+from oimppi_warp.authoring.bundle import copy_bundle
+from oimppi_warp.authoring.guide import explain
+from oimppi_warp.authoring.stored import Stored, is_object_file
+from oimppi_warp.authoring.task import Standing, Task, write
+from oimppi_warp.authoring.thing import Pushable
+from oimppi_warp.errors import SceneError
+from oimppi_warp.feasibility import check_task
+from oimppi_warp.scene import Scene
+from oimppi_warp.usd import load_scene
+from oimppi_warp.usd.stage import SCENES
+
+_IN_WORDS = {
+    "change oimppi:goal": "give another goal (--goal)",
+    "move the object in the file, or give another start": "give another start (--start)",
+}
+"""What to do about a file that was not written."""
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """What was written.
+
+    Attributes:
+        file: The scene's file.
+        scene: It, as it is read from there.
+        files: Every file that is new or changed, the scene's first.
+    """
+
+    file: Path
+    scene: Scene
+    files: tuple[Path, ...]
+
+
+def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> Written:
+    """Write a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
+
+    The files are made elsewhere, read and checked, and moved only then. A robot that is in the folder already is used
+    as it is. An object whose name is taken there by another is written under a name with the task's in it. If the arm
+    would start in the object or in an obstacle, it starts elsewhere.
+
+    Args:
+        task: The task; its robot is the name of one that is shipped or lies in the folder's ``robots/``, or a USD file.
+        folder: Where to; it is made if need be.
+        force: Whether a scene of this name that is there may be overwritten.
+
+    Raises:
+        SceneError: The scene is there already, or the task cannot be done; nothing was written.
+    """
+    folder = Path(folder).expanduser()
+    target = folder / f"{task.name}.usda"
+    _check_target(task.name, target, force)
+    with tempfile.TemporaryDirectory(prefix="oimppi-") as place:
+        draft = Path(place)
+        try:
+            _draft(task, draft, folder)
+            scene = load_scene(draft / target.name)
+            check_task(scene)
+        except SceneError as error:
+            raise _moved(error, draft, folder) from None
+        files = _install(draft, folder, target.name)
+    return Written(target, replace(scene, file=target.resolve()), files)
+
+
+def write_object(thing: Pushable, folder: str | Path = ".", *, force: bool = False) -> Path:
+    """Write an object to ``objects/`` in a folder, with what its attributes mean.
+
+    Raises:
+        SceneError: One of this name is there already.
+    """
+    file = Path(folder).expanduser() / "objects" / f"{thing.name}.usda"
+    _check_target(thing.name, file, force)
+    _write_object(thing, file)
+    return file
+
+
+def find_robot(robot: str, folder: Path) -> Path:
+    """The file of a robot: the folder's own, a shipped one, or a USD file.
+
+    Raises:
+        SceneError: There is no such robot.
+    """
+    file = Path(robot).expanduser()
+    for found in (folder / "robots" / f"{robot}.usda", SCENES / "robots" / f"{robot}.usda", file):
+        if found.is_file() and is_object_file(found):
+            return found
+    shipped = sorted(f.stem for f in (SCENES / "robots").glob("*.usda") if not f.stem.endswith("_skin"))
+    raise SceneError(
+        f"--robot {robot}: there is no such robot",
+        allowed=f"{', '.join(shipped)}, one in {folder / 'robots'}, or a USD file",
+    )
+
+
+def _check_target(name: str, file: Path, force: bool) -> None:
+    """Refuse names that cannot be files', files that are there, and folders that cannot be written to."""
+    if not re.fullmatch(r"[A-Za-z0-9][\w-]*", name, flags=re.ASCII):
+        raise SceneError(f"{name!r}: no name for a scene", allowed="letters, digits, - and _, as in push_s")
+    if file.exists() and not force:
+        raise SceneError("it is there already", file=file, allowed="a new name", fix="--force overwrites it")
+    parent = next(place for place in (file.absolute(), *file.absolute().parents) if place.is_dir())
+    if not os.access(parent, os.W_OK) or (file.parent.exists() and not file.parent.is_dir()):
+        raise SceneError("no folder that can be written to", file=file.parent, fix="take another one with --out")
+
+
+def _draft(task: Task, draft: Path, folder: Path) -> None:
+    """Make the files in a folder that is empty."""
+    robot = copy_bundle(find_robot(task.robot, folder), draft / "robots")
+    thing = _place_object(task.thing, task.name, draft, folder)
+    standing = [
+        replace(o, thing=_place_object(o.thing, task.name, draft, folder)) if isinstance(o, Standing) else o
+        for o in task.obstacles
+    ]
+    task = replace(task, robot=robot.stem, thing=thing, obstacles=tuple(standing))
+    note = f"Look at it: oimppi view {task.name}.usda. Run it: oimppi run {task.name}.usda. Metres, kilograms, z up"
+    file = write(task, draft, note=note, settle=None if task.robot_start else clear_start)
+    stage = Usd.Stage.Open(str(file))
+    explain(stage)
+    stage.Save()
+
+
+def _place_object(thing: Pushable, task: str, draft: Path, folder: Path) -> Pushable:
+    """Write an object into the draft, under a name that no other object has there or in the folder."""
+    made = draft / "new" / "object.usda"
+    _write_object(thing, made)
+    for name in (thing.name, *(f"{thing.name}_{task}{end}" for end in ("", *(f"_{i}" for i in range(2, 100))))):
+        drafted, there = draft / "objects" / f"{name}.usda", folder / "objects" / f"{name}.usda"
+        if drafted.exists() and not filecmp.cmp(made, drafted, shallow=False):
+            continue
+        if name == thing.name and there.exists() and not filecmp.cmp(made, there, shallow=False):
+            continue
+        shutil.copytree(made.parent, drafted.parent, dirs_exist_ok=True)
+        (drafted.parent / made.name).replace(drafted)
+        shutil.rmtree(made.parent)
+        return replace(thing, name=name)  # pyright: ignore[reportArgumentType]  # every object is a dataclass
+    raise SceneError(f"a hundred objects are called {thing.name}", file=folder, fix="take another folder with --out")
+
+
+def _write_object(thing: Pushable, file: Path) -> None:
+    """Write an object's file with what its attributes mean."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    thing.write(file)
+    if not isinstance(thing, Stored):
+        stage = Usd.Stage.Open(str(file))
+        explain(stage)
+        stage.Save()
+
+
+def _install(draft: Path, folder: Path, scene: str) -> tuple[Path, ...]:
+    """Move the files to where they belong, the scene last; returns those that changed, the scene first."""
+    changed = []
+    found = sorted(path.relative_to(draft) for path in draft.rglob("*") if path.is_file())
+    for path in found:
+        target = folder / path
+        own = path == Path(scene) or (path.parent.name == "objects" and f"_{Path(scene).stem}" in path.stem)
+        if target.exists() and not own and not filecmp.cmp(draft / path, target, shallow=False):
+            fix = "take another folder with --out, or give one of the two another name"
+            raise SceneError("another file of this name is there already", file=target, fix=fix)
+    for path in sorted(found, key=lambda path: path == Path(scene)):
+        target = folder / path
+        if target.exists() and filecmp.cmp(draft / path, target, shallow=False):
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = target.with_name(f".{target.name}.part")
+        shutil.copyfile(draft / path, part)
+        part.replace(target)
+        changed.insert(0, target)
+    return tuple(changed)
+
+
+def _moved(error: SceneError, draft: Path, folder: Path) -> SceneError:
+    """An error about a draft as one about the file that it would have become."""
+    file = error.file.replace(str(draft.resolve()), str(folder)).replace(str(draft), str(folder))
+    fix = _IN_WORDS.get(error.fix, error.fix)
+    return SceneError(error.what, file=file, prim=error.prim, allowed=error.allowed, fix=fix)
