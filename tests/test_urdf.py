@@ -321,7 +321,13 @@ def test_the_command_makes_a_robot_and_a_task_that_can_be_run(tmp_path, capsys):
     asked = ["scene", "robot", str(urdf), "--tool-length", "0.15", "--tool-axis=x", "--out", str(tmp_path / "out")]
     assert main(asked) == 0
     told = capsys.readouterr().out
-    for words in ("6 joints (RRRRRR)", "j1, j2, j3, j4, j5, j6", "along x of tool0", "oimppi run"):
+    for words in (
+        "6 joints (RRRRRR)",
+        "j1, j2, j3, j4, j5, j6",
+        "along x of tool0",
+        "oimppi run",
+        "no collision shapes on pitch:",
+    ):
         assert words in told
     scene = load_scene(tmp_path / "out" / "made_open.usda")
     check_task(scene)

@@ -84,6 +84,10 @@ class AddRobot:
                 arm.write(made, Path(folder) / "robots" / f"{name}.usda")
                 scene = write_trial(robot, name, Path(folder))
                 self._keep(Path(folder))
+        bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
+        if bare:
+            links = ", ".join(link.rpartition("/")[2] for link in bare)
+            console.print(f"warning: no collision shapes on {links}: they are not drawn, and run into things unnoticed")
         reach = reach_of(robot)
         console.print(f"{self.out / 'robots' / name}.usda: {robot.dof} joints ({robot.chain}), from {self.file.name}")
         console.print(f"  joints   {', '.join(joint.rpartition('/')[2] for joint in chain.joints)}")
