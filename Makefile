@@ -68,5 +68,5 @@ lock: ## resolve the dependencies anew (needs uv)
 		--no-emit-index-url --no-emit-find-links --no-header --no-annotate --upgrade -q pyproject.toml -o requirements.lock
 
 clean: ## remove what was built; not .venv
-	rm -rf build dist *.egg-info .pytest_cache .ruff_cache
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find oimppi_warp kernels tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

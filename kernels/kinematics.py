@@ -101,6 +101,9 @@ def make_place_arm(chain: str) -> wp.Function:
     """The function that places an arm with a chain of joints, like ``"RRRRRR"``."""
     dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
+    # One bit a joint: a constant that the unrolled loop asks, so that the compiler leaves out what is not so. (With
+    # wp.static in the loop, a module's hash would depend on what was compiled before it.)
+    slides = sum(1 << j for j, kind in enumerate(chain) if kind == "P")
 
     @wp.func(module=f"oimppi_warp.kernels.kinematics_{chain}")
     def place_arm(arm: Arm, surroundings: Surroundings, tip: wp.vec3, q: vec) -> Placed:
@@ -117,7 +120,7 @@ def make_place_arm(chain: str) -> wp.Function:
         p = wp.vec3()
         for j in range(dof):
             p = p + r * arm.position[j]
-            if wp.static(chain[j] == "P"):
+            if (slides >> j) & 1 != 0:
                 r = r * arm.rotation[j]
                 p = p + q[j] * wp.vec3(r[0, 2], r[1, 2], r[2, 2])
             else:

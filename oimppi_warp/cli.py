@@ -21,6 +21,7 @@ from tyro.conf import arg, subcommand
 
 from oimppi_warp.authoring.check_command import Check
 from oimppi_warp.authoring.commands import Import, New
+from oimppi_warp.authoring.robot_command import AddRobot
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.options import TaskOptions, notices
@@ -102,6 +103,7 @@ class Scenes:
 SceneCommand = (
     Annotated[New, subcommand("new", prefix_name=False)]
     | Annotated[Import, subcommand("import", prefix_name=False)]
+    | Annotated[AddRobot, subcommand("robot", prefix_name=False)]
     | Annotated[Check, subcommand("check", prefix_name=False)]
 )
 """The commands below ``oimppi scene``."""
@@ -115,7 +117,9 @@ Command = (
     | Annotated[Export, subcommand("export", prefix_name=False)]
     | Annotated[
         SceneCommand,
-        subcommand("scene", prefix_name=False, description="Write tasks and objects of your own, and check them."),
+        subcommand(
+            "scene", prefix_name=False, description="Write tasks, objects and robots of your own, and check them."
+        ),
     ]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
@@ -128,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse and execute; returns the exit status."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # threads of NumPy's BLAS slow the planner's kernels down
-    about = "Object-informed MPPI: an xArm6 pushes an object to its goal."
+    about = "Object-informed MPPI: an arm pushes an object to its goal."
     command = tyro.cli(Command, prog="oimppi", description=about, args=arguments)
     try:
         return command.execute()

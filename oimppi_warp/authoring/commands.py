@@ -176,8 +176,8 @@ class Import(ObjectOptions):
 
 def _article(doc: str) -> str:
     """What an object is, as it stands in the middle of a sentence."""
-    short = doc.partition(":")[0]
-    return f"{short[0].lower()}{short[1:]}" if short[:2] in ("A ", "Th") else f"the {short}"
+    short = doc.partition(":")[0].partition(", ")[0]
+    return f"{short[0].lower()}{short[1:]}" if short.startswith(("A ", "The ")) else f"the {short}"
 
 
 def _print_next(commands: tuple[str, ...], file: Path) -> None:

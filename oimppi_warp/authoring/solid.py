@@ -39,9 +39,8 @@ class Solid:
     """An object from a mesh; its frame is above its centre of mass, seen from above, at half its height.
 
     Attributes:
-        name: Name of its file.
-        prim: Name of its prim.
-        doc: What it is.
+        name: Its name, and that of its file.
+        about: Its size, and where it is from.
         hulls: Its convex pieces in its frame: corners [n, 3] [m] and triangles [m, 3] each.
         surface: What is shown of it, as the pieces are given; empty: the pieces.
         mass: [kg].
@@ -54,8 +53,7 @@ class Solid:
     """
 
     name: str
-    prim: str
-    doc: str
+    about: str
     hulls: tuple[Hull, ...]
     surface: tuple[Hull, ...]
     mass: float
@@ -65,6 +63,17 @@ class Solid:
     fit: Fit
     notes: tuple[str, ...] = field(default=())
     color: Color = STEEL
+
+    @property
+    def doc(self) -> str:
+        """What it is."""
+        return f"{self.name}: {self.about}"
+
+    @property
+    def prim(self) -> str:
+        """Name of its prim."""
+        title = "".join(part.title() for part in self.name.split("_"))
+        return title if title[0].isalpha() else f"Object{title}"
 
     @property
     def rest_height(self) -> float:
@@ -137,15 +146,12 @@ def import_mesh(
     solid = moments(surface)
     weight = checked_mass(mass, solid.volume)
     hulls, fit = decompose(surface)
-    name = plain_name(name or file.stem)
-    title = "".join(part.title() for part in name.split("_"))
     size = " x ".join(f"{side:.3g}" for side in surface.extents)
     pieces = f"{len(hulls)} convex piece{'' if len(hulls) == 1 else 's'}: {fit}"
     shown = ((np.asarray(surface.vertices), np.asarray(surface.faces)),) if len(surface.faces) <= SHOWN_FACES else ()
     return Solid(
-        name=name,
-        prim=title if title[0].isalpha() else f"Object{title}",
-        doc=f"{name}: a mesh of {size} m, from {file.name}",
+        name=plain_name(name or file.stem),
+        about=f"a mesh of {size} m, from {file.name}",
         hulls=hulls,
         surface=shown,
         mass=weight,
