@@ -1,4 +1,8 @@
-"""Forward kinematics of a serial arm of revolute joints about their local z axes, and the room that it has."""
+"""Forward kinematics of a serial arm whose joints turn about or slide along their local z axes, and its room.
+
+A chain is written as a letter for each joint, R where it turns and P where it slides; kernels are made for a chain, so
+that a thread asks no joint of which kind it is.
+"""
 
 from functools import lru_cache
 
@@ -93,11 +97,15 @@ def lowest_clearance(surroundings: Surroundings, p: wp.vec3, r: wp.mat33, ball: 
 
 
 @lru_cache
-def make_place_arm(dof: int) -> wp.Function:
-    """The function that places an arm of ``dof`` joints."""
+def make_place_arm(chain: str) -> wp.Function:
+    """The function that places an arm with a chain of joints, like ``"RRRRRR"``."""
+    dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
+    # One bit a joint: a constant that the unrolled loop asks, so that the compiler leaves out what is not so. (With
+    # wp.static in the loop, a module's hash would depend on what was compiled before it.)
+    slides = sum(1 << j for j, kind in enumerate(chain) if kind == "P")
 
-    @wp.func(module="oimppi_warp.kernels.kinematics")
+    @wp.func(module=f"oimppi_warp.kernels.kinematics_{chain}")
     def place_arm(arm: Arm, surroundings: Surroundings, tip: wp.vec3, q: vec) -> Placed:
         """Tip, tilt and room of the arm.
 
@@ -112,7 +120,11 @@ def make_place_arm(dof: int) -> wp.Function:
         p = wp.vec3()
         for j in range(dof):
             p = p + r * arm.position[j]
-            r = turn_about_z(r * arm.rotation[j], wp.cos(q[j]), wp.sin(q[j]))
+            if (slides >> j) & 1 != 0:
+                r = r * arm.rotation[j]
+                p = p + q[j] * wp.vec3(r[0, 2], r[1, 2], r[2, 2])
+            else:
+                r = turn_about_z(r * arm.rotation[j], wp.cos(q[j]), wp.sin(q[j]))
             # A link that is far from everything as a whole is not looked at more closely.
             whole = lowest_clearance(surroundings, p, r, arm.hull[j])
             if whole > surroundings.near:

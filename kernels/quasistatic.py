@@ -17,12 +17,13 @@ GIVE = wp.constant(5.0e-4)
 
 
 @lru_cache
-def make_robot_rollout(dof: int) -> wp.Kernel:
-    """The rollout kernel for an arm of ``dof`` joints."""
+def make_robot_rollout(chain: str) -> wp.Kernel:
+    """The rollout kernel for a chain of joints, like ``"RRRRRR"``."""
+    dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
-    place_arm = make_place_arm(dof)
+    place_arm = make_place_arm(chain)
 
-    @wp.kernel(module=f"oimppi_warp.kernels.robot_rollout_{dof}", enable_backward=False)
+    @wp.kernel(module=f"oimppi_warp.kernels.robot_rollout_{chain}", enable_backward=False)
     def robot_rollout(
         # in:
         first: int,

@@ -13,15 +13,16 @@ wp.set_module_options({"enable_backward": False})
 
 
 @lru_cache
-def make_stage_costs(dof: int, precision: type) -> wp.Kernel:
-    """The kernel for an arm of ``dof`` joints and states in ``precision`` (``wp.float32`` or ``wp.float64``)."""
+def make_stage_costs(chain: str, precision: type) -> wp.Kernel:
+    """The kernel for a chain like ``"RRRRRR"`` and states in ``precision``, ``wp.float32`` or ``wp.float64``."""
+    dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
     joints_type = wp.types.vector(length=dof, dtype=precision)
     object_type = wp.types.vector(length=7, dtype=precision)
-    place_arm = make_place_arm(dof)
+    place_arm = make_place_arm(chain)
     bits = 8 * wp.types.type_size_in_bytes(precision)
 
-    @wp.kernel(module=f"oimppi_warp.kernels.stage_costs_{dof}_{bits}", enable_backward=False)
+    @wp.kernel(module=f"oimppi_warp.kernels.stage_costs_{chain}_{bits}", enable_backward=False)
     def stage_costs(
         # in:
         first: int,

@@ -24,12 +24,13 @@ def gap_to(model: ObjectModel, pose: wp.vec3, point: wp.vec2, tool_radius: float
 
 
 @lru_cache
-def make_track_object(dof: int) -> wp.Kernel:
-    """The kernel for an arm of ``dof`` joints."""
+def make_track_object(chain: str) -> wp.Kernel:
+    """The kernel for a chain of joints, like ``"RRRRRR"``."""
+    dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
-    place_arm = make_place_arm(dof)
+    place_arm = make_place_arm(chain)
 
-    @wp.kernel(module=f"oimppi_warp.kernels.track_object_{dof}", enable_backward=False)
+    @wp.kernel(module=f"oimppi_warp.kernels.track_object_{chain}", enable_backward=False)
     def track_object(
         # in:
         arm: Arm,

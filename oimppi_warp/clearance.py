@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +23,7 @@ from oimppi_warp.cache import cached, content_of
 from oimppi_warp.footprint import LimitSurface, Piece, core_points, footprint, height_range, limit_surface, outline
 from oimppi_warp.kernels import clearance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
+from oimppi_warp.reach import area_of, stretched_length
 from oimppi_warp.scene import Collider, Scene
 
 STEP = 0.01
@@ -78,11 +80,12 @@ def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None 
         return float("nan")
     values = field.values.numpy() if values is None else values
     nyaw, nx, ny = values.shape
-    x = np.clip((pose[0] - field.origin[0]) * field.inv_step, 0.0, nx - 1 - 1e-3)
-    y = np.clip((pose[1] - field.origin[1]) * field.inv_step, 0.0, ny - 1 - 1e-3)
-    t = (pose[2] / (2.0 * np.pi)) % 1.0 * nyaw
+    px, py, yaw = pose.tolist()
+    x = min(max((px - field.origin[0]) * field.inv_step, 0.0), nx - 1 - 1e-3)
+    y = min(max((py - field.origin[1]) * field.inv_step, 0.0), ny - 1 - 1e-3)
+    t = (yaw / (2.0 * math.pi)) % 1.0 * nyaw
     i, j, k = int(x), int(y), int(t) % nyaw
-    cube = values[[k, (k + 1) % nyaw]][:, i : i + 2, j : j + 2]
+    cube = values[[k, (k + 1) % nyaw], i : i + 2, j : j + 2]
     ax, ay, at = x - i, y - j, t - int(t)
     return float(np.einsum("tij,t,i,j->", cube, [1 - at, at], [1 - ax, ax], [1 - ay, ay]))
 
@@ -153,8 +156,7 @@ def _clearance_field(
     reach = arm_reach_bound(scene)
     first = np.maximum(lower, -reach)
     count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
-    if not edge:
-        lower, upper = lower - 10.0, upper + 10.0
+    lower, upper = area_of(scene) if edge else (lower - 10.0, upper + 10.0)
 
     def compute() -> np.ndarray:
         values = wp.zeros((YAW_NODES, *count), dtype=float, device="cpu")
@@ -187,8 +189,7 @@ def _clearance_field(
 
 def arm_reach_bound(scene: Scene) -> float:
     """A bound on how far the tool can be from the base's axis: the stretched length of the chain [m]."""
-    links = [np.linalg.norm(joint.parent_transform[:3]) for joint in scene.robot.joints[1:]]
-    return float(sum(links) + np.linalg.norm(scene.robot.tip[:3]))
+    return stretched_length(scene.robot)
 
 
 def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:

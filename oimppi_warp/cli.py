@@ -13,18 +13,18 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tyro.conf import arg, subcommand
 
+from oimppi_warp.authoring.check_command import Check
 from oimppi_warp.authoring.commands import Import, New
+from oimppi_warp.authoring.robot_command import AddRobot
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
-from oimppi_warp.options import TaskOptions
-from oimppi_warp.task import make_task, parse_pose, parse_start
+from oimppi_warp.options import TaskOptions, notices
 from oimppi_warp.upkeep import Doctor, Warmup
 from oimppi_warp.view.commands import Export, View
 
@@ -53,42 +53,18 @@ class Run(TaskOptions):
 
     def execute(self) -> int:
         """Run the episode; returns the exit status."""
-        config = self.settings()
-        start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
         _check_outputs(self.record, self.json)
+        setup = self.setup()
+        console = notices()
 
-        import warp as wp
-        from rich.console import Console
-
-        from oimppi_warp import device
         from oimppi_warp.log import write_whole
         from oimppi_warp.metrics import summarize
 
-        console = Console(stderr=True, highlight=False)
-        say = partial(console.print, soft_wrap=True)
-        wp.set_logger(device.CompileNotice(say))
-        where = device.pick_device(self.device)
-        with console.status("reading the scene"):
-            scene = make_task(self.scene, start=start, goal=goal, seed=self.seed)
         with console.status("loading kernels"):
-            if not device.kernels_are_cached():
-                say("First run on this machine: compiling kernels, which takes about half a minute and is done once.")
-            from oimppi_warp.episode import Episode
-
-            episode = Episode(
-                scene,
-                config,
-                method=self.method,
-                engine=self.engine,
-                device=where,
-                threads=self.threads,
-                seed=self.seed,
-                plant=self.plant,
-                mode=self.mode,
-            )
+            episode = setup.episode()
         if episode.planner.engine_reason:
-            say(f"engine {episode.planner.engine}: {episode.planner.engine_reason}")
-        with _progress(config.episode.max_sim_seconds, console) as on_step:
+            console.print(f"engine {episode.planner.engine}: {episode.planner.engine_reason}", soft_wrap=True)
+        with _progress(setup.config.episode.max_sim_seconds, console) as on_step:
             log = episode.run(on_step=on_step)
         metrics = summarize(log)
         if self.json is not None:
@@ -99,7 +75,7 @@ class Run(TaskOptions):
             with console.status("drawing"):
                 from oimppi_warp.report import draw
 
-                draw(log, scene, self.record)
+                draw(log, setup.scene, self.record)
         _print_summary(metrics, self.record)
         if metrics.ended == "interrupted":
             return 130
@@ -125,7 +101,10 @@ class Scenes:
 
 
 SceneCommand = (
-    Annotated[New, subcommand("new", prefix_name=False)] | Annotated[Import, subcommand("import", prefix_name=False)]
+    Annotated[New, subcommand("new", prefix_name=False)]
+    | Annotated[Import, subcommand("import", prefix_name=False)]
+    | Annotated[AddRobot, subcommand("robot", prefix_name=False)]
+    | Annotated[Check, subcommand("check", prefix_name=False)]
 )
 """The commands below ``oimppi scene``."""
 
@@ -138,7 +117,9 @@ Command = (
     | Annotated[Export, subcommand("export", prefix_name=False)]
     | Annotated[
         SceneCommand,
-        subcommand("scene", prefix_name=False, description="Write tasks and objects of your own: new, import."),
+        subcommand(
+            "scene", prefix_name=False, description="Write tasks, objects and robots of your own, and check them."
+        ),
     ]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
@@ -151,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse and execute; returns the exit status."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # threads of NumPy's BLAS slow the planner's kernels down
-    about = "Object-informed MPPI: an xArm6 pushes an object to its goal."
+    about = "Object-informed MPPI: an arm pushes an object to its goal."
     command = tyro.cli(Command, prog="oimppi", description=about, args=arguments)
     try:
         return command.execute()

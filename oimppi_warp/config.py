@@ -75,10 +75,12 @@ class RobotLevel:
         mppi: Sampling and update.
         noise_space: Where Sigma_u is given: in joint space (the paper) or in the tool's frame of motion, mapped to
             joints by the damped pseudo-inverse of the Jacobian.
-        joint_noise: Standard deviation of each joint's velocity [rad/s], for ``noise_space="joint"``.
+        joint_noise: Standard deviation of each joint's velocity [rad/s; m/s where it slides], for
+            ``noise_space="joint"``.
         tool_noise: Standard deviations of the tip's velocity (x, y, z [m/s], rotation about x, y, z [rad/s]), for
             ``noise_space="tool"``.
-        joint_velocity_limit: Bound of each joint's velocity [rad/s], if lower than the robot's own.
+        joint_velocity_limit: Bound of each joint's velocity [rad/s], if lower than the robot's own. For joints that
+            slide the same number counts as m/s: a robot made of them sets the pace itself, by its own limits.
         contact_steps: Steps of the contact model in one control step, in the quasi-static engine.
         substeps: Steps of the physics in one control step, in the Newton engine.
         uncertainty: What the prediction may be wrong about.
@@ -134,7 +136,8 @@ class ObjectCost:
         w_margin: Squared lack of clearance below ``margin`` [1/m^2]; not in the paper.
         margin: [m].
         w_reach: Distance of the object's centre to the ring in which the arm can push well [1/m]; not in the paper.
-        reach: Inner and outer radius of that ring [m].
+        reach: Inner and outer radius of that ring for an arm that reaches as far as the xArm6, 0.72 m; for others in
+            proportion, and for a robot that does not turn about its base there is no ring [m].
     """
 
     w_d: float = 1.0
@@ -173,7 +176,8 @@ class RobotCost:
         clearance: [m].
         w_above: Each step with the tip above the object.
         w_reach: Distance of the object's centre to the ring in which the arm can push well [1/m].
-        reach: Inner and outer radius of that ring [m].
+        reach: Inner and outer radius of that ring for an arm that reaches as far as the xArm6, 0.72 m; for others in
+            proportion, and for a robot that does not turn about its base there is no ring [m].
         w_edge: Distance of the object's centre to where all of it is on the table for sure [1/m].
         w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2]; in the quasi-static
             engine, as the next three: the others feel the forces that these stand for.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,25 @@ _FALLEN = 0.05
 """Depth of the object's frame below the table's top at which it has fallen off [m]."""
 _SUBSTEP = 0.0025
 """Longest step of the plant's physics [s]; longer ones make a sliding object gain energy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """All that makes an episode, as :class:`Episode` takes it."""
+
+    scene: Scene
+    config: Config
+    method: Method = "cloi"
+    engine: str = "auto"
+    device: str = "auto"
+    threads: int | None = None
+    seed: int = 0
+    plant: PlantKind = "ideal"
+    mode: Mode = "lockstep"
+
+    def episode(self) -> Episode:
+        """A new episode, ready to run."""
+        return Episode(**vars(self))
 
 
 class Episode:

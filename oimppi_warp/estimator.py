@@ -77,7 +77,7 @@ class Estimator:
         self._model.clearance = geometry.obstruction
         self._surroundings = surroundings(scene, geometry, config.cost)
         self._contact_steps = config.robot.contact_steps
-        self._kernel = make_track_object(scene.robot.dof)
+        self._kernel = make_track_object(scene.robot.chain)
         vec = control_type(scene.robot.dof)
         self._joints = wp.zeros(_CAPACITY, dtype=vec, device="cpu")
         self._range = wp.zeros(2, dtype=int, device="cpu")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from functools import lru_cache
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import shapely
@@ -11,8 +10,9 @@ from shapely import affinity
 
 from oimppi_warp.errors import SceneError
 from oimppi_warp.footprint import footprint, height_range, outline
-from oimppi_warp.kinematics import tip_frame, tip_jacobian
-from oimppi_warp.scene import Collider, PlanarPose, Robot, Scene
+from oimppi_warp.kinematics import tip_frame
+from oimppi_warp.reach import can_lift, reach_of
+from oimppi_warp.scene import Collider, PlanarPose, Scene
 
 CLEAR = 0.045
 """Room that a drawn start leaves around the object [m]."""
@@ -28,40 +28,50 @@ def check_task(scene: Scene) -> None:
         SceneError: At its start or goal the object is off the table, in an obstacle, in the robot's base or out of the
             arm's reach; or the tool starts inside something.
     """
-    for name, pose in (("start", scene.start), ("goal", scene.goal)):
-        shape = object_outline(scene, pose)
-        place = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
-        prim = scene.object.path if name == "start" else ""
-        if not np.isfinite(pose).all():
-            raise SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed="x [m], y [m], yaw [rad]")
-        if not shapely.covers(_table(scene), shape):
-            (x0, y0), (x1, y1) = scene.table.lower, scene.table.upper
-            raise SceneError(
-                f"{place} is not wholly on the table",
+    for mistake in task_mistakes(scene):
+        raise mistake
+
+
+def task_mistakes(scene: Scene) -> Iterator[SceneError]:
+    """Everything that :func:`check_task` may raise, one after the other."""
+    yield from pose_mistakes(scene, "start", scene.start)
+    yield from pose_mistakes(scene, "goal", scene.goal)
+    yield from _tool_mistakes(scene)
+
+
+def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneError]:
+    """Why the object cannot stand at a pose or be pushed there.
+
+    Args:
+        scene: The task.
+        name: What to call the pose: "start", "goal", or "start 3" of those that are listed.
+        pose: The pose.
+    """
+    place = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
+    prim = scene.object.path if name == "start" else ""
+    if not np.isfinite(pose).all():
+        yield SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed="x [m], y [m], yaw [rad]")
+        return
+    shape = object_outline(scene, pose)
+    if not shapely.covers(_table(scene), shape):
+        (x0, y0), (x1, y1) = scene.table.lower, scene.table.upper
+        yield SceneError(
+            f"{place} is not wholly on the table",
+            file=scene.file,
+            prim=prim,
+            allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
+            fix=_move(name),
+        )
+    for what, path, other in surroundings(scene):
+        if shapely.area(shapely.intersection(shape, other)) > 1e-8:
+            yield SceneError(
+                f"{place} is inside {what} <{path}>",
                 file=scene.file,
                 prim=prim,
-                allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
+                allowed="anywhere that the object overlaps nothing",
                 fix=_move(name),
             )
-        for what, path, other in _surroundings(scene):
-            if shapely.area(shapely.intersection(shape, other)) > 1e-8:
-                raise SceneError(
-                    f"{place} is inside {what} <{path}>",
-                    file=scene.file,
-                    prim=prim,
-                    allowed="anywhere that the object overlaps nothing",
-                    fix=_move(name),
-                )
-        reach, away = reach_of(scene.robot), _distance_to_base(scene, pose)
-        if away > reach:
-            raise SceneError(
-                f"{place} is out of reach: the object's centre would be {away:.2f} m from the arm's base",
-                file=scene.file,
-                prim=prim,
-                allowed=f"up to {reach:.2f} m, as far as the tool reaches when it points down",
-                fix=_move(name),
-            )
-    _check_tool(scene)
+    yield from _reach_mistakes(scene, name, place, pose)
 
 
 def draw_start(scene: Scene, seed: int) -> PlanarPose:
@@ -80,8 +90,8 @@ def draw_start(scene: Scene, seed: int) -> PlanarPose:
     if position == 0.0 and yaw == 0.0:
         return scene.start
     random = np.random.default_rng(seed)
-    reach = reach_of(scene.robot) - 2.0 * scene.robot.tool_radius
-    around = [other for _, _, other in _surroundings(scene)]
+    reach = reach_of(scene.robot)
+    around = [other for _, _, other in surroundings(scene)]
     tool = _tool(scene)
     if tool is not None:
         around.append(tool)
@@ -89,14 +99,14 @@ def draw_start(scene: Scene, seed: int) -> PlanarPose:
         x, y, angle = np.asarray(scene.start) + random.uniform(-1.0, 1.0, 3) * (position, position, yaw)
         pose = (round(float(x), 4), round(float(y), 4), round(float(angle), 4))
         shape = object_outline(scene, pose)
-        far = shapely.hausdorff_distance(shapely.Point(0.0, 0.0), shape)
+        behind = reach.room(shapely.get_coordinates(shape)).min() >= 2.0 * scene.robot.tool_radius
         free = all(shapely.distance(shape, other) >= CLEAR for other in around)
-        if free and far <= reach and shapely.covers(_table(scene), shape):
+        if free and behind and shapely.covers(_table(scene), shape):
             return pose
     raise SceneError(
         f"none of {DRAWS} starts drawn around ({scene.start[0]:.3g}, {scene.start[1]:.3g}) is free and within reach",
         file=scene.file,
-        allowed=f"{CLEAR:g} m of room around the object, and all of it within {reach:.2f} m of the arm's base",
+        allowed=f"{CLEAR:g} m of room around the object, and all of it {_within(scene)}",
         fix="give a start, or make oimppi:spread smaller",
     )
 
@@ -107,63 +117,49 @@ def object_outline(scene: Scene, pose: PlanarPose) -> shapely.Geometry:
     return affinity.translate(shape, pose[0], pose[1])
 
 
-@lru_cache(maxsize=8)
-def reach_of(robot: Robot) -> float:
-    """How far from the base's axis the tip gets at table height with the tool pointing down [m].
-
-    From its start configuration the tip is led to the table and outwards, until no joint positions within the limits
-    are found any more.
-    """
-    joints = _solve(robot, robot.start, float(np.linalg.norm(tip_frame(robot, robot.start)[1][:2])))
-    step, reach = 0.05, 0.0 if joints is None else float(np.linalg.norm(tip_frame(robot, joints)[1][:2]))
-    while step > 5e-4 and joints is not None:
-        further = _solve(robot, joints, reach + step)
-        if further is None:
-            step /= 2.0
-        else:
-            joints, reach = further, reach + step
-    return reach
-
-
-def _solve(robot: Robot, joints: np.ndarray, radius: float) -> np.ndarray | None:
-    """Joint positions with the tip at a radius [m] on the table and the tool pointing down: damped Gauss-Newton."""
-    lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
-    q = np.array(joints, dtype=float)
-    for _ in range(60):
-        rotation, tip = tip_frame(robot, q)
-        axis, outwards = rotation[:, 2], np.array([tip[0], tip[1], 0.0]) / max(np.hypot(tip[0], tip[1]), 1e-9)
-        error = np.array([outwards @ tip - radius, tip[2], axis[0], axis[1]])
-        if np.abs(error).max() < 1e-5 and axis[2] < 0.0:
-            return q
-        linear, angular = np.split(tip_jacobian(robot, q), 2)
-        turning = np.cross(angular.T, axis).T
-        jacobian = np.vstack([outwards @ linear, linear[2], turning[:2]])
-        q = q - jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-6 * np.eye(4), error)
-        q = np.clip(q, lower, upper)
-    return None
-
-
 def _table(scene: Scene) -> shapely.Geometry:
     return shapely.box(*scene.table.lower, *scene.table.upper)
 
 
 def _move(name: str) -> str:
-    return "move the object in the file, or give another start" if name == "start" else "change oimppi:goal"
+    fixes = {"start": "move the object in the file, or give another start", "goal": "change oimppi:goal"}
+    return fixes.get(name, "change it in oimppi:starts, or leave it out")
 
 
-def _distance_to_base(scene: Scene, pose: PlanarPose) -> float:
+def _reach_mistakes(scene: Scene, name: str, place: str, pose: PlanarPose) -> Iterator[SceneError]:
     (x, y), (c, s) = scene.object.center_of_mass[:2], (np.cos(pose[2]), np.sin(pose[2]))
-    return float(np.hypot(pose[0] + c * x - s * y, pose[1] + s * x + c * y))
+    center = np.array([pose[0] + c * x - s * y, pose[1] + s * x + c * y])
+    reach = reach_of(scene.robot)
+    room = float(reach.room(center[None])[0])
+    if room < 0.0:
+        where = f"{np.hypot(*center):.2f} m from the arm's base" if reach.border is None else f"{-room:.2f} m beyond it"
+        yield SceneError(
+            f"{place} is out of reach: the object's centre would be {where}",
+            file=scene.file,
+            prim=scene.object.path if name == "start" else "",
+            allowed=f"{_within(scene)}, as far as the tool reaches when it points down",
+            fix=_move(name),
+        )
 
 
-def _surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
+def _within(scene: Scene) -> str:
+    """Where the arm gets, in words."""
+    reach = reach_of(scene.robot)
+    if reach.border is None:
+        return f"up to {reach.radius:.2f} m from the arm's base"
+    (x0, y0), (x1, y1) = reach.bounds
+    return f"within x from {x0:.2f} to {x1:.2f} m and y from {y0:.2f} to {y1:.2f} m"
+
+
+def surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
     """What the object could run into: a word for it, its prim, and what it covers at the object's height."""
     low, high = (scene.object.rest_height + z for z in height_range(scene.object.colliders))
 
     def covered(colliders: Iterable[Collider]) -> shapely.Geometry:
         return outline(footprint(colliders, lower=low + 1e-3, upper=high))
 
-    yield "the robot's base", scene.robot.base.path, covered(scene.robot.base.colliders)
+    if scene.robot.base.colliders:
+        yield "the robot's base", scene.robot.base.path, covered(scene.robot.base.colliders)
     for obstacle in scene.obstacles:
         yield "the obstacle", obstacle.path, covered(obstacle.colliders)
 
@@ -176,7 +172,7 @@ def _tool(scene: Scene) -> shapely.Geometry | None:
     return shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
 
 
-def _check_tool(scene: Scene) -> None:
+def _tool_mistakes(scene: Scene) -> Iterator[SceneError]:
     tip = tip_frame(scene.robot, scene.robot.start)[1]
     disc = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
     things = [("the object", scene.object.path, object_outline(scene, scene.start))] if _tool(scene) is not None else []
@@ -185,15 +181,23 @@ def _check_tool(scene: Scene) -> None:
             things.append(("the obstacle", obstacle.path, outline(footprint(obstacle.colliders, lower=tip[2]))))
     for what, path, shape in things:
         if disc.intersects(shape):
-            raise SceneError(
+            yield SceneError(
                 f"the tool starts inside {what} <{path}>, with its tip at {np.round(tip, 3).tolist()}",
                 file=scene.file,
                 prim=scene.robot.path,
                 allowed="a start of the arm in which the tool touches nothing",
                 fix="change oimppi:startJoints, or start the object elsewhere",
             )
+    if _tool(scene) is None and not can_lift(scene.robot):
+        yield SceneError(
+            f"the tool passes over the object: its tip stays {tip[2]:.3f} m above the table",
+            file=scene.file,
+            prim=scene.robot.path,
+            allowed="lower than the object's top for a robot that cannot lower its tool",
+            fix="lengthen the stick, or take a higher object",
+        )
     if tip[2] < 0.0:
-        raise SceneError(
+        yield SceneError(
             f"the tool starts {-tip[2]:.3f} m below the table",
             file=scene.file,
             prim=scene.robot.path,

@@ -19,9 +19,9 @@ class LabConfig:
         outlier_probability: Share of the detections that are wrong.
         outlier_size: Mean distance of a wrong detection from the object [m]; it may have any yaw.
         camera: Position of the camera [m]: above the far side of the table, looking towards the arm.
-        joint_noise: Standard deviation of each joint's measured position [rad].
+        joint_noise: Standard deviation of each joint's measured position [rad; m where it slides].
         command_latency: From sending a command to its effect, in whole reports of the joints [s].
-        acceleration_limit: Of each joint [rad/s^2]; the xArm's controller has 1145 deg/s^2.
+        acceleration_limit: Of each joint [rad/s^2; m/s^2 where it slides]; the xArm's controller has 1145 deg/s^2.
     """
 
     rate: float = 1.0

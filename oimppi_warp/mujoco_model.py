@@ -177,14 +177,13 @@ def _places(values: np.ndarray, wanted: np.ndarray | int) -> np.ndarray:
 
 def _content(scene: Scene) -> str:
     """Hash of all that a scene's MuJoCo model is made from: its layers, what is set here, and who translates."""
-    from pxr import Usd
+    from oimppi_warp.usd import meshes, stage, units, upright
 
     digest = hashlib.sha256()
-    for source in (__file__, newton_model.__file__):
+    for source in (__file__, newton_model.__file__, units.__file__, upright.__file__, meshes.__file__):
         digest.update(Path(source).read_bytes())
-    stage = Usd.Stage.Open(str(scene.file))
-    for layer in sorted(layer.realPath for layer in stage.GetUsedLayers() if not layer.anonymous):
-        digest.update(Path(layer).read_bytes())
+    for layer in sorted(stage.SceneStage(scene.file).layers):
+        digest.update(layer.read_bytes())
     pushed = scene.object
     digest.update(f"{pushed.friction} {pushed.tool_friction} {version('newton')} {version('mujoco')}".encode())
     return digest.hexdigest()[:24]

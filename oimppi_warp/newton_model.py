@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from oimppi_warp.kinematics import turning
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import Scene
 
@@ -26,6 +27,9 @@ DRIVE_GAIN = 200.0
 
 ARMATURE = 0.1
 """Inertia of a joint's motor and gear, seen at the joint [kg m^2]."""
+
+SLIDE_GAIN, SLIDE_ARMATURE = 1500.0, 0.6
+"""The same of a joint that slides [N s/m], [kg]: what the others are to a tool 0.4 m from their axis."""
 
 MIN_FRICTION = 1e-4
 """As good as none; MuJoCo takes nothing below 1e-5."""
@@ -86,10 +90,12 @@ def import_scene(scene: Scene, *, worlds: int | None = None, device: str = "cpu"
         import newton
         from newton.solvers import SolverMuJoCo
 
+        from oimppi_warp.usd.stage import SceneStage
+
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     builder.rigid_gap = 0.0  # shapes that do not touch are of no interest
     SolverMuJoCo.register_custom_attributes(builder)
-    found = builder.add_usd(str(scene.file), load_visual_shapes=False, enable_self_collisions=False)
+    found = builder.add_usd(SceneStage(scene.file).stage, load_visual_shapes=False, enable_self_collisions=False)
     bodies, joints = found["path_body_map"], found["path_joint_map"]
     robot_joints = [joints[joint.path] for joint in scene.robot.joints]
     object_body = bodies[scene.object.path]
@@ -99,11 +105,11 @@ def import_scene(scene: Scene, *, worlds: int | None = None, device: str = "cpu"
     object_coords = builder.joint_q_start[free_joint] + np.arange(7)
     roles = _roles(scene, found["path_shape_map"], builder.shape_count)
 
-    for dof in dofs:
+    for dof, turns in zip(dofs, turning(scene.robot), strict=True):
         builder.joint_target_mode[dof] = int(newton.JointTargetMode.VELOCITY)
         builder.joint_target_ke[dof] = 0.0
-        builder.joint_target_kd[dof] = DRIVE_GAIN
-        builder.joint_armature[dof] = ARMATURE
+        builder.joint_target_kd[dof] = DRIVE_GAIN if turns else SLIDE_GAIN
+        builder.joint_armature[dof] = ARMATURE if turns else SLIDE_ARMATURE
     arm = [body for path, body in bodies.items() if path.startswith(scene.robot.path + "/")]
     builder.custom_attributes["mujoco:gravcomp"].values = dict.fromkeys(arm, 1.0)
     builder.custom_attributes["mujoco:geom_solimp"].values = dict.fromkeys(range(len(roles)), SOFT_ONSET)

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from oimppi_warp.config import Config, Method, Mode, PlantKind
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.task import make_config
+from oimppi_warp.task import make_config, make_task, parse_pose, parse_start
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from oimppi_warp.episode import Setup
 
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
@@ -83,3 +89,53 @@ class TaskOptions:
             max_sim_seconds=self.max_sim_seconds,
             randomize=self.randomize,
         )
+
+    def setup(self) -> Setup:
+        """All that makes the episode: the scene read and checked, the device there.
+
+        Raises:
+            ConfigError: An option is wrong; this is known before anything heavy is imported.
+            SceneError: The scene cannot be run so.
+            DeviceError: There is no such device.
+        """
+        config = self.settings()
+        start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
+
+        console = notices()
+        from oimppi_warp import device
+
+        where = device.pick_device(self.device)
+        with console.status("reading the scene"):
+            scene = make_task(self.scene, start=start, goal=goal, seed=self.seed)
+        if not device.kernels_are_cached():
+            console.print(
+                "First run on this machine: compiling kernels, which takes about half a minute and is done once.",
+                soft_wrap=True,
+            )
+        with console.status("loading kernels"):
+            from oimppi_warp.episode import Setup
+
+        return Setup(
+            scene=scene,
+            config=config,
+            method=self.method,
+            engine=self.engine,
+            device=where,
+            threads=self.threads,
+            seed=self.seed,
+            plant=self.plant,
+            mode=self.mode,
+        )
+
+
+def notices() -> Console:
+    """The console for what is said beside a result, with a line there for each kernel that Warp compiles."""
+    import warp as wp
+    from rich.console import Console
+
+    from oimppi_warp import device
+
+    console = Console(stderr=True, highlight=False)
+    wp.set_logger(device.CompileNotice(partial(console.print, soft_wrap=True)))
+    device.start_warp()
+    return console

@@ -17,12 +17,18 @@ from oimppi_warp.mppi import Mppi, Update
 from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import distance
 from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.reach import Reach, reach_of
 from oimppi_warp.regrasp import Regrasping
 from oimppi_warp.scene import Scene
 from oimppi_warp.uncertainty import draw
 
 _DAMPING = 0.05
 """Damping of the Jacobian's pseudo-inverse: singular values below it are not inverted [m/rad]."""
+
+_USUAL_REACH = 0.717
+"""Reach of the xArm6 with its stick, for which the ring of ``cost.reach`` is given [m]."""
+_EVERYWHERE = 1e3
+"""Radius of a ring that keeps nothing out [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,8 +257,25 @@ class Planner:
         return root
 
 
+def _for_reach(config: Config, reach: Reach) -> Config:
+    """The settings for a robot's reach: the ring in which it pushes well is as much larger; none without a centre."""
+
+    def ring(given: tuple[float, float]) -> tuple[float, float]:
+        if reach.border is not None:
+            return (0.0, _EVERYWHERE)
+        scale = round(reach.radius / _USUAL_REACH, 2)
+        return (scale * given[0], scale * given[1])
+
+    return replace(
+        config,
+        cost=replace(config.cost, reach=ring(config.cost.reach)),
+        object_cost=replace(config.object_cost, reach=ring(config.object_cost.reach)),
+    )
+
+
 def _for_task(config: Config, scene: Scene) -> Config:
-    """The settings for a task: where every yaw is allowed, none is asked for."""
+    """The settings for a task: with the robot's reach, and where every yaw is allowed, none is asked for."""
+    config = _for_reach(config, reach_of(scene.robot))
     if np.isfinite(scene.tolerance.yaw):
         return config
     return replace(

@@ -3,7 +3,8 @@
 A robot level that looks a second ahead pushes from where the tool is, or from around the corner. When an object is
 wedged between an obstacle and the tool, the way out may begin on its other side, two seconds away. So the planner
 watches whether the object gets on. When it does not, a point of its outline is chosen from which one push comes closest
-to the motion that the reference asks for, and the tip is called there, over the object if need be. Not in the paper.
+to the motion that the reference asks for, and the tip is called there: over the object if need be, or around it where
+the robot cannot lift its tool. Not in the paper.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import shapely
 
 from oimppi_warp.clearance import Geometry
 from oimppi_warp.config import Regrasp
-from oimppi_warp.feasibility import reach_of
 from oimppi_warp.footprint import footprint, outline, planar_points, wrap_angle
+from oimppi_warp.reach import can_lift, reach_of
 from oimppi_warp.scene import Scene
 
 NOWHERE = np.zeros(4)
@@ -28,6 +29,8 @@ _GAP = 0.012
 """Distance from the outline at which the tool takes its place [m]."""
 _ASIDE = 0.03
 """Distance from the outline at which the tip goes up [m]."""
+_STRIDE = 0.06
+"""Distance of the stops on the way around the object [m]."""
 _ABOVE = 0.035
 """Height of the tip above the object's top on its way over it [m]."""
 _THERE = 0.02
@@ -60,7 +63,8 @@ class Regrasping:
         self._friction = scene.object.tool_friction
         self._radius = scene.robot.tool_radius
         self._heights = (height, geometry.top + _ABOVE)
-        self._farthest = reach_of(scene.robot) - 0.01
+        self._lifts = can_lift(scene.robot)
+        self._reach = reach_of(scene.robot)
         shape = outline(footprint(scene.object.colliders))
         self._shape = shapely.affinity.translate(shape, *(-geometry.surface.center))
         self._points, self._normals = _boundary(self._shape)
@@ -137,8 +141,11 @@ class Regrasping:
         straight = shapely.LineString([tip[:2], to])
         self._stops = [np.array([*to, low])]
         if shapely.distance(straight, body) < self._radius + 0.5 * _GAP:
-            aside = self._aside(tip[:2], body)
-            self._stops = [np.array([*aside, high]), np.array([*to, high]), *self._stops]
+            if self._lifts:
+                aside = self._aside(tip[:2], body)
+                self._stops = [np.array([*aside, high]), np.array([*to, high]), *self._stops]
+            else:
+                self._stops = [np.array([*stop, tip[2]]) for stop in (*self._around(tip[:2], to, body), to)]
         self._left = self._settings.longest_seconds
 
     def _aside(self, tip: np.ndarray, body: shapely.Geometry) -> np.ndarray:
@@ -150,6 +157,17 @@ class Regrasping:
         distance = float(np.linalg.norm(way))
         lack = self._radius + _ASIDE + (distance if inside else -distance)
         return tip + max(lack, 0.0) * way / max(distance, 1e-9)
+
+    def _around(self, tip: np.ndarray, to: np.ndarray, body: shapely.Geometry) -> np.ndarray:
+        """The free way, or else the shorter one, around the object from a tip [2] to a place [2], shape [n, 2]."""
+        ring = shapely.boundary(shapely.buffer(shapely.convex_hull(body), self._radius + _ASIDE))
+        begin, end = (ring.project(shapely.Point(place)) for place in (tip, to))
+        ways = []
+        for length in ((end - begin) % ring.length, (end - begin) % ring.length - ring.length):
+            along = begin + np.linspace(0.0, length, max(math.ceil(abs(length) / _STRIDE), 1) + 1)
+            points = np.array([ring.interpolate(at % ring.length).coords[0] for at in along])
+            ways.append((int(self._blocked(points).sum()), abs(length), points))
+        return min(ways, key=lambda way: way[:2])[2]
 
     def _efficiency(self, wanted: np.ndarray) -> np.ndarray:
         """How close one push from each point of the outline can come to a motion in the object's frame, shape [point].
@@ -173,7 +191,7 @@ class Regrasping:
         """Whether the tool cannot stand at places [n, 2]."""
         points = shapely.points(places)
         near = shapely.distance(points, self._blocks) < self._radius + 0.004 if self._blocks else False
-        return near | (np.hypot(*places.T) > self._farthest)
+        return near | (self._reach.room(places) < 0.01)
 
 
 def _boundary(shape: shapely.Geometry) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,10 @@ import numpy as np
 PlanarPose = tuple[float, float, float]
 """Planar pose (x [m], y [m], yaw [rad])."""
 
+JointKind = Literal["revolute", "prismatic"]
+
+_LETTERS: dict[JointKind, str] = {"revolute": "R", "prismatic": "P"}
+
 
 @dataclass(frozen=True, eq=False)
 class Collider:
@@ -54,15 +58,18 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A revolute joint about its own local z axis.
+    """A joint that turns about its own local z axis, or slides along it.
+
+    Wherever this package says rad, rad/s or N m of a joint, it is m, m/s or N for one that slides.
 
     Attributes:
         path: Prim path.
         parent_transform: Joint frame in the frame of the previous link (the base for the first joint), shape [7]; the
             link that the joint moves has this frame at position zero.
-        lower, upper: Position limits [rad].
+        lower, upper: Position limits [rad]; finite where it slides.
         velocity_limit: [rad/s].
         effort_limit: [N m].
+        kind: ``"revolute"`` turns, ``"prismatic"`` slides.
     """
 
     path: str
@@ -71,15 +78,16 @@ class Joint:
     upper: float
     velocity_limit: float
     effort_limit: float
+    kind: JointKind = "revolute"
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A serial arm with a stick as its tool, base fixed at the world's origin.
+    """A serial arm with a stick as its tool, base fixed at the world's origin: any chain of turning or sliding joints.
 
     Attributes:
         path: Prim path.
-        base: The fixed base link.
+        base: The fixed base link; its shapes are in the world's frame.
         joints: The moving joints from base to flange, length dof.
         links: The link that each joint moves, length dof; bodies welded to the last one (the tool) count to it.
         tip: The tool's tip in the last link's frame, shape [7]; its z axis points out of the tool.
@@ -101,6 +109,11 @@ class Robot:
     def dof(self) -> int:
         """Number of moving joints."""
         return len(self.joints)
+
+    @property
+    def chain(self) -> str:
+        """A letter for each joint, R where it turns and P where it slides: ``"RRRRRR"`` for the xArm6."""
+        return "".join(_LETTERS[joint.kind] for joint in self.joints)
 
 
 @dataclass(frozen=True, eq=False)

@@ -166,8 +166,9 @@ def _apart(a: np.ndarray, b: np.ndarray, yaw_length: float) -> np.ndarray:
 def link_frames(robot: Robot, joints: np.ndarray) -> list[np.ndarray]:
     """Homogeneous transforms of all links in the world frame."""
     frames, frame = [], np.eye(4)
-    for joint, angle in zip(robot.joints, joints, strict=True):
-        frame = frame @ homogeneous(joint.parent_transform) @ homogeneous([0, 0, 0, 0, 0, *half_turn(angle)])
+    for joint, moved in zip(robot.joints, joints, strict=True):
+        slid, angle = (moved, 0.0) if joint.kind == "prismatic" else (0.0, moved)
+        frame = frame @ homogeneous(joint.parent_transform) @ homogeneous([0, 0, slid, 0, 0, *half_turn(angle)])
         frames.append(frame)
     return frames
 

@@ -11,7 +11,7 @@ from variants import variant
 
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task, draw_start
-from oimppi_warp.usd import load_scene
+from oimppi_warp.usd import inspect_scene, load_scene
 
 ROBOT, TIP, START = "/World/Robot", "/World/Robot/tool/tip", "oimppi:startJoints"
 
@@ -61,9 +61,37 @@ def collider(define: Callable[[Usd.Stage, str], UsdGeom.Gprim]) -> Callable[[Usd
     return change
 
 
-def triangle_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+def hollow_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    """Three faces of a tetrahedron."""
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreatePointsAttr([Gf.Vec3f(0, 0, 0), Gf.Vec3f(1, 0, 0), Gf.Vec3f(0, 1, 0), Gf.Vec3f(0, 0, 1)])
+    mesh.CreateFaceVertexCountsAttr([3, 3, 3])
+    mesh.CreateFaceVertexIndicesAttr([0, 2, 1, 0, 1, 3, 0, 3, 2])
+    return mesh
+
+
+def cut_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    mesh = hollow_mesh(stage, path)
+    UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexDecomposition")
+    return mesh
+
+
+def hull_with(face: tuple[int, ...], count: int = 3) -> Callable[[Usd.Stage, str], UsdGeom.Gprim]:
+    """The hull of a mesh with one face."""
+
+    def define(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+        mesh = UsdGeom.Mesh(hollow_mesh(stage, path).GetPrim())
+        mesh.CreateFaceVertexCountsAttr([count])
+        mesh.CreateFaceVertexIndicesAttr(list(face))
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
+        return mesh
+
+    return define
+
+
+def far_mesh(stage: Usd.Stage, path: str) -> UsdGeom.Gprim:
+    mesh = UsdGeom.Mesh(hull_with((0, 1, 2))(stage, path).GetPrim())
+    mesh.CreatePointsAttr([Gf.Vec3f(0, 0, math.inf), Gf.Vec3f(1, 0, 0), Gf.Vec3f(0, 1, 0), Gf.Vec3f(0, 0, 1)])
     return mesh
 
 
@@ -115,8 +143,13 @@ def move_robot(stage: Usd.Stage) -> None:
     xform.AddTranslateOp().Set(Gf.Vec3d(0.1, 0.0, 0.0))
 
 
-def prismatic(stage: Usd.Stage) -> None:
-    prim(stage, f"{ROBOT}/joints/joint3").SetTypeName("PhysicsPrismaticJoint")
+def joint_of_type(name: str) -> Callable[[Usd.Stage], object]:
+    return lambda stage: prim(stage, f"{ROBOT}/joints/joint1").SetTypeName(name)
+
+
+def slide_without_end(stage: Usd.Stage) -> None:
+    joint_of_type("PhysicsPrismaticJoint")(stage)
+    prim(stage, f"{ROBOT}/joints/joint1").GetAttribute("physics:upperLimit").Set(math.inf)
 
 
 def starts_as_pairs(stage: Usd.Stage) -> None:
@@ -151,12 +184,118 @@ def far_reference(stage: Usd.Stage) -> None:
     prim(stage, "/World/Obstacles").GetReferences().AddReference("./nowhere.usda")
 
 
+def typed(path: str, name: str, kind: Sdf.ValueTypeName, value: object) -> Callable[[Usd.Stage], object]:
+    """Set an attribute of another type than its schema's."""
+
+    def change(stage: Usd.Stage) -> None:
+        spec = Sdf.CreatePrimInLayer(stage.GetRootLayer(), path)
+        Sdf.AttributeSpec(spec, name, kind).default = value
+
+    return change
+
+
+def relation_as_attribute(stage: Usd.Stage) -> None:
+    path = f"{ROBOT}/joints/joint2"
+    prim(stage, path).GetRelationship("physics:body1").ClearTargets(True)
+    joint = UsdPhysics.RevoluteJoint.Define(stage, "/World/Joint")
+    spec = stage.GetRootLayer().GetPrimAtPath(joint.GetPath())
+    Sdf.AttributeSpec(spec, "physics:body1", Sdf.ValueTypeNames.String).default = "link2"
+
+
+def order(*names: str) -> Callable[[Usd.Stage], object]:
+    """The order of the operations that place the object."""
+    return put("/World/Object", "xformOpOrder", names)
+
+
+def crooked_table(stage: Usd.Stage) -> None:
+    table = UsdGeom.Xformable(prim(stage, "/World/Table"))
+    turn = table.AddRotateZOp()
+    turn.Set(30.0)
+    translate, scale, _ = table.GetOrderedXformOps()
+    table.SetXformOpOrder([translate, turn, scale])
+
+
+def far_joint(stage: Usd.Stage) -> None:
+    UsdPhysics.Joint(prim(stage, f"{ROBOT}/joints/joint4")).GetLocalPos0Attr().Set(Gf.Vec3f(1e30, 0, 0))
+
+
+def to_a_stranger(stage: Usd.Stage) -> None:
+    joint = UsdPhysics.Joint(prim(stage, f"{ROBOT}/joints/joint4"))
+    joint.GetBody1Rel().SetTargets(["/World/Object"])
+
+
+def to_nothing(stage: Usd.Stage) -> None:
+    UsdPhysics.Joint(prim(stage, f"{ROBOT}/joints/joint4")).GetBody1Rel().SetTargets([])
+
+
+def welded_base(stage: Usd.Stage) -> None:
+    part = UsdGeom.Xform.Define(stage, f"{ROBOT}/part").GetPrim()
+    UsdPhysics.RigidBodyAPI.Apply(part)
+    joint = UsdPhysics.FixedJoint.Define(stage, f"{ROBOT}/joints/extra")
+    joint.CreateBody0Rel().SetTargets([f"{ROBOT}/base"])
+    joint.CreateBody1Rel().SetTargets([part.GetPath()])
+
+
+def tool_elsewhere(stage: Usd.Stage) -> None:
+    drop(TIP, "OimppiToolAPI")(stage)
+    add(f"{ROBOT}/link3", "OimppiToolAPI")(stage)
+    attribute = prim(stage, f"{ROBOT}/link3").CreateAttribute("oimppi:radius", Sdf.ValueTypeNames.Double)
+    attribute.Set(0.008)
+
+
+def tool_outside(stage: Usd.Stage) -> None:
+    drop(TIP, "OimppiToolAPI")(stage)
+    tip = UsdGeom.Xform.Define(stage, "/World/Tip").GetPrim()
+    tip.AddAppliedSchema("OimppiToolAPI")
+    tip.CreateAttribute("oimppi:radius", Sdf.ValueTypeNames.Double).Set(0.008)
+
+
 MISTAKES = {
-    "centimetres": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 0.01), "not in metres", "metersPerUnit is 0.01, given"),
-    "no unit": (lambda s: s.ClearMetadata("metersPerUnit"), "not in metres", "not given, which means 0.01"),
-    "y up": (lambda s: UsdGeom.SetStageUpAxis(s, "Y"), "Y is up", "allowed: Z"),
-    "grams": (lambda s: UsdPhysics.SetStageKilogramsPerUnit(s, 0.001), "not in kilograms", "kilogramsPerUnit"),
+    "no unit": (lambda s: s.ClearMetadata("metersPerUnit"), "the unit of length is not given", "1 for metres"),
+    "no axis": (lambda s: s.ClearMetadata("upAxis"), "which axis is up is not given", '"Z" for z'),
+    "no length": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 0.0), "metersPerUnit is 0", "above zero"),
+    "no weight": (lambda s: UsdPhysics.SetStageKilogramsPerUnit(s, -1.0), "kilogramsPerUnit is -1", "above zero"),
     "a missing reference": (far_reference, "nowhere.usda", "to do:"),
+    "a mass in words": (
+        typed("/World/Object", "physics:mass", Sdf.ValueTypeNames.String, "heavy"),
+        "physics:mass is of type string",
+        "allowed: float",
+    ),
+    "a relation that is none": (relation_as_attribute, "physics:body1 is not a relationship", "as its schema says"),
+    "an unknown operation": (order("xformOp:translate", "xformOp:spin"), "names xformOp:spin", "xformOp attributes"),
+    "an operation that is none": (order("kind"), "xformOpOrder names kind", "xformOp attributes"),
+    "an object nowhere": (object_to(math.nan, 0.0), "not finite, or far away", "below 1000 m"),
+    "an obstacle on the moon": (
+        put("/World/Obstacles/Cube", "xformOp:translate", Gf.Vec3d(4e8, 0, 0)),
+        "not finite, or far away",
+        "</World/Obstacles/Cube>",
+    ),
+    "a joint far away": (far_joint, "frames are not finite, or far away", "below 1000 m"),
+    "a joint to something else": (to_a_stranger, "which is no rigid body of the robot", "</World/Object>"),
+    "a joint to nothing": (to_nothing, "a joint that moves nothing", "physics:body1 names a link"),
+    "a base of two parts": (welded_base, "welded to the robot's base", "a base alone"),
+    "a tool on the elbow": (tool_elsewhere, "not on the robot's last link", "/World/Robot/link6"),
+    "a tool apart": (tool_outside, "not part of the robot", "a prim below </World/Robot>"),
+    "an endless goal": (put("/World", "oimppi:goal", Gf.Vec3d(0.5, 0.3, math.inf)), "not finite", "yaw [rad]"),
+    "a start at infinity": (
+        put("/World", "oimppi:starts", [Gf.Vec3d(0.3, -0.45, 0), Gf.Vec3d(math.inf, 0, 0)]),
+        "oimppi:starts[1] is not finite",
+        "yaw [rad]",
+    ),
+    "a tight tolerance of nothing": (
+        put("/World", "oimppi:tightTolerance", Gf.Vec2d(0.05, -1)),
+        "oimppi:tightTolerance is (0.05, -1)",
+        "above zero",
+    ),
+    "a body that is switched off": (
+        lambda s: UsdPhysics.RigidBodyAPI(prim(s, "/World/Object")).CreateRigidBodyEnabledAttr(False),
+        "an object that cannot move",
+        "PhysicsRigidBodyAPI",
+    ),
+    "a crooked table": (crooked_table, "without a flat top at z = 0", "a Cube with CollisionAPI"),
+    "a table that moves": (add("/World/Table", "PhysicsRigidBodyAPI"), "a rigid body in the table", "static shapes"),
+    "a link of no size": (put(f"{ROBOT}/link2/collider0", "radius", 0.0), "radius is 0", "more than zero"),
+    "no speed": (put(f"{ROBOT}/joints/joint2", "newton:velocityLimit", 0.0), "and 0 rad/s", "more than zero"),
     "no task": (drop("/World", "OimppiTaskAPI"), "no task", "apply OimppiTaskAPI"),
     "no robot": (without(ROBOT), "no robot", "OimppiRobotAPI"),
     "two robots": (second_robot, "2 robots", "</World/Robot2>"),
@@ -181,7 +320,8 @@ MISTAKES = {
     "no articulation": (drop(ROBOT, "PhysicsArticulationRootAPI"), "without an articulation", "apply"),
     "a loose base": (without(f"{ROBOT}/joints/mount"), "not fixed to the world", "PhysicsFixedJoint"),
     "a base elsewhere": (move_robot, "base is at [0.1, 0.0, 0.0]", "world's origin"),
-    "a sliding joint": (prismatic, "PhysicsPrismaticJoint", "allowed: PhysicsRevoluteJoint"),
+    "a ball joint": (joint_of_type("PhysicsSphericalJoint"), "PhysicsSphericalJoint", "or PhysicsPrismaticJoint"),
+    "a joint that slides without end": (slide_without_end, "slides without end", "in metres"),
     "a joint about x": (put(f"{ROBOT}/joints/joint2", "physics:axis", "X"), "about its X axis", "physics:axis = Z"),
     "a shifted joint": (
         put(f"{ROBOT}/joints/joint2", "physics:localPos1", Gf.Vec3f(0, 0, 0.1)),
@@ -210,7 +350,11 @@ MISTAKES = {
     "an empty obstacle": (drop("/World/Obstacles/Cube", "PhysicsCollisionAPI"), "obstacle without a collider", "Cube"),
     "a moving obstacle": (add("/World/Obstacles/Cube", "PhysicsRigidBodyAPI"), "rigid body in the obstacle", "static"),
     "something without a role": (loose_ball, "no role in the task", "</World/Ball>"),
-    "a triangle mesh": (collider(triangle_mesh), "physics:approximation = none", "allowed: convexHull"),
+    "a hollow mesh": (collider(hollow_mesh), "physics:approximation = none", "allowed: convexHull"),
+    "a mesh to be cut": (collider(cut_mesh), "physics:approximation = convexDecomposition", "oimppi scene import"),
+    "a mesh with a hole": (collider(hull_with((0, 1, 7))), "name points that are not there", "a closed surface"),
+    "a mesh of lines": (collider(hull_with((0, 1), 2)), "name points that are not there", "3 or more"),
+    "a mesh at infinity": (collider(far_mesh), "points that are not finite", "allowed: numbers below"),
     "a flat mesh": (collider(flat_hull), "without volume (4 points)", "a solid shape"),
     "a cone": (collider(UsdGeom.Cone.Define), "collider of type Cone", "allowed: Cube, Sphere"),
     "an ellipsoid": (collider(uneven_sphere), "scaled unevenly", "one scale"),
@@ -237,6 +381,13 @@ def test_a_mistake_is_named_where_it_is(tmp_path, mistake):
     assert "allowed:" in message or "to do:" in message
 
 
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_told_once_and_without_consequences(tmp_path, mistake):
+    change, what, _ = MISTAKES[mistake]
+    (found,) = inspect_scene(variant(tmp_path, change)).mistakes
+    assert what in found.what
+
+
 IMPOSSIBLE = {
     "a goal in an obstacle": (goal_to(0.5, 0.1, 0), "goal (0.5, 0.1, 0)", "obstacle </World/Obstacles/Cube>"),
     "a goal in the base": (goal_to(0.1, 0.1, 0), "goal (0.1, 0.1, 0)", "inside the robot's base"),
@@ -261,19 +412,20 @@ def test_a_task_that_cannot_be_done_is_refused(tmp_path, task):
     assert more in str(error.value)
 
 
-def test_a_start_cannot_be_drawn_where_there_is_no_room(tmp_path):
-    def walls(stage: Usd.Stage) -> None:
-        for i, y in enumerate((-0.35, -0.60)):
-            cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/Wall{i}")
-            cube.CreateSizeAttr(1.0)
-            cube.AddTranslateOp().Set(Gf.Vec3d(0.3, y, 0.05))
-            cube.AddScaleOp().Set(Gf.Vec3f(1.0, 0.02, 0.1))
-            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
-            cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+def walls(stage: Usd.Stage) -> None:
+    """A corridor around the object, narrower than what a drawn start needs."""
+    for i, y in enumerate((-0.35, -0.60)):
+        cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/Wall{i}")
+        cube.CreateSizeAttr(1.0)
+        cube.AddTranslateOp().Set(Gf.Vec3d(0.3, y, 0.05))
+        cube.AddScaleOp().Set(Gf.Vec3f(1.0, 0.02, 0.1))
+        UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+        cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
 
-    scene = load_scene(variant(tmp_path, walls))
+
+def test_a_start_cannot_be_drawn_where_there_is_no_room(tmp_path):
     with pytest.raises(SceneError, match="none of 2000 starts"):
-        draw_start(scene, 0)
+        draw_start(load_scene(variant(tmp_path, walls)), 0)
 
 
 def test_a_missing_scene_is_answered_with_the_nearest_name():

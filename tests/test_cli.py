@@ -38,9 +38,9 @@ class Stage:
         if scene.start[0] > 1.0:
             raise SceneError("the start is off the table", file="synthetic.usda")
 
-    def episode(self, scene: Any, config: Any, **options: Any) -> Any:
-        self.asked = {"scene": scene, "config": config, **options}
-        return self
+    def setup(self, **fields: Any) -> Any:
+        self.asked = fields
+        return SimpleNamespace(**fields, episode=lambda: self)
 
     def run(self, on_step: Any = None) -> EpisodeLog:
         if on_step is not None:
@@ -54,7 +54,7 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
     modules = {
         "usd": {"load_scene": stage.load_scene},
         "feasibility": {"check_task": stage.check_task, "draw_start": stage.draw_start},
-        "episode": {"Episode": stage.episode},
+        "episode": {"Setup": stage.setup},
     }
     for name, content in modules.items():
         monkeypatch.setitem(sys.modules, f"oimppi_warp.{name}", SimpleNamespace(**content))

@@ -13,8 +13,15 @@ import oimppi_warp.kernels
 
 ARCHITECTURES = (80, 90, 120)
 """Ampere, Hopper and Blackwell."""
-ARGUMENTS = {"make_robot_rollout": [(6,)], "make_stage_costs": [(6, wp.float32), (6, wp.float64)]}
-"""What a factory is asked for; controls of 3 and 6 numbers where nothing is said."""
+CHAINS = ("RRRRRR", "PP", "RRRRRRR")
+"""The xArm6, the point robot and the arm of seven joints."""
+ARGUMENTS = {
+    "make_place_arm": [(chain,) for chain in CHAINS],
+    "make_robot_rollout": [(chain,) for chain in CHAINS],
+    "make_track_object": [(chain,) for chain in CHAINS],
+    "make_stage_costs": [(chain, precision) for chain in CHAINS for precision in (wp.float32, wp.float64)],
+}
+"""What a factory is asked for; controls of 2, 3, 6 and 7 numbers where nothing is said."""
 
 
 def kernel_modules() -> Iterator[wp.Module]:
@@ -26,7 +33,7 @@ def kernel_modules() -> Iterator[wp.Module]:
             if isinstance(value, wp.Kernel):
                 found[value.module.name] = value.module
             elif name.startswith("make_") and value.__module__ == info.name:
-                for arguments in ARGUMENTS.get(name, [(3,), (6,)]):
+                for arguments in ARGUMENTS.get(name, [(2,), (3,), (6,), (7,)]):
                     made = value(*arguments)
                     if isinstance(made, wp.Kernel):
                         found[made.module.name] = made.module
@@ -37,7 +44,7 @@ MODULES = list(kernel_modules())
 
 
 def test_all_kernel_files_are_found():
-    stems = {module.name.rpartition(".")[2].rstrip("_0123456789") for module in MODULES}
+    stems = {module.name.rpartition(".")[2].rstrip("_0123456789PR") for module in MODULES}
     wanted = {"clearance", "navigation", "object", "robot_rollout", "sample_controls", "update", "update_nominal"}
     assert wanted <= stems
 

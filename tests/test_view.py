@@ -5,20 +5,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from newton.viewer import ViewerNull
 from pxr import Usd, UsdGeom
 
 from oimppi_warp.config import Config
-from oimppi_warp.episode import Episode
+from oimppi_warp.episode import Episode, Setup
 from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.log import EpisodeLog, LogError
-from oimppi_warp.observation import planar_pose
+from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.presets import best
 from oimppi_warp.settings import bounds_of, descriptions, kinds, options, set_option
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
+from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.export import export, rows_of
+from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.replay import Replay
-from oimppi_warp.view.session import SAMPLED, Session, Setup
+from oimppi_warp.view.session import SAMPLED, Session
 
 
 def small(samples: int = 64) -> Config:
@@ -161,6 +164,7 @@ def test_a_scene_is_saved_as_it_stands(tmp_path):
     scene = load_scene("task02")
     obstacle = scene.obstacles[0]
     moved = scene.with_goal((0.5, 0.2, 1.0)).with_start((0.3, -0.4, 0.5))
+    held = Usd.Stage.Open(str(scene.file))
     file = save_scene(moved, tmp_path / "mine.usda", moves={obstacle.path: (0.05, -0.1, 0.3)})
     again = load_scene(file)
     np.testing.assert_allclose(again.goal, (0.5, 0.2, 1.0), atol=1e-9)
@@ -168,8 +172,32 @@ def test_a_scene_is_saved_as_it_stands(tmp_path):
     shift = again.obstacles[0].colliders[0].transform[:3] - obstacle.colliders[0].transform[:3]
     np.testing.assert_allclose(shift, (0.05, -0.1, 0.0), atol=1e-9)
     assert again.object.mass == scene.object.mass
+    assert held and load_scene("task02").start == scene.start  # the shared layers of the first are as they were
     with pytest.raises(SceneError, match="not the name of a scene"):
         save_scene(scene, tmp_path / "mine.txt")
+
+
+class Lines(ViewerNull):
+    """A viewer that keeps the lines it is told to draw, by their names."""
+
+    def __init__(self):
+        super().__init__()
+        self.lines = {}
+
+    def log_lines(self, name, starts, ends, colors, width=0.01, hidden=False):
+        if starts is not None:
+            self.lines[name] = np.stack([starts.numpy(), ends.numpy()], axis=1)
+
+
+@pytest.mark.parametrize(("x", "gap"), [(0.30, 0.05), (0.27, 0.08), (0.78, 0.13)])
+def test_a_line_shows_the_clearance_of_the_object(x, gap):
+    """The bar of the T reaches 0.1 m to both sides, the cube stands at 0.45 to 0.55 m."""
+    viewer, scene = Lines(), load_scene("task02")
+    at = planar_transform((x, 0.05, 0.0), scene.object.rest_height)
+    Canvas(viewer).draw(Picture(scene, 0.0, scene.robot.start, at))
+    (line,) = viewer.lines["/oimppi/clearance"]
+    assert np.linalg.norm(line[1] - line[0]) == pytest.approx(gap, abs=1e-6)
+    assert line[0, 2] > scene.object.rest_height
 
 
 @pytest.fixture(scope="module")

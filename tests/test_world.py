@@ -15,7 +15,7 @@ from oimppi_warp.scene import Collider, Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.world import World
 
-SCENES = ("task01", "task02", "task03", "task03_wide", "task04", "task05", "lab01", "lab02")
+SCENES = ("task01", "task02", "task03", "task03_wide", "task04", "task05", "lab01", "lab02", "point01", "arm7_01")
 
 FLOAT32 = 1e-6
 """Tolerance of what went through single precision: metres, or parts of a unit quaternion."""
@@ -89,7 +89,11 @@ def test_masses_and_limits_are_those_of_the_scene(name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_shapes_stand_where_the_scene_has_them(name):
-    scene = load_scene(name)
+    assert_shapes_agree(load_scene(name))
+
+
+def assert_shapes_agree(scene: Scene) -> None:
+    """MuJoCo has every collider of a scene, with its role, size and place, and no other."""
     mapped = World(scene).mujoco
     model = mapped.model
     data = mujoco.MjData(model)

@@ -13,6 +13,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # the package as it stands beside this script
 
+import scene_arm7  # noqa: E402
+import scene_point  # noqa: E402
 import scene_robot  # noqa: E402
 import scene_tasks  # noqa: E402
 
@@ -27,7 +29,9 @@ def write_all(folder: Path) -> None:
     schema.write(scenes / "schema")
     (folder / "docs").mkdir(exist_ok=True)
     (folder / "docs" / "schema.md").write_text(schema.page())
-    scene_robot.write(scenes / "robots" / "xarm6.usda")
+    scene_robot.write(scenes / "robots")
+    scene_arm7.write(scenes / "robots")
+    scene_point.write(scenes / "robots")
     for thing in catalog.THINGS:
         thing.write(scenes / "objects" / f"{thing.name}.usda", note=NOTE)
     for each in scene_tasks.TASKS:

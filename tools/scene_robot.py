@@ -11,23 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import scene_skin
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.authoring.prims import (
-    COLLIDER,
-    apply_api,
-    attribute,
-    bind_physics,
-    capsule,
-    cylinder,
-    mass_properties,
-    matrix_quat,
-    new_stage,
-    physics_material,
-    place,
-    quat,
-    vec3,
-)
+from oimppi_warp.authoring import arm
+from oimppi_warp.authoring.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
+from oimppi_warp.scene import Collider
 
 HALF_PI = math.pi / 2
 
@@ -84,121 +71,42 @@ CAPSULES = [
 ]
 
 VELOCITY_LIMIT = 3.14  # rad/s
-DRIVE_GAIN = 200.0  # N m s/rad: the arm's own controller follows a velocity closely
-TOOL_LENGTH, TOOL_RADIUS, TOOL_MASS = 0.175, 0.008, 0.05
-TOOL_FRICTION = 0.3
-ARM_FRICTION = 0.3
+STICK = Stick(length=0.175)
 BASE_RADIUS, BASE_HEIGHT = 0.09, 0.06  # the base with its plug: what an object on the table must stay away from
 
 # Tool down, tip at (0.300, -0.200, 0.050).
 START = (-0.588, -0.11, -0.51, 0.0, 0.62, 0.0)
 
-
-def link_frames(q: tuple[float, ...]) -> list[np.ndarray]:
-    """Pose of the base and the six links for joint positions ``q`` [rad], as 4 x 4 matrices."""
-    frames = [np.eye(4)]
-    for (xyz, roll, *_), angle in zip(JOINTS, q, strict=True):
-        c, s, cr, sr = math.cos(angle), math.sin(angle), math.cos(roll), math.sin(roll)
-        step = np.eye(4)
-        step[:3, :3] = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        step[:3, 3] = xyz
-        frames.append(frames[-1] @ step)
-    return frames
+_FOOT = Collider(
+    "foot", "cylinder", np.array([0.0, 0.0, BASE_HEIGHT / 2, 0.0, 0.0, 0.0, 1.0]), (BASE_RADIUS, BASE_HEIGHT / 2)
+)
 
 
-def pose_links(stage: Usd.Stage, robot: str, q: tuple[float, ...]) -> None:
-    """Write the link poses that belong to joint positions ``q`` [rad], and ``q`` as the robot's start."""
-    frames = link_frames(q)
-    flange = frames[-1]
-    frames.append(flange)
-    for name, frame in zip([*_link_names(), "tool"], frames, strict=True):
-        place(stage.OverridePrim(f"{robot}/{name}"), frame[:3, 3], matrix_quat(frame[:3, :3]))
-    attribute(stage.OverridePrim(robot), "oimppi:startJoints", Sdf.ValueTypeNames.DoubleArray, list(q))
-
-
-def _link_names() -> list[str]:
-    return ["base", *(f"link{i}" for i in range(1, 7))]
-
-
-def write(file: Path) -> None:
-    """Write the robot's file."""
-    stage = new_stage(
-        file, "XArm6", "UFACTORY xArm6 with a stick for pushing. Written by tools/make_scenes.py; do not edit by hand."
+def _link(index: int, *more: Collider) -> ArmLink:
+    mass, center, (ixx, iyy, izz, ixy, ixz, iyz) = INERTIALS[index]
+    inertia = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    capsules = tuple(
+        capsule_between(f"collider{number}", (ax, ay, az), (bx, by, bz), radius)
+        for number, (ax, ay, az, bx, by, bz, radius) in enumerate(CAPSULES[index])
     )
-    root = stage.GetDefaultPrim()
-    UsdPhysics.ArticulationRootAPI.Apply(root)
-    apply_api(root, "OimppiRobotAPI")
-    material = physics_material(stage, "/XArm6/ArmMaterial", ARM_FRICTION)
-
-    for index, name in enumerate(_link_names()):
-        prim = UsdGeom.Xform.Define(stage, f"/XArm6/{name}").GetPrim()
-        UsdPhysics.RigidBodyAPI.Apply(prim)
-        mass, center, (ixx, iyy, izz, ixy, ixz, iyz) = INERTIALS[index]
-        mass_properties(prim, mass, center, np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]))
-        for number, (ax, ay, az, bx, by, bz, radius) in enumerate(CAPSULES[index]):
-            capsule(stage, f"{prim.GetPath()}/collider{number}", (ax, ay, az), (bx, by, bz), radius, COLLIDER)
-    foot = (0.0, 0.0, BASE_HEIGHT / 2)
-    cylinder(stage, "/XArm6/base/foot", foot, BASE_RADIUS, BASE_HEIGHT, COLLIDER)
-    bind_physics(root, material)
-    _write_tool(stage)
-    _write_joints(stage)
-    _write_collision_group(stage)
-    pose_links(stage, "/XArm6", START)
-    scene_skin.write(file.with_name("xarm6_skin.usda"), TOOL_LENGTH, TOOL_RADIUS)
-    stage.GetRootLayer().subLayerPaths.append("./xarm6_skin.usda")
-    stage.Save()
+    return ArmLink(mass, center, inertia, (*capsules, *more))
 
 
-def _write_tool(stage: Usd.Stage) -> None:
-    tool = UsdGeom.Xform.Define(stage, "/XArm6/tool").GetPrim()
-    UsdPhysics.RigidBodyAPI.Apply(tool)
-    across = TOOL_MASS * (TOOL_LENGTH**2 / 12 + TOOL_RADIUS**2 / 4)
-    inertia = np.diag([across, across, TOOL_MASS * TOOL_RADIUS**2 / 2])
-    mass_properties(tool, TOOL_MASS, (0.0, 0.0, TOOL_LENGTH / 2), inertia)
-    ends = (0.0, 0.0, TOOL_RADIUS), (0.0, 0.0, TOOL_LENGTH - TOOL_RADIUS)
-    capsule(stage, "/XArm6/tool/collider", *ends, TOOL_RADIUS, COLLIDER)
-    bind_physics(tool, physics_material(stage, "/XArm6/ToolMaterial", TOOL_FRICTION))
-    tip = UsdGeom.Xform.Define(stage, "/XArm6/tool/tip").GetPrim()
-    place(tip, (0.0, 0.0, TOOL_LENGTH))
-    apply_api(tip, "OimppiToolAPI")
-    attribute(tip, "oimppi:radius", Sdf.ValueTypeNames.Double, TOOL_RADIUS)
+XARM6 = Arm(
+    name="XArm6",
+    doc="UFACTORY xArm6 with a stick for pushing. Written by tools/make_scenes.py; do not edit by hand.",
+    base=_link(0, _FOOT),
+    joints=tuple(
+        ArmJoint(xyz, (math.sin(roll / 2), 0.0, 0.0, math.cos(roll / 2)), lower, upper, effort, VELOCITY_LIMIT)
+        for xyz, roll, lower, upper, effort in JOINTS
+    ),
+    links=tuple(_link(index) for index in range(1, 7)),
+    stick=STICK,
+    start=START,
+)
 
 
-def _write_joints(stage: Usd.Stage) -> None:
-    UsdGeom.Scope.Define(stage, "/XArm6/joints")
-    _fixed(stage, "mount", None, "base")
-    for number, (xyz, roll, lower, upper, effort) in enumerate(JOINTS, start=1):
-        joint = UsdPhysics.RevoluteJoint.Define(stage, f"/XArm6/joints/joint{number}")
-        parent = "base" if number == 1 else f"link{number - 1}"
-        joint.CreateBody0Rel().SetTargets([f"/XArm6/{parent}"])
-        joint.CreateBody1Rel().SetTargets([f"/XArm6/link{number}"])
-        joint.CreateAxisAttr(UsdPhysics.Tokens.z)
-        joint.CreateLocalPos0Attr(vec3(xyz))
-        joint.CreateLocalRot0Attr(quat((math.sin(roll / 2), 0.0, 0.0, math.cos(roll / 2))))
-        joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
-        joint.CreateLocalRot1Attr(Gf.Quatf(1.0))
-        joint.CreateLowerLimitAttr(math.degrees(lower))
-        joint.CreateUpperLimitAttr(math.degrees(upper))
-        drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), "angular")
-        drive.CreateTypeAttr(UsdPhysics.Tokens.force)
-        drive.CreateStiffnessAttr(0.0)
-        drive.CreateDampingAttr(math.radians(DRIVE_GAIN))
-        drive.CreateTargetVelocityAttr(0.0)
-        drive.CreateMaxForceAttr(effort)
-        apply_api(joint.GetPrim(), "NewtonJointAPI")
-        attribute(joint.GetPrim(), "newton:velocityLimit", Sdf.ValueTypeNames.Float, math.degrees(VELOCITY_LIMIT))
-    _fixed(stage, "weld", "link6", "tool")
-
-
-def _fixed(stage: Usd.Stage, name: str, parent: str | None, child: str) -> None:
-    joint = UsdPhysics.FixedJoint.Define(stage, f"/XArm6/joints/{name}")
-    if parent is not None:
-        joint.CreateBody0Rel().SetTargets([f"/XArm6/{parent}"])
-    joint.CreateBody1Rel().SetTargets([f"/XArm6/{child}"])
-
-
-def _write_collision_group(stage: Usd.Stage) -> None:
-    """The arm does not collide with itself: its capsules overlap at the joints."""
-    group = UsdPhysics.CollisionGroup.Define(stage, "/XArm6/ArmCollisions")
-    group.GetCollidersCollectionAPI().CreateIncludesRel().SetTargets(["/XArm6"])
-    group.CreateFilteredGroupsRel().SetTargets([group.GetPath()])
+def write(folder: Path) -> None:
+    """Write the robot's files."""
+    scene_skin.write(folder / "xarm6_skin.usda", STICK.length, STICK.radius)
+    arm.write(XARM6, folder / "xarm6.usda", skin="xarm6_skin.usda")

@@ -1,10 +1,11 @@
-"""What the xArm6 looks like: drums at the joints, and swept tubes between them.
+"""What arms look like, the xArm6 first of all: drums at the joints, and swept tubes between them.
 
 The shapes are of our own making, drawn around the outer measures of the vendor's arm (link frames, metres).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,9 @@ FILLET = 0.006
 
 Rings = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Centres [n, 3], radii [n] and axes [n, 3] of the circles that a surface is stretched over."""
+
+Part = tuple[str, Rings, Color]
+"""A surface: its name, where it is, its colour."""
 
 
 def drum(start: Vector, end: Vector, radius: float, end_radius: float | None = None, fillet: float = FILLET) -> Rings:
@@ -82,7 +86,7 @@ def _z(z0: float, z1: float, radius: float, x: float = 0.0, y: float = 0.0) -> R
     return drum((x, y, z0), (x, y, z1), radius)
 
 
-_PARTS: dict[str, list[tuple[str, Rings, Color]]] = {
+_PARTS: dict[str, list[Part]] = {
     "base": [
         ("plate", drum((0, 0, 0), (0, 0, 0.01), 0.09, fillet=0.002), METAL),
         ("column", drum((0, 0, 0.01), (0, 0, 0.148), 0.063, 0.0485), SHELL),
@@ -168,16 +172,24 @@ _PARTS: dict[str, list[tuple[str, Rings, Color]]] = {
 
 
 def write(file: Path, tool_length: float, tool_radius: float) -> None:
-    """Write the looks as a layer of its own, so that the robot's file stays short enough to read."""
-    stage = new_stage(file, "XArm6", "Looks of the xArm6. Written by tools/make_scenes.py; do not edit by hand.")
-    for link, parts in _PARTS.items():
-        UsdGeom.Scope.Define(stage, f"/XArm6/{link}/skin")
-        for name, rings, color in parts:
-            stretch(stage, f"/XArm6/{link}/skin/{name}", rings, color)
+    """Write the looks of the xArm6 as a layer of its own, so that the robot's file stays short enough to read."""
+    stage = write_parts(file, "XArm6", "the xArm6", _PARTS, tool_length, tool_radius)
     connector = (-0.0685, 0.0, 0.05), (0.043, 0.062, 0.066)
     box(stage, "/XArm6/base/skin/connector", *connector, Look(SHELL))
-    stick = drum((0, 0, 0.015), (0, 0, tool_length), tool_radius, fillet=tool_radius * 0.999)
-    UsdGeom.Scope.Define(stage, "/XArm6/tool/skin")
-    stretch(stage, "/XArm6/tool/skin/socket", drum((0, 0, 0), (0, 0, 0.022), 0.024, 0.014, 0.003), DARK)
-    stretch(stage, "/XArm6/tool/skin/stick", stick, METAL)
     stage.Save()
+
+
+def write_parts(
+    file: Path, root: str, noun: str, parts: Mapping[str, Sequence[Part]], tool_length: float, tool_radius: float
+) -> Usd.Stage:
+    """Write the parts of each link of an arm, and its stick; returns the stage, to be saved."""
+    stage = new_stage(file, root, f"Looks of {noun}. Written by tools/make_scenes.py; do not edit by hand.")
+    for link, drawn in parts.items():
+        UsdGeom.Scope.Define(stage, f"/{root}/{link}/skin")
+        for name, rings, color in drawn:
+            stretch(stage, f"/{root}/{link}/skin/{name}", rings, color)
+    stick = drum((0, 0, 0.015), (0, 0, tool_length), tool_radius, fillet=tool_radius * 0.999)
+    UsdGeom.Scope.Define(stage, f"/{root}/tool/skin")
+    stretch(stage, f"/{root}/tool/skin/socket", drum((0, 0, 0), (0, 0, 0.022), 0.024, 0.014, 0.003), DARK)
+    stretch(stage, f"/{root}/tool/skin/stick", stick, METAL)
+    return stage

@@ -56,6 +56,8 @@ TASKS = (
             for letter, thing, y in (("I", LETTER_I, 0.60), ("R", LETTER_R, 0.45), ("O", LETTER_O, 0.30))
         ),
     ),
+    Task("arm7_01", "Push the T across an open table with an arm of seven joints", *_T, robot="arm7"),
+    Task("point01", "Push the T across an open table with a point robot", *_T, robot="point"),
     Task("lab01", "Push the soup can across the table, as in the laboratory", *_LAB, (), *_LAB_TOLERANCES),
     Task(
         "lab02",

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 
 import numpy as np
 import shapely
 
-from oimppi_warp.feasibility import object_outline, reach_of
+from oimppi_warp.feasibility import object_outline
 from oimppi_warp.footprint import core_points, footprint, height_range, outline
-from oimppi_warp.kinematics import link_frames, tip_frame, tip_jacobian
+from oimppi_warp.kinematics import link_frames, tip_frame
+from oimppi_warp.reach import Reach, joints_for, reach_of
 from oimppi_warp.scene import Collider, Robot, Scene
 
 ROOM = 0.02
@@ -27,7 +28,7 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
 
     Returns:
         None where the robot's own start is clear of object and obstacles; otherwise joint positions [rad] with the tip
-        as high and the tool as upright as there, as near to it as it can be.
+        as high as there and the tool pointing down, as near to it as it can be.
 
     Where no such start is found, the robot's own is kept, and :func:`oimppi_warp.feasibility.check_task` has the word.
     """
@@ -36,43 +37,30 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
         return None
     tip = tip_frame(robot, robot.start)[1]
     for place in _places(tip, reach_of(robot)):
-        joints = reach_for(robot, place)
+        joints = joints_at(robot, place)
         if joints is not None and _clear(scene, joints):
             return tuple(round(float(q), 5) for q in joints)
     return None
 
 
-def reach_for(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
-    """Joint positions with the tip at a place [3] [m] and the tool as upright as at the robot's start.
+def joints_at(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
+    """Joint positions with the tip at a place [3] [m] and the tool pointing down; ``None`` where none are found.
 
-    Damped Gauss-Newton from the robot's start, its first joint turned towards the place.
-
-    Returns:
-        Joint positions, shape [dof] [rad]; ``None`` where none within the limits were found.
+    They are sought from the robot's start, its first joint turned towards the place.
     """
-    lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
-    rotation, own = tip_frame(robot, robot.start)
-    wanted = rotation[:, 2]
-    q = np.array(robot.start, dtype=float)
-    q[0] += np.remainder(np.arctan2(tip[1], tip[0]) - np.arctan2(own[1], own[0]) + np.pi, 2.0 * np.pi) - np.pi
-    q = np.clip(q, lower, upper)
-    for _ in range(80):
-        rotation, at = tip_frame(robot, q)
-        axis = rotation[:, 2]
-        error = np.concatenate([at - tip, axis[:2] - wanted[:2]])
-        if np.abs(error).max() < 1e-5 and axis[2] * wanted[2] > 0.0:
-            return q
-        linear, angular = np.split(tip_jacobian(robot, q), 2)
-        jacobian = np.vstack([linear, np.cross(angular.T, axis).T[:2]])
-        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-6 * np.eye(5), error)
-        q = np.clip(q - step, lower, upper)
-    return None
+    joints = np.array(robot.start, dtype=float)
+    if robot.joints[0].kind == "revolute":
+        own = tip_frame(robot, joints)[1]
+        turn = np.arctan2(tip[1], tip[0]) - np.arctan2(own[1], own[0])
+        joints[0] = np.clip(joints[0] + math.remainder(turn, 2.0 * np.pi), robot.joints[0].lower, robot.joints[0].upper)
+    return joints_for(robot, joints, tip)
 
 
-def _places(tip: np.ndarray, reach: float) -> Iterator[np.ndarray]:
-    """Places for the tip at its height, the nearest first [m]."""
-    grid = [np.array([r * np.cos(a), r * np.sin(a), tip[2]]) for r in _RADII if r < reach for a in _ANGLES]
-    yield from sorted(grid, key=lambda place: float(np.linalg.norm(place - tip)))
+def _places(tip: np.ndarray, reach: Reach) -> list[np.ndarray]:
+    """Places for the tip at its height within reach, the nearest first [m]."""
+    grid = np.array([(r * np.cos(a), r * np.sin(a), tip[2]) for r in _RADII for a in _ANGLES])
+    within = grid[reach.room(grid[:, :2]) > 0.0]
+    return list(within[np.argsort(np.linalg.norm(within - tip, axis=1), kind="stable")])
 
 
 def _clear(scene: Scene, joints: np.ndarray) -> bool:

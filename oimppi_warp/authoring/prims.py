@@ -106,25 +106,34 @@ class Look:
 COLLIDER = Look(collide=True)
 
 
-def box(stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look, *, yaw: float = 0.0) -> Usd.Prim:
-    """A box with its full side lengths [m], turned by yaw [rad]."""
+def box(
+    stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look, turn: Vector | None = None
+) -> Usd.Prim:
+    """A box with its full side lengths [m], turned by a quaternion xyzw."""
     cube = UsdGeom.Cube.Define(stage, path)
     cube.CreateSizeAttr(1.0)
-    if yaw:
-        place_planar(cube.GetPrim(), (center[0], center[1], yaw), center[2])
-    else:
-        place(cube.GetPrim(), center)
+    place(cube.GetPrim(), center, turn)
     cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*rounded(extents)))
     return _finish(cube, look.color, look.collide, look.opacity)
 
 
-def cylinder(stage: Usd.Stage, path: str, center: Vector, radius: float, height: float, look: Look) -> Usd.Prim:
-    """An upright cylinder."""
+def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Look) -> Usd.Prim:
+    """A ball."""
+    gprim = UsdGeom.Sphere.Define(stage, path)
+    gprim.CreateRadiusAttr(radius)
+    place(gprim.GetPrim(), center)
+    return _finish(gprim, look.color, look.collide, look.opacity)
+
+
+def cylinder(
+    stage: Usd.Stage, path: str, center: Vector, radius: float, height: float, look: Look, turn: Vector | None = None
+) -> Usd.Prim:
+    """An upright cylinder, or one turned by a quaternion xyzw."""
     gprim = UsdGeom.Cylinder.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
     gprim.CreateHeightAttr(height)
     gprim.CreateAxisAttr(UsdGeom.Tokens.z)
-    place(gprim.GetPrim(), center)
+    place(gprim.GetPrim(), center, turn)
     return _finish(gprim, look.color, look.collide, look.opacity)
 
 
@@ -163,6 +172,11 @@ def prism(stage: Usd.Stage, path: str, polygon: np.ndarray, height: float, look:
     points = np.vstack([np.c_[polygon, np.full(n, z)] for z in (-height / 2, height / 2)])
     sides = [[i, (i + 1) % n, n + (i + 1) % n, n + i] for i in range(n)]
     return mesh(stage, path, points, [list(range(n))[::-1], list(range(n, 2 * n)), *sides], look)
+
+
+def about_z(yaw: float) -> np.ndarray | None:
+    """A turn about z [rad] as a quaternion xyzw; none where there is nothing to turn."""
+    return np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]) if yaw else None
 
 
 def z_to(direction: Vector) -> np.ndarray:

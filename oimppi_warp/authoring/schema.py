@@ -77,16 +77,17 @@ SCHEMAS = (
     Schema(
         "OimppiRobotAPI",
         "the root prim of the arm's articulation; exactly one in a scene",
-        "The arm. A serial chain of PhysicsRevoluteJoints, each about its local z axis and with its frame at the link "
-        "that it moves; its base stands at the world's origin, held by a PhysicsFixedJoint to the world. Limits are "
-        "UsdPhysics' own; the effort limit is the angular drive's `physics:maxForce`, the velocity limit "
-        "`newton:velocityLimit` of NewtonJointAPI (degrees per second, as all angles in UsdPhysics; none: unlimited).",
+        "The arm. A serial chain of PhysicsRevoluteJoints and PhysicsPrismaticJoints, each about or along its local z "
+        "axis and with its frame at the link that it moves; its base stands at the world's origin, held by a "
+        "PhysicsFixedJoint to the world. Limits are UsdPhysics' own; the effort limit is the `physics:maxForce` of the "
+        "angular or linear drive, the velocity limit `newton:velocityLimit` of NewtonJointAPI (degrees per second, as "
+        "all angles in UsdPhysics, or metres per second; none: unlimited). A joint that slides must have limits.",
         (
             Attribute(
                 "oimppi:startJoints",
                 "double[]",
                 "",
-                "rad",
+                "rad, m",
                 "Joint positions at the start of an episode, from base to flange.",
             ),
         ),

@@ -12,6 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 from oimppi_warp.authoring.prims import (
     Color,
     Look,
+    about_z,
     apply_api,
     attribute,
     bind_physics,
@@ -28,6 +29,7 @@ from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task, draw_start
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
+from oimppi_warp.usd.colliders import collider_prims
 
 Pose = tuple[float, float, float]
 
@@ -193,6 +195,8 @@ def _write_table(stage: Usd.Stage) -> None:
     table = box(stage, "/World/Table", center, size, Look(TABLE_COLOR, collide=True))
     apply_api(table, "OimppiTableAPI")
     bind_physics(table, physics_material(stage, "/World/Materials/Table", TABLE_FRICTION))
+    if not any(collider_prims(stage.GetPrimAtPath("/World/Robot/base"))):
+        return
     # The arm is bolted to the table: the lowest capsule of its base reaches into the plate.
     UsdPhysics.FilteredPairsAPI.Apply(table).CreateFilteredPairsRel().SetTargets(["/World/Robot/base"])
 
@@ -202,7 +206,7 @@ def _write_obstacle(stage: Usd.Stage, obstacle: Obstacle, material: UsdShade.Mat
     path = f"/World/Obstacles/{obstacle.name}"
     if isinstance(obstacle, Block):
         center = (*obstacle.center, obstacle.size[2] / 2)
-        prim = box(stage, path, center, obstacle.size, Look(obstacle.color, collide=True), yaw=obstacle.yaw)
+        prim = box(stage, path, center, obstacle.size, Look(obstacle.color, collide=True), about_z(obstacle.yaw))
         bind_physics(prim, material)
     elif isinstance(obstacle, Pillar):
         center = (*obstacle.center, obstacle.height / 2)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from oimppi_warp.feasibility import reach_of
 from oimppi_warp.footprint import footprint, outline
+from oimppi_warp.reach import reach_of
 from oimppi_warp.scene import Collider, Scene
 
 
@@ -26,7 +26,7 @@ def place_of(scene: Scene) -> dict[str, Any]:
         "object": _rings(scene.object.colliders),
         "goal": list(scene.goal),
         "tolerance": scene.tolerance.position,
-        "reach": round(reach_of(scene.robot), 3),
+        "reach": round(reach_of(scene.robot).radius, 3),
     }
 
 

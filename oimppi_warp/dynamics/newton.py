@@ -167,7 +167,7 @@ class NewtonDynamics(ABC):
         ]
         rolled = costs if draws.per_sample == 1 else self._rolled
         outputs = [rolled, self._terms, self.tips, self.poses]
-        kernel = make_stage_costs(self.size, precision)
+        kernel = make_stage_costs(self._scene.robot.chain, precision)
         launches = [*self.simulate(controls), self.compute.launch_samples(kernel, self._rollouts, inputs, outputs)]
         if draws.per_sample > 1:
             inputs = [rolled, draws.per_sample, draws.worst]

@@ -67,7 +67,7 @@ class QuasistaticDynamics:
         self._nominal_world = _pack(CERTAIN, device)
 
         horizon = level.mppi.horizon
-        self._kernel = make_robot_rollout(self.size)
+        self._kernel = make_robot_rollout(scene.robot.chain)
         self._joints = compute.input(1, control_type(self.size))
         self._object = compute.input(1, wp.vec3)
         self._goal = compute.input(1, wp.vec3)

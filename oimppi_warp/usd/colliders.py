@@ -9,9 +9,10 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.scene import Collider
-from oimppi_warp.usd.stage import SceneStage, scales, transform
+from oimppi_warp.usd.meshes import approximation, triangles
+from oimppi_warp.usd.stage import FARTHEST, SceneStage, scales, transform
 
-ALLOWED = "Cube, Sphere, Cylinder, Capsule, or Mesh with physics:approximation = convexHull"
+ALLOWED = "Cube, Sphere, Cylinder, Capsule, or a Mesh that is convex or has a convex physics:approximation"
 
 _TO_Z = {
     UsdGeom.Tokens.x: Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0, 1, 0), 90.0)),
@@ -31,14 +32,16 @@ def collider_prims(root: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tuple[Collider, ...]:
-    """Collision shapes below ``root``.
+    """Collision shapes below ``root``; one with a mistake is left out.
 
     Args:
         scene: The stage.
         root: A body, or an obstacle.
         body: Frame that the shapes are given in.
     """
-    return tuple(_read(scene, prim, scene.frame(prim) * body.GetInverse()) for prim in collider_prims(root))
+    inverse = body.GetInverse()
+    found = [scene.attempt(None, _read, scene, prim, scene.frame(prim) * inverse) for prim in collider_prims(root)]
+    return tuple(collider for collider in found if collider is not None)
 
 
 def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
@@ -71,8 +74,8 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
 
 def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
     value = scene.number(prim, name, 0.0)
-    if not (math.isfinite(value) and value > 0.0):
-        raise scene.error(f"{name} is {value:g}", prim, allowed="more than zero [m]")
+    if not 0.0 < value < FARTHEST:
+        raise scene.error(f"{name} is {value:g}", prim, allowed=f"more than zero and less than {FARTHEST:g} m")
     return value
 
 
@@ -88,21 +91,27 @@ def _orthogonal(frame: Gf.Matrix4d) -> bool:
 
 
 def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
-    api = UsdPhysics.MeshCollisionAPI(prim)
-    approximation = api.GetApproximationAttr().Get() if prim.HasAPI(UsdPhysics.MeshCollisionAPI) else "none"
-    if approximation != UsdPhysics.Tokens.convexHull:
+    """Points of a mesh that counts as its hull, shape [n, 3]."""
+    if approximation(prim) != UsdPhysics.Tokens.convexHull:
         raise scene.error(
-            f"a mesh collider with physics:approximation = {approximation}",
+            f"a mesh that is not convex, with physics:approximation = {approximation(prim)}",
             prim,
-            allowed="convexHull",
-            fix="apply PhysicsMeshCollisionAPI and set it; cut a hollow shape into convex meshes first",
+            allowed="convexHull, boundingCube, boundingSphere, or a closed convex surface",
+            fix="set physics:approximation to one of them; `oimppi scene import` cuts a hollow shape into convex ones",
         )
     points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
+    if not (np.abs(points) < FARTHEST).all():
+        allowed = f"numbers below {FARTHEST:g} m"
+        raise scene.error("a mesh collider with points that are not finite, or far away", prim, allowed=allowed)
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
-    if spread[-1] < 1e-6 or not np.isfinite(points).all():
+    if spread[-1] < 1e-6:
         raise scene.error(f"a mesh collider without volume ({len(points)} points)", prim, allowed="a solid shape")
-    if not UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get():
-        raise scene.error("a mesh collider without faces", prim, allowed="a closed surface of faces")
+    if triangles(prim) is None:
+        raise scene.error(
+            "a mesh collider whose faces are missing, or name points that are not there",
+            prim,
+            allowed="a closed surface: faceVertexCounts of 3 or more, faceVertexIndices below the number of points",
+        )
     return points
 
 
@@ -117,14 +126,9 @@ def volume_and_center(scene: SceneStage, collider: Collider) -> tuple[float, np.
         radius, half = size
         ends = 4 / 3 * math.pi * radius**3 if collider.kind == "capsule" else 0.0
         return 2 * math.pi * radius**2 * half + ends, position
-    assert collider.vertices is not None
-    mesh = UsdGeom.Mesh(scene.stage.GetPrimAtPath(collider.path))
-    corners, triangles = np.array(mesh.GetFaceVertexIndicesAttr().Get()), []
-    first = 0
-    for count in mesh.GetFaceVertexCountsAttr().Get():
-        triangles += [(corners[first], corners[first + i], corners[first + i + 1]) for i in range(1, count - 1)]
-        first += count
-    a, b, c = np.moveaxis(collider.vertices[np.array(triangles)], 1, 0)
+    faces = triangles(scene.stage.GetPrimAtPath(collider.path))
+    assert collider.vertices is not None and faces is not None
+    a, b, c = np.moveaxis(collider.vertices[faces], 1, 0)
     volumes = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6
     center = (volumes[:, None] * (a + b + c) / 4).sum(axis=0) / volumes.sum()
     x, y, z, w = collider.transform[3:]

@@ -10,6 +10,7 @@ from pxr import Gf, Usd, UsdGeom
 from oimppi_warp.errors import SceneError
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.usd.stage import SceneStage
 
 
 def save_scene(scene: Scene, file: str | Path, *, moves: Mapping[str, PlanarPose] | None = None) -> Path:
@@ -28,7 +29,9 @@ def save_scene(scene: Scene, file: str | Path, *, moves: Mapping[str, PlanarPose
     file = Path(file)
     if file.suffix not in (".usda", ".usdc"):
         raise SceneError(f"{file.name}: not the name of a scene", file=file, allowed="a name with .usda or .usdc")
-    stage = Usd.Stage.Open(str(scene.file))
+    # A flattened copy: the layers of the file itself are shared by all in this process that have it open.
+    flat = SceneStage(scene.file).stage.Flatten(addSourceFileComment=False)
+    stage = Usd.Stage.Open(flat)
     root = stage.GetDefaultPrim()
     root.GetAttribute("oimppi:goal").Set(Gf.Vec3d(*scene.goal))
     _put(stage.GetPrimAtPath(scene.object.path), planar_transform(scene.start, scene.object.rest_height).tolist())
@@ -36,7 +39,6 @@ def save_scene(scene: Scene, file: str | Path, *, moves: Mapping[str, PlanarPose
         _shift(stage.GetPrimAtPath(path), x, y, turn)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        flat = stage.Flatten(addSourceFileComment=False)
         if not flat.Export(str(file)):
             raise OSError("OpenUSD refused")
     except (OSError, RuntimeError) as error:

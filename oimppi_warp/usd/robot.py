@@ -1,4 +1,4 @@
-"""The arm: a chain of revolute joints from a base that is fixed at the origin to a stick."""
+"""The arm: a chain of joints that turn or slide, from a base that is fixed at the origin to a stick."""
 
 from __future__ import annotations
 
@@ -7,38 +7,47 @@ import math
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdPhysics
 
-from oimppi_warp.scene import Collider, Joint, Link, Robot
+from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
 from oimppi_warp.usd.colliders import read_colliders
-from oimppi_warp.usd.stage import SceneStage, matrix, scales, transform
+from oimppi_warp.usd.stage import FARTHEST, SceneStage, matrix, scales, transform
+
+_UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
+_EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
+_UNREAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+"""Stands for a frame with a mistake, so that what comes after it can be read."""
 
 
 def read_robot(scene: SceneStage) -> Robot:
     """The scene's robot.
 
     Raises:
-        SceneError: There is none or more than one, it is not a serial arm of revolute joints about their local z axes
+        SceneError: There is none or more than one, it is not a serial arm of joints about or along their local z axes
             with its base fixed at the origin, or its tool or start is wrong.
     """
     root = scene.the("OimppiRobotAPI", "robot", "the root prim of the articulation")
     if not any(prim.HasAPI(UsdPhysics.ArticulationRootAPI) for prim in scene.prims(root)):
-        raise scene.error("a robot without an articulation", root, fix="apply PhysicsArticulationRootAPI to it")
+        scene.keep(scene.error("a robot without an articulation", root, fix="apply PhysicsArticulationRootAPI to it"))
+    tip_prim = scene.attempt(None, _tip, scene, root)
+    radius = math.nan if tip_prim is None else scene.attempt(math.nan, _radius, scene, tip_prim)
     chain = _Chain(scene, root)
     joints, links = chain.walk()
-    tip_prim = _tip(scene, root)
-    tip = chain.in_last_link(tip_prim)
-    radius = float(scene.numbers(tip_prim, "oimppi:radius", (), "the stick's radius [m]"))
-    if not 0.0 < radius < math.inf:
-        raise scene.error(f"oimppi:radius is {radius:g}", tip_prim, allowed="more than zero [m]")
     return Robot(
         path=str(root.GetPath()),
         base=chain.base,
         joints=joints,
         links=links,
-        tip=tip,
-        tool_path=str(tip_prim.GetPath()),
+        tip=_UNREAD if tip_prim is None else scene.attempt(_UNREAD, chain.in_last_link, tip_prim),
+        tool_path="" if tip_prim is None else str(tip_prim.GetPath()),
         tool_radius=radius,
-        start=_start(scene, root, joints),
+        start=scene.attempt(np.zeros(len(joints)), _start, scene, root, joints),
     )
+
+
+def _radius(scene: SceneStage, tip: Usd.Prim) -> float:
+    radius = float(scene.numbers(tip, "oimppi:radius", (), "the stick's radius [m]"))
+    if not 0.0 < radius < math.inf:
+        raise scene.error(f"oimppi:radius is {radius:g}", tip, allowed="more than zero [m]")
+    return radius
 
 
 def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
@@ -49,14 +58,15 @@ def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
 
 
 def _start(scene: SceneStage, root: Usd.Prim, joints: tuple[Joint, ...]) -> np.ndarray:
-    meaning = f"one position for each of the {len(joints)} joints [rad]"
+    units = " or ".join(dict.fromkeys(_UNITS[joint.kind] for joint in joints))
+    meaning = f"one position for each of the {len(joints)} joints [{units}]"
     start = scene.numbers(root, "oimppi:startJoints", (len(joints),), meaning)
     for joint, position in zip(joints, start, strict=True):
         if not joint.lower <= position <= joint.upper:
-            limits = f"{joint.lower:.4g} to {joint.upper:.4g} rad"
-            raise scene.error(
-                f"oimppi:startJoints puts <{joint.path}> at {position:.4g} rad, beyond its limits", root, allowed=limits
-            )
+            unit = _UNITS[joint.kind]
+            limits = f"{joint.lower:.4g} to {joint.upper:.4g} {unit}"
+            what = f"oimppi:startJoints puts <{joint.path}> at {position:.4g} {unit}, beyond its limits"
+            scene.keep(scene.error(what, root, allowed=limits))
     return start
 
 
@@ -75,15 +85,19 @@ class _Chain:
             )
         base = self.ends(mounts[0])[1]
         assert base is not None
-        frame = np.array(scene.body_frame(base))
-        if not np.allclose(frame, np.eye(4), atol=1e-6):
+        frame = scene.body_frame(base)
+        position = np.array(frame.ExtractTranslation())
+        if not np.allclose(position, 0.0, atol=1e-6):
+            what = f"the robot's base is at {np.round(position, 4).tolist()}"
+            raise scene.error(what, base, allowed="at the world's origin", fix="move everything else instead")
+        held, at = self.frames(mounts[0])
+        if not np.allclose(np.array(at.GetInverse() * held), np.array(frame), atol=1e-5):
+            fix = "make its physics:localPos0 and localRot0 the base's frame in the world, or place the base there"
             raise scene.error(
-                f"the robot's base is at {np.round(frame[3, :3], 4).tolist()}",
-                base,
-                allowed="at the world's origin, turned by nothing",
-                fix="move everything else instead",
+                "a joint that holds the base elsewhere than where it stands", mounts[0].GetPrim(), fix=fix
             )
-        self.base = self.link([(base, Gf.Matrix4d(1.0))])
+        self.base_frame = frame
+        self.base = self.link([(base, frame)])  # what is fixed has its shapes in the world's frame
         self.base_prim = base
         self.welded: list[tuple[Usd.Prim, Gf.Matrix4d]] = []
         self.reached: set[Sdf.Path] = set()
@@ -94,13 +108,22 @@ class _Chain:
         for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
             targets = relation.GetTargets()
             if targets and targets[0] not in self.bodies:
-                raise self.scene.error(
-                    f"a joint to <{targets[0]}>, which is no rigid body of the robot", joint.GetPrim()
-                )
+                what = f"a joint to <{targets[0]}>, which is no rigid body of the robot"
+                raise self.scene.error(what, joint.GetPrim(), allowed=", ".join(f"<{path}>" for path in self.bodies))
             found.append(self.bodies[targets[0]] if targets else None)
         if found[1] is None:
             raise self.scene.error("a joint that moves nothing", joint.GetPrim(), allowed="physics:body1 names a link")
         return found[0], found[1]
+
+    def frames(self, joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
+        """A joint's frame in the body it stands on and in the body it moves."""
+        before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
+        after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
+        if not (np.abs([np.array(before), np.array(after)]) < FARTHEST).all():
+            allowed = f"numbers, and lengths below {FARTHEST:g} m"
+            what = "a joint whose frames are not finite, or far away"
+            raise self.scene.error(what, joint.GetPrim(), allowed=allowed)
+        return before, after
 
     def walk(self) -> tuple[tuple[Joint, ...], tuple[Link, ...]]:
         """Moving joints and their links, from base to flange."""
@@ -121,10 +144,11 @@ class _Chain:
                 if self.ends(moving[0])[0] != group[0][0]:
                     prim = moving[0].GetPrim()
                     raise self.scene.error("a joint on a welded part", prim, allowed="only the tool is welded")
-                joints.append(self.joint(moving[0]))
+                unread = Joint(str(moving[0].GetPath()), _UNREAD, -math.inf, math.inf, math.inf, math.inf)
+                joints.append(self.scene.attempt(unread, self.joint, moving[0]))
                 body = self.ends(moving[0])[1]
         if not joints:
-            raise self.scene.error("a robot without moving joints", self.base_prim)
+            raise self.scene.error("a robot without moving joints", self.base_prim, allowed="a joint that moves a link")
         return tuple(joints), tuple(links)
 
     def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:
@@ -138,7 +162,7 @@ class _Chain:
                     continue
                 if joint.GetPrim().IsA(UsdPhysics.FixedJoint):
                     self.reach(child)
-                    before, after = joint_frames(joint)
+                    before, after = self.frames(joint)
                     group.append((child, after.GetInverse() * before * placed))
                 else:
                     moving.append(joint)
@@ -157,35 +181,46 @@ class _Chain:
         for body, placed in group:
             # The frame that shapes are measured from is the body's own, seen from the link's.
             colliders += read_colliders(self.scene, body, placed.GetInverse() * self.scene.body_frame(body))
-            mass += read_mass(self.scene, body)
+            mass += self.scene.attempt(0.0, read_mass, self.scene, body)
         return Link(str(group[0][0].GetPath()), mass, tuple(colliders))
 
     def joint(self, joint: UsdPhysics.Joint) -> Joint:
         """A moving joint."""
         scene, prim = self.scene, joint.GetPrim()
-        revolute = UsdPhysics.RevoluteJoint(prim)
-        if not revolute:
-            raise scene.error(f"a joint of type {prim.GetTypeName()}", prim, allowed="PhysicsRevoluteJoint")
-        if revolute.GetAxisAttr().Get() != UsdPhysics.Tokens.z:
-            axis = revolute.GetAxisAttr().Get()
-            raise scene.error(f"a joint about its {axis} axis", prim, allowed="physics:axis = Z")
-        before, after = joint_frames(joint)
+        turns, slides = UsdPhysics.RevoluteJoint(prim), UsdPhysics.PrismaticJoint(prim)
+        if not (turns or slides):
+            allowed = "PhysicsRevoluteJoint or PhysicsPrismaticJoint"
+            raise scene.error(f"a joint of type {prim.GetTypeName()}", prim, allowed=allowed)
+        axis = (turns or slides).GetAxisAttr().Get()
+        if axis != UsdPhysics.Tokens.z:
+            raise scene.error(
+                f"a joint {'about' if turns else 'along'} its {axis} axis", prim, allowed="physics:axis = Z"
+            )
+        before, after = self.frames(joint)
+        if self.ends(joint)[0] == self.base_prim:
+            before = before * self.base_frame
         if not np.allclose(np.array(after), np.eye(4), atol=1e-6):
             raise scene.error(
                 "a joint whose frame is not that of the link it moves",
                 prim,
                 allowed="physics:localPos1 = 0 and physics:localRot1 = 1",
             )
-        lower = math.radians(scene.number(prim, "physics:lowerLimit", -math.inf))
-        upper = math.radians(scene.number(prim, "physics:upperLimit", math.inf))
+        kind, drive, inward = ("revolute", "angular", math.radians) if turns else ("prismatic", "linear", float)
+        unit = _UNITS[kind]
+        lower = inward(scene.number(prim, "physics:lowerLimit", -math.inf))
+        upper = inward(scene.number(prim, "physics:upperLimit", math.inf))
         if not lower < upper:
-            raise scene.error(f"limits of {lower:.4g} and {upper:.4g} rad", prim, allowed="lower below upper")
-        driven = prim.HasAPI(UsdPhysics.DriveAPI, "angular")
-        effort = scene.number(prim, "drive:angular:physics:maxForce", math.inf) if driven else math.inf
-        velocity = math.radians(scene.number(prim, "newton:velocityLimit", math.inf))
+            raise scene.error(f"limits of {lower:.4g} and {upper:.4g} {unit}", prim, allowed="lower below upper")
+        if slides and not max(abs(lower), abs(upper)) < FARTHEST:
+            fix = "give physics:lowerLimit and physics:upperLimit in metres"
+            raise scene.error("a joint that slides without end", prim, allowed="finite limits", fix=fix)
+        driven = prim.HasAPI(UsdPhysics.DriveAPI, drive)
+        effort = scene.number(prim, f"drive:{drive}:physics:maxForce", math.inf) if driven else math.inf
+        velocity = inward(scene.number(prim, "newton:velocityLimit", math.inf))
         if effort <= 0.0 or velocity <= 0.0:
-            raise scene.error(f"limits of {effort:g} N m and {velocity:g} rad/s", prim, allowed="more than zero")
-        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort)
+            what = f"limits of {effort:g} {_EFFORTS[kind]} and {velocity:g} {unit}/s"
+            raise scene.error(what, prim, allowed="more than zero")
+        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind)
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
         """A prim's transform in the frame of the last link, shape [7]."""
@@ -198,13 +233,6 @@ class _Chain:
         raise self.scene.error(
             "a tool that is not on the robot's last link", prim, allowed=f"on {self.welded[0][0].GetPath()}, unscaled"
         )
-
-
-def joint_frames(joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
-    """A joint's frame in the body it stands on and in the body it moves."""
-    before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
-    after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
-    return before, after
 
 
 def read_mass(scene: SceneStage, body: Usd.Prim) -> float:

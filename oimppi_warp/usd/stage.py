@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-from pxr import Gf, Plug, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
+from pxr import Ar, Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
-from oimppi_warp.errors import SceneError
+from oimppi_warp.errors import Problem, SceneError
+from oimppi_warp.usd.meshes import simplify_meshes
+from oimppi_warp.usd.sound import unsound_properties, usd_reason
+from oimppi_warp.usd.units import to_si, to_z_up
+from oimppi_warp.usd.upright import stand_upright
+
+P = ParamSpec("P")
+Read = TypeVar("Read")
+Otherwise = TypeVar("Otherwise")
+
+FARTHEST = 1e3
+"""No length in a scene is larger [m]."""
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 SCHEMA = SCENES / "schema"
@@ -22,50 +33,108 @@ Plug.Registry().RegisterPlugins(str(SCHEMA))
 class SceneStage:
     """A composed USD stage in metres, kilograms and z up, and where its task, robot, object and table are.
 
+    A file in other units, with another axis up, or with meshes that a simple shape stands for, is converted as it is
+    opened (``units.py``, ``upright.py``, ``meshes.py``). Whoever reads a scene's file reads this stage, so that all
+    read the same numbers.
+
+    Attributes:
+        file: The USD file.
+        stage: The stage; what is set on it goes to its session layer, and leaves the file as it is.
+        layers: The files that it is composed of.
+
     Args:
         file: The USD file.
+        mistakes: Where mistakes are collected; without it, the first one is raised.
 
     Raises:
-        SceneError: There is no such file, it is not USD, something that it refers to is missing, or it has other units.
+        SceneError: There is no such file, it is not USD, something that it refers to is missing, or its units are not
+            given.
     """
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, mistakes: list[SceneError] | None = None) -> None:
         self.file = file
+        self._mistakes = mistakes
         if not file.is_file():
             raise self.error("there is no such file")
-        delegate = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
+        silenced = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
         try:
-            self.stage = Usd.Stage.Open(str(file))
-        except Exception as error:  # Tf.ErrorException: its text is a list of places in USD's own source
-            reason = str(error).partition(" : ")[2].split("\n")[0].strip(" '")
-            formats = ".usda, .usd, .usdc, .usdz"
-            raise self.error(f"not a USD file that can be read ({reason})", allowed=formats) from None
+            self.stage = self._open()
+            self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
+            self._check_units()
+            self._convert()
         finally:
-            del delegate
-        broken = self.stage.GetCompositionErrors()
-        if broken:
-            fix = "correct it; the paths of references count from the file that they stand in"
-            raise self.error(str(broken[0]), fix=fix)
-        self._check_units()
+            del silenced
+
+    def _open(self) -> Usd.Stage:
+        """The stage as USD composes it, without anything that cannot be read."""
+        try:
+            stage = Usd.Stage.Open(str(self.file))
+        except Tf.ErrorException as error:
+            formats = ".usda, .usd, .usdc, .usdz"
+            raise self.error(f"not a USD file that can be read ({usd_reason(error)})", allowed=formats) from None
+        fix = "correct it; the paths of references count from the file that they stand in"
+        self._give_up_on([self.error(str(each), fix=fix) for each in stage.GetCompositionErrors()])
+        unsound = unsound_properties(stage)
+        self._give_up_on([self.error(each.what, each.prim, allowed=each.allowed) for each in unsound])
+        return stage
+
+    def _convert(self) -> None:
+        """Other units, another axis up, meshes that a simple shape stands for."""
+        self.stage.SetEditTarget(self.stage.GetSessionLayer())
+        to_si(self.stage)
+        to_z_up(self.stage)
+        stand_upright(self.stage)
+        simplify_meshes(self.stage)
+
+    def _give_up_on(self, mistakes: list[SceneError]) -> None:
+        """Note mistakes and, if there are any, read no further: what cannot be read would look like more of them."""
+        for mistake in mistakes[:-1]:
+            self.keep(mistake)
+        if mistakes:
+            raise mistakes[-1]
+
+    def keep(self, mistake: SceneError) -> None:
+        """Note a mistake and go on; where none are collected, raise it."""
+        if self._mistakes is None:
+            raise mistake
+        if str(mistake) not in map(str, self._mistakes):
+            # Without its traceback, whose frames would keep the stage alive, and USD from reading a changed file anew.
+            self._mistakes.append(mistake.with_traceback(None))
+
+    def attempt(
+        self, otherwise: Otherwise, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
+    ) -> Read | Otherwise:
+        """What a reader returns; where it finds a mistake, that is noted, and ``otherwise`` comes back."""
+        try:
+            return read(*args, **kwargs)
+        except SceneError as mistake:
+            self.keep(mistake)
+        except Tf.ErrorException as error:
+            self.keep(self.error(f"OpenUSD cannot read it ({usd_reason(error)})", allowed="sound USD"))
+        return otherwise
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
         """A :class:`SceneError` at a prim of this file."""
         place = prim if isinstance(prim, str) else prim.GetPath()
         return SceneError(what, file=self.file, prim=place, allowed=allowed, fix=fix)
 
+    def doubt(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> Problem:
+        """A warning at a prim of this file."""
+        place = prim if isinstance(prim, str) else str(prim.GetPath())
+        return Problem(str(self.file), "warning", place, what, allowed, fix)
+
     def _check_units(self) -> None:
-        convert = "export the scene again with this setting; the physics in it is not converted on reading"
-        metres = UsdGeom.GetStageMetersPerUnit(self.stage)
-        if abs(metres - 1.0) > 1e-9:
-            given = "given" if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage) else "not given, which means 0.01"
-            what = f"lengths are not in metres (metersPerUnit is {metres:g}, {given})"
-            raise self.error(what, allowed="1", fix=convert)
-        if UsdGeom.GetStageUpAxis(self.stage) != UsdGeom.Tokens.z:
-            raise self.error("Y is up (upAxis)", allowed="Z", fix=convert)
-        kilograms = UsdPhysics.GetStageKilogramsPerUnit(self.stage)
-        if abs(kilograms - 1.0) > 1e-9:
-            what = f"masses are not in kilograms (kilogramsPerUnit is {kilograms:g})"
-            raise self.error(what, allowed="1", fix=convert)
+        """What is said about units is converted; what is not said is not guessed."""
+        lengths, masses = UsdGeom.GetStageMetersPerUnit(self.stage), UsdPhysics.GetStageKilogramsPerUnit(self.stage)
+        if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
+            what = "the unit of length is not given: by USD's rule it would be a centimetre"
+            raise self.error(what, allowed="metersPerUnit", fix="give it at the head of the file: 1 for metres")
+        if not self.stage.HasAuthoredMetadata("upAxis"):
+            what = "which axis is up is not given: by USD's rule it would be y"
+            raise self.error(what, allowed='upAxis "Y" or "Z"', fix='give it at the head of the file: "Z" for z')
+        for name, unit in (("metersPerUnit", lengths), ("kilogramsPerUnit", masses)):
+            if not (np.isfinite(unit) and unit > 0.0):
+                raise self.error(f"{name} is {unit:g}", allowed="a number above zero")
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
         """All active prims below ``root`` (itself included), those in instances too, in the order of the file."""
@@ -121,23 +190,32 @@ class SceneStage:
         attribute = prim.GetAttribute(name)
         return str((attribute.Get() if attribute else None) or schema_default(name))
 
-    @staticmethod
-    def number(prim: Usd.Prim, name: str, fallback: float) -> float:
+    def number(self, prim: Usd.Prim, name: str, fallback: float) -> float:
         """An attribute of a schema of USD's own, or what it falls back to where it has no value."""
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
-        return fallback if value is None else single(value)
+        if value is None:
+            return fallback
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(f"{name} is {value!r}", prim, allowed="a number")
+        return single(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
         """A prim's frame in the world, as USD has it (row vectors, scale included)."""
-        return UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+        frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+        if not (np.abs(np.array(frame)) < FARTHEST).all():
+            allowed = f"numbers, and lengths below {FARTHEST:g} m"
+            raise self.error("a place that is not finite, or far away", prim, allowed=allowed)
+        return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """A rigid body's frame in the world; it must not be scaled."""
+        """A rigid body's frame in the world, without a scale; having one is a mistake."""
         frame = self.frame(prim)
-        if not np.allclose(scales(frame), 1.0, atol=1e-5) or frame.GetDeterminant() < 0:
-            raise self.error(
-                f"a body with a scale {_readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
+        if not is_rigid(frame):
+            self.keep(
+                self.error(
+                    f"a body with a scale {_readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
+                )
             )
         return frame.GetOrthonormalized()
 
@@ -150,6 +228,11 @@ class SceneStage:
         if not (np.isfinite(value) and value >= 0.0):
             raise self.error(f"physics:dynamicFriction is {value:g}", material.GetPrim(), allowed="zero or more")
         return value
+
+
+def file_of(layer: Sdf.Layer) -> Path:
+    """The file that a layer stands in: of one in a USDZ package, the package."""
+    return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
 
 
 @cache
@@ -166,9 +249,20 @@ def schema_default(name: str) -> Any:
     raise KeyError(name)
 
 
+@cache
+def schema_attributes() -> dict[str, tuple[str, ...]]:
+    """Our API schemas with the names of their attributes."""
+    return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}
+
+
 def scales(frame: Gf.Matrix4d) -> np.ndarray:
     """Lengths of a frame's axes, shape [3]."""
     return np.array([frame.GetRow3(i).GetLength() for i in range(3)])
+
+
+def is_rigid(frame: Gf.Matrix4d) -> bool:
+    """Whether a frame is turned and moved only, neither scaled nor mirrored."""
+    return bool(np.allclose(scales(frame), 1.0, atol=1e-5)) and frame.GetDeterminant() > 0
 
 
 def transform(frame: Gf.Matrix4d) -> np.ndarray:

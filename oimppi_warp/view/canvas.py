@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 import warp as wp
 
+from oimppi_warp.feasibility import object_outline
 from oimppi_warp.footprint import footprint, height_range, outline
 from oimppi_warp.observation import planar_pose
 from oimppi_warp.scene import Scene
@@ -22,6 +23,7 @@ TIGHT = (0.55, 0.83, 0.62)
 REFERENCE = (0.95, 0.6, 0.1)
 PLAN = (0.1, 0.35, 0.9)
 FORCE = (0.85, 0.1, 0.1)
+CLEARANCE = (0.55, 0.2, 0.6)
 FAINT, STRONG = np.array((0.72, 0.76, 0.85)), np.array((0.45, 0.2, 0.75))
 """Colours of a sampled path of no weight and of the largest."""
 METRES_PER_NEWTON = 0.01
@@ -30,6 +32,10 @@ _WAY = 60
 """Points that a reference is drawn with: always as many, so that lines are updated and not made anew."""
 _TOUCHES = 8
 """Contact forces that are drawn at the most."""
+_CONTACT_RADIUS = 0.006
+"""Radius that a contact point is drawn with [m]."""
+_NEAR = 0.3
+"""Clearance up to which it is drawn [m]."""
 _NO_LENGTH = 1e-5
 """What a segment of no length is drawn with: viewers divide by it [m]."""
 _LIFT = 0.003
@@ -59,6 +65,7 @@ class Canvas:
         self._draw_goal(picture.scene)
         self._draw_plan(picture)
         self._draw_touches(picture.touches)
+        self._draw_clearance(picture)
 
     def _load(self, scene: Scene) -> None:
         self._shown = ShownScene(scene)
@@ -67,6 +74,9 @@ class Canvas:
         self._rings = [np.array(ring.coords) for polygon in shapely.get_parts(shape) for ring in _rings(polygon)]
         low, high = height_range(scene.object.colliders)
         self._heights = (scene.object.rest_height + low + _LIFT, scene.object.rest_height + high)
+        around = [scene.robot.base, *scene.obstacles]
+        lower, upper = self._heights
+        self._around = shapely.union_all([outline(footprint(it.colliders, lower=lower, upper=upper)) for it in around])
 
     def _draw_goal(self, scene: Scene) -> None:
         goal = np.array(scene.goal)
@@ -100,6 +110,19 @@ class Canvas:
         shown[: len(largest)] = largest
         ends = shown[:, :3] + METRES_PER_NEWTON * shown[:, 3:]
         self._lines("contact/force", [np.stack([shown[:, :3], ends], axis=1)], FORCE, width=0.04)
+        points = wp.array(shown[:, :3].astype(np.float32), dtype=wp.vec3, device="cpu")
+        radii = wp.full(_TOUCHES, _CONTACT_RADIUS, dtype=float, device="cpu")
+        colors = wp.full(_TOUCHES, wp.vec3(*FORCE), dtype=wp.vec3, device="cpu")
+        self._viewer.log_points("/oimppi/contact/point", points, radii, colors)
+
+    def _draw_clearance(self, picture: Picture) -> None:
+        """A line from the object to what is nearest to it, hidden below the table where nothing is near."""
+        x, y, yaw = (float(value) for value in planar_pose(picture.object_transform))
+        ends = shapely.shortest_line(object_outline(picture.scene, (x, y, yaw)), self._around)
+        near = 0.0 < shapely.length(ends) < _NEAR
+        at = shapely.get_coordinates(ends) if near else np.zeros((2, 2))
+        height = self._heights[1] + _LIFT if near else -1.0
+        self._lines("clearance", [_segments(_raised(at, height))], CLEARANCE, width=0.03)
 
     def _ghost(self, pose: np.ndarray) -> np.ndarray:
         """Edges [n, 2, 3] of the object at a planar pose [3]."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.options import TaskOptions
-from oimppi_warp.task import make_task, parse_pose, parse_start
+from oimppi_warp.options import TaskOptions, notices
 
 
 @dataclass(frozen=True)
@@ -42,48 +39,22 @@ class View(TaskOptions):
 
     def execute(self) -> int:
         """Serve until Ctrl-C; returns the exit status."""
-        config = self.settings()
         if not 1 <= self.port <= 65535:
             raise ConfigError(f"--port {self.port}: cannot be used\n  allowed: 1 to 65535")
-        start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
-
-        import warp as wp
-        from rich.console import Console
-
-        from oimppi_warp import device
-
-        console = Console(stderr=True, highlight=False)
-        say = partial(console.print, soft_wrap=True)
-        wp.set_logger(device.CompileNotice(say))
-        device.start_warp()
-        from oimppi_warp.view.browser import open_viewer
-
         if self.replay is not None:
+            notices()
+            from oimppi_warp.view.browser import open_viewer
             from oimppi_warp.view.replay import Replay, ReplayView
 
             replay = Replay(self.replay)
             viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
             return _serve(viewer, ReplayView(viewer, replay).run, None)
-        where = device.pick_device(self.device)
-        with console.status("reading the scene"):
-            scene = make_task(self.scene, start=start, goal=goal, seed=self.seed)
-        with console.status("loading kernels"):
-            if not device.kernels_are_cached():
-                say("First run on this machine: compiling kernels, which takes about half a minute and is done once.")
-            from oimppi_warp.view.live import LiveView
-            from oimppi_warp.view.session import Session, Setup
+        setup = self.setup()
+        from oimppi_warp.view.browser import open_viewer
+        from oimppi_warp.view.live import LiveView
+        from oimppi_warp.view.session import Session
 
-            setup = Setup(
-                scene=scene,
-                config=config,
-                method=self.method,
-                engine=self.engine,
-                device=where,
-                threads=self.threads,
-                seed=self.seed,
-                plant=self.plant,
-                mode=self.mode,
-            )
+        with notices().status("loading kernels"):
             session = Session(setup)
         with tempfile.TemporaryDirectory(prefix="oimppi-") as folder:
             viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
@@ -106,12 +77,7 @@ class Export:
 
     def execute(self) -> int:
         """Write it; returns the exit status."""
-        import warp as wp
-
-        from oimppi_warp import device
-
-        wp.set_logger(device.CompileNotice(lambda line: print(line, file=sys.stderr)))
-        device.start_warp()
+        notices()
         from oimppi_warp.view.export import export
 
         print(export(self.folder, self.to, self.output))

@@ -11,43 +11,23 @@ import time
 from collections import deque
 from collections.abc import Generator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from oimppi_warp.clearance import to_center
-from oimppi_warp.config import Config, Method, Mode, PlantKind
 from oimppi_warp.control import Beat
-from oimppi_warp.episode import Episode
+from oimppi_warp.episode import Episode, Setup
 from oimppi_warp.errors import OimppiError
 from oimppi_warp.observation import planar_transform
-from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.scene import PlanarPose
 from oimppi_warp.view.picture import Picture
 
 SAMPLED = 32
 """Samples that are shown."""
 _RATE = 40
 """Control steps over which their rate is taken."""
-
-
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """All that makes an episode, as :class:`oimppi_warp.episode.Episode` takes it."""
-
-    scene: Scene
-    config: Config
-    method: Method = "cloi"
-    engine: str = "auto"
-    device: str = "auto"
-    threads: int | None = None
-    seed: int = 0
-    plant: PlantKind = "ideal"
-    mode: Mode = "lockstep"
-
-    def episode(self) -> Episode:
-        """A new episode, ready to run."""
-        return Episode(**{name: value for name, value in vars(self).items()})
 
 
 class Session:
@@ -87,8 +67,9 @@ class Session:
         self._thread = threading.Thread(target=self._loop, name="oimppi-control", daemon=True)
 
     def start(self) -> None:
-        """Begin with the control loop."""
-        self._thread.start()
+        """Begin with the control loop, unless it goes already."""
+        if not self._thread.is_alive():
+            self._thread.start()
 
     def close(self) -> None:
         """End it."""
@@ -96,6 +77,16 @@ class Session:
         if self._thread.is_alive():
             self._thread.join()
         self._builder.shutdown(cancel_futures=True)
+
+    @property
+    def running(self) -> Episode:
+        """The episode that runs now."""
+        return self._episode
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode is at its end."""
+        return self._over
 
     @property
     def rate(self) -> float:

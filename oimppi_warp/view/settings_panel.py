@@ -29,14 +29,14 @@ class SettingsPanel:
         self._on_change = on_change
         self._controls: dict[str, Any] = {}
         self._buttons: dict[str, Any] = {}
-        self._changed = self._gui.add_folder("Changed settings", order=40.0, visible=False)
+        self._changed = self._gui.add_folder("Changed settings", order=6.0, visible=False)
         with self._changed:
             self._command = self._gui.add_markdown("")
         about, types = descriptions(config), kinds(config)
         folders: dict[str, list[str]] = {}
         for name in options(config):
             folders.setdefault(name.rpartition(".")[0], []).append(name)
-        with self._gui.add_folder("Settings", order=50.0, expand_by_default=False):
+        with self._gui.add_folder("Settings", order=8.0, expand_by_default=False):
             for folder, names in folders.items():
                 with self._gui.add_folder(folder or "general", expand_by_default=False):
                     for name in names:

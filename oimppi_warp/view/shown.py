@@ -26,10 +26,12 @@ class ShownScene:
     def __init__(self, scene: Scene) -> None:
         with collector_paused():
             import newton
+
+            from oimppi_warp.usd.stage import SceneStage
         self._newton = newton
         builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
         found = builder.add_usd(
-            str(scene.file), load_visual_shapes=True, enable_self_collisions=False, ignore_paths=[GHOSTS]
+            SceneStage(scene.file).stage, load_visual_shapes=True, enable_self_collisions=False, ignore_paths=[GHOSTS]
         )
         joints = [found["path_joint_map"][joint.path] for joint in scene.robot.joints]
         self._joints = np.array([builder.joint_q_start[joint] for joint in joints])

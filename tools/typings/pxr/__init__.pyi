@@ -1,5 +1,6 @@
 """OpenUSD fills its Python modules at run time and has no types: pyright takes everything in them as Any."""
 
+from . import _any as Ar
 from . import _any as Gf
 from . import _any as Kind
 from . import _any as Plug

@@ -1,0 +1,140 @@
+"""Everything that would stop or spoil a run of a scene, found before it is run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oimppi_warp.errors import Problem, SceneError
+from oimppi_warp.feasibility import draw_start, pose_mistakes, task_mistakes
+from oimppi_warp.footprint import height_range
+from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.tipping import can_tip, tipping_height
+from oimppi_warp.usd import Inspection, inspect_scene
+from oimppi_warp.usd.doubts import given_inertia, stage_doubts
+
+if TYPE_CHECKING:
+    from oimppi_warp.authoring.way import Neck
+
+TIGHT = 0.005
+"""Room on either side of the object below which a way is called narrow [m]."""
+
+
+def check_scene(scene: str | Path) -> tuple[Problem, ...]:
+    """Every problem of a scene: errors first, then warnings.
+
+    Args:
+        scene: A USD file, or the name of a shipped scene.
+
+    Raises:
+        SceneError: There is no such file.
+    """
+    found = inspect_scene(scene)
+    problems = [mistake.problem for mistake in found.mistakes]
+    if found.stage is not None:
+        problems += stage_doubts(found.stage)
+    if found.scene is not None:
+        errors = [mistake.problem for mistake in _task_errors(found.scene)]
+        problems += [*errors, *_task_warnings(found.scene), *_weight_warnings(found)]
+        if not errors:
+            problems += _way_warnings(found.scene)
+    return tuple(sorted(problems, key=lambda problem: problem.severity == "warning"))
+
+
+def _task_errors(scene: Scene) -> Iterator[SceneError]:
+    """Why the scene's own start and goal, or the starts that seeds draw, stop a run."""
+    mistakes = list(task_mistakes(scene))
+    yield from mistakes
+    if not mistakes:
+        try:
+            draw_start(scene, 0)
+        except SceneError as mistake:
+            yield mistake
+
+
+def _task_warnings(scene: Scene) -> Iterator[Problem]:
+    for number, start in _starts(scene):
+        for mistake in _mistakes(scene, number, start):
+            yield _warning(scene, mistake.what, allowed=mistake.allowed, fix=mistake.fix)
+    if scene.spread == (0.0, 0.0) and len(scene.starts) < 2:
+        yield _warning(
+            scene,
+            "every run starts from the same pose",
+            allowed="a spread above zero, or several starts",
+            fix="give oimppi:spread, from which seeds draw starts, or list oimppi:starts",
+        )
+    body = scene.object
+    if tipping_height(body) > 0.0 and can_tip(body):  # at zero its centre of mass is wrong, which is another warning
+        top = body.rest_height + height_range(body.colliders)[1]
+        yield _warning(
+            scene,
+            f"a push may tip the object over: its top is at {1000 * top:.0f} mm",
+            prim=body.path,
+            allowed=f"up to {1000 * tipping_height(body):.0f} mm at this width and friction",
+            fix="make it lower, broader or smoother; as it is, the planner touches it low and slowly",
+        )
+
+
+def _weight_warnings(found: Inspection) -> Iterator[Problem]:
+    from oimppi_warp.authoring.weight import weight_oddities
+
+    scene, stage = found.scene, found.stage
+    assert scene is not None and stage is not None
+    inertia = given_inertia(stage.stage.GetPrimAtPath(scene.object.path))
+    for odd in weight_oddities(scene, inertia):
+        yield _warning(scene, odd.what, prim=scene.object.path, allowed=odd.allowed, fix=odd.fix)
+
+
+def _starts(scene: Scene) -> Iterator[tuple[int, PlanarPose]]:
+    """The listed starts with their numbers, but for the one in the file."""
+    for number, (x, y, yaw) in enumerate(scene.starts.tolist()):
+        if (x, y, yaw) != scene.start:
+            yield number, (x, y, yaw)
+
+
+def _mistakes(scene: Scene, number: int, start: PlanarPose) -> Iterator[SceneError]:
+    return pose_mistakes(scene, f"start {number}", start)
+
+
+def _way_warnings(scene: Scene) -> Iterator[Problem]:
+    """Starts from which no way is free, and the narrowest place of the widest one; start and goal overlap nothing."""
+    from oimppi_warp.authoring.way import Ways
+    from oimppi_warp.clearance import build_geometry
+
+    ways = Ways(scene, build_geometry(scene, "cpu"))
+    listed = {f"start {number}": start for number, start in _starts(scene) if not any(_mistakes(scene, number, start))}
+    starts = {"start": scene.start, **listed}
+    blocked = [name for name, start in starts.items() if ways.is_blocked(start)]
+    neck = ways.neck(starts[blocked[0]] if blocked else scene.start)
+    if blocked:
+        which = f"{blocked[0]}{f' and {len(blocked) - 1} others' if blocked[1:] else ''}"
+        yield _warning(
+            scene,
+            f"no way to the goal is free from the object's {which}{'' if neck is None else f': {_tight(neck)}'}",
+            allowed="a way on which the object overlaps nothing, on a grid of 1 cm",
+            fix="move what is in the way, or choose another start or goal",
+        )
+    elif neck is not None and neck.clearance < TIGHT:
+        yield _warning(
+            scene,
+            f"the way to the goal is narrow: {_tight(neck)}",
+            allowed=f"{2000 * TIGHT:g} mm more than the object is wide there",
+            fix="move these apart, or choose another start or goal",
+        )
+
+
+def _tight(neck: Neck) -> str:
+    """The narrowest place of a way, in words."""
+    x, y, yaw = neck.pose
+    where = f"at ({x:.2f}, {y:.2f}, {yaw:.2f}) the widest one leads"
+    missing = 1000.0 * abs(neck.clearance)
+    if neck.gap is None:
+        left = f"with {missing:.0f} mm to spare" if neck.clearance > 0.0 else f"{missing:.0f} mm into it"
+        return f"{where} past {neck.beside[0]}, {left}"
+    left = f"{2.0 * missing:.0f} mm {'more' if neck.clearance > 0.0 else 'less'} than the object needs there"
+    return f"{where} between {' and '.join(neck.beside)}, which are {1000 * neck.gap:.0f} mm apart: about {left}"
+
+
+def _warning(scene: Scene, what: str, *, prim: str = "", allowed: str = "", fix: str = "") -> Problem:
+    return Problem(str(scene.file), "warning", prim, what, allowed, fix)

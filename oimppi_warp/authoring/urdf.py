@@ -1,0 +1,132 @@
+"""A robot in a URDF: its tree of links, and the same in Newton's builder."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import networkx as nx
+
+from oimppi_warp.authoring.articulation import Articulation
+from oimppi_warp.authoring.chain import Chain, Kind, Limits, TreeJoint, serial_chain
+from oimppi_warp.errors import SceneError
+from oimppi_warp.newton_model import collector_paused
+
+_KINDS: dict[str, Kind] = {
+    "revolute": "turns",
+    "continuous": "turns",
+    "prismatic": "slides",
+    "fixed": "fixed",
+}
+
+
+def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
+    """The chain in a URDF, and what its links and joints are.
+
+    Args:
+        file: The URDF.
+        flange: The link that carries the stick; what else moves is left out then. None: the end of the only chain.
+
+    Raises:
+        SceneError: It cannot be read, is no tree of links, branches, has a joint that a planner cannot drive, or a mesh
+            of it is missing.
+    """
+    root = _parse(file)
+    chain = serial_chain(_tree(file, root), file=file, flange=flange)
+    _resolve(file, root, {link for group in chain.groups for link, _ in group})
+    with collector_paused():
+        import newton
+    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+    try:
+        builder.add_urdf(ET.tostring(root, encoding="unicode"))
+    except Exception as error:  # whatever the reader of a mesh raises
+        fix = "meshes may be STL, OBJ or PLY"
+        raise SceneError(f"it cannot be read ({error})", file=file, allowed="a URDF", fix=fix) from error
+    bodies, joints = (
+        {label.rpartition("/")[2]: index for index, label in enumerate(labels)}
+        for labels in (builder.body_label, builder.joint_label)
+    )
+    return chain, Articulation(builder, bodies=bodies, joints=joints, file=file)
+
+
+def _parse(file: Path) -> ET.Element:
+    if not file.is_file():
+        raise SceneError("there is no such file", file=file, allowed="a URDF")
+    try:
+        root = ET.parse(file).getroot()
+    except (ET.ParseError, UnicodeDecodeError, ValueError) as error:
+        raise SceneError(f"not XML that can be read ({error})", file=file, allowed="a URDF") from None
+    if root.tag != "robot":
+        raise SceneError(f"its root is <{root.tag}>", file=file, allowed="a URDF, whose root is <robot>")
+    if any("ros.org/wiki/xacro" in str(element.tag) for element in root.iter()):
+        fix = f"expand it: xacro {file.name} > {file.name.removesuffix('.xacro').removesuffix('.urdf')}.urdf"
+        raise SceneError("xacro, not URDF", file=file, allowed="a URDF without macros", fix=fix)
+    return root
+
+
+def _tree(file: Path, root: ET.Element) -> nx.DiGraph:
+    """Links and the joints between them."""
+    tree = nx.DiGraph()
+    tree.add_nodes_from(link.get("name", "") for link in root.findall("link"))
+    for joint in root.findall("joint"):
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        ends = [_named(joint, end) for end in ("parent", "child")]
+        for link in ends:
+            if link not in tree:
+                raise SceneError(f"joint {name} at a link {link!r} that is not there", file=file, allowed="its links")
+        if kind not in _KINDS:
+            what = f"joint {name} of type {kind or 'none'}, between {ends[0]} and {ends[1]}"
+            fix = "the base must be fixed" if kind in ("floating", "planar") else "correct its type"
+            raise SceneError(what, file=file, allowed=", ".join(_KINDS), fix=fix)
+        follows = joint.find("mimic") is not None
+        tree.add_edge(*ends, joint=TreeJoint(name, _KINDS[kind], _limits(file, joint), follows))
+    return tree
+
+
+def _named(joint: ET.Element, end: str) -> str:
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
+
+
+def _limits(file: Path, joint: ET.Element) -> Limits | None:
+    """What a joint's limits say; ``None`` where they must and do not."""
+    limit, given = joint.find("limit"), dict[str, float]()
+    for key in ("lower", "upper", "effort", "velocity"):
+        text = None if limit is None else limit.get(key)
+        try:
+            given[key] = math.inf if text is None else float(text)
+        except ValueError:
+            what = f"joint {joint.get('name')}: {key} = {text!r}"
+            raise SceneError(what, file=file, allowed="a number") from None
+    if joint.get("type") == "continuous":
+        given["lower"], given["upper"] = -math.inf, math.inf
+    elif not (math.isfinite(given["lower"]) and math.isfinite(given["upper"])):
+        return None
+    return Limits(**given)
+
+
+def _resolve(file: Path, root: ET.Element, members: set[str]) -> None:
+    """Leave out what is only looked at and the shapes of other links, and give the meshes their whole paths."""
+    for link in root.findall("link"):
+        gone = [] if link.get("name") in members else link.findall("collision")
+        for element in (*link.findall("visual"), *gone):
+            link.remove(element)
+        for mesh in link.findall("collision/geometry/mesh"):
+            mesh.set("filename", str(_mesh(file, mesh.get("filename", ""))))
+
+
+def _mesh(file: Path, name: str) -> Path:
+    """The file of a mesh: a path beside the URDF, or package://NAME/ for a folder NAME beside it or above it."""
+    folder = file.resolve().parent
+    place = name.removeprefix("package://").removeprefix("file://")
+    folders = (folder, *folder.parents) if name.startswith("package://") else (folder,)
+    found = next((above / place for above in folders if name and (above / place).is_file()), None)
+    if found is None:
+        raise SceneError(
+            f"the mesh {name!r} is not there",
+            file=file,
+            allowed="a path beside it, or package://NAME/ for a folder NAME beside it or above it",
+            fix="put it there, or take its <collision> out",
+        )
+    return found

@@ -1,0 +1,94 @@
+"""Meshes as colliders: their triangles, and what simple shape stands for which.
+
+What collides is convex. A mesh that is convex as it is counts as its hull; `boundingCube` and `boundingSphere` become a
+box and a ball below the mesh, in the stage's session layer, so that all who read the stage see the same shapes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
+
+from oimppi_warp.usd.units import editable_prims
+
+_TOKENS = UsdPhysics.Tokens
+_REPLACED = (_TOKENS.none, _TOKENS.boundingCube, _TOKENS.boundingSphere)
+
+CONVEX = 1e-3
+"""How much of its hull's volume a mesh may lack and still be convex."""
+
+
+def approximation(prim: Usd.Prim) -> str:
+    """What stands for a mesh when it collides; "none" is the mesh itself."""
+    if not prim.HasAPI(UsdPhysics.MeshCollisionAPI):
+        return _TOKENS.none
+    return UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() or _TOKENS.none
+
+
+def simplify_meshes(stage: Usd.Stage) -> None:
+    """Writes down the convex shapes that stand for colliding meshes, wherever that can be done without guessing."""
+    proxies = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+    if not any(_is_replaced(prim) for prim in proxies):
+        return
+    for prim in editable_prims(stage):
+        if _is_replaced(prim) and (faces := triangles(prim)) is not None:
+            points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(), dtype=float)
+            if approximation(prim) != _TOKENS.none:
+                _replace(stage, prim, points)
+            elif _is_convex(points, faces):
+                UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(_TOKENS.convexHull)
+
+
+def triangles(prim: Usd.Prim) -> np.ndarray | None:
+    """A mesh's faces as triangles, shape [n, 3]; ``None`` where they are none, or name points that are not there."""
+    mesh = UsdGeom.Mesh(prim)
+    points = mesh.GetPointsAttr().Get() or []
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=int)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=int)
+    whole = len(counts) > 0 and counts.min() >= 3 and counts.sum() == len(corners)
+    if not whole or corners.min() < 0 or corners.max() >= len(points):
+        return None
+    firsts = np.cumsum(counts) - counts
+    fans = [(first, first + i, first + i + 1) for first, n in zip(firsts, counts, strict=True) for i in range(1, n - 1)]
+    return corners[np.array(fans)]
+
+
+def _is_replaced(prim: Usd.Prim) -> bool:
+    if not (prim.IsA(UsdGeom.Mesh) and prim.HasAPI(UsdPhysics.CollisionAPI)):
+        return False
+    enabled = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get()
+    return bool(enabled) and approximation(prim) in _REPLACED
+
+
+def _is_convex(points: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether a closed surface leaves out nothing of its hull."""
+    if not np.isfinite(points).all() or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3:
+        return False
+    surface = trimesh.Trimesh(points, faces)
+    hull = surface.convex_hull
+    return surface.is_watertight and abs(abs(surface.volume) - hull.volume) < CONVEX * hull.volume
+
+
+def _replace(stage: Usd.Stage, prim: Usd.Prim, points: np.ndarray) -> None:
+    """Puts a box or a ball in the place of a mesh: along the mesh's own axes, around all of its points."""
+    path = prim.GetPath().AppendChild("bounds")
+    if not np.isfinite(points).all():
+        return
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    if approximation(prim) == _TOKENS.boundingCube:
+        shape = UsdGeom.Cube.Define(stage, path)
+        shape.CreateSizeAttr(1.0)
+        shape.AddTranslateOp().Set(Gf.Vec3d(*((lower + upper) / 2.0).tolist()))
+        shape.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*(upper - lower).tolist()))
+    else:
+        center, radius = trimesh.nsphere.minimum_nsphere(points)
+        shape = UsdGeom.Sphere.Define(stage, path)
+        shape.CreateRadiusAttr(float(radius))
+        shape.AddTranslateOp().Set(Gf.Vec3d(*np.asarray(center).tolist()))
+    shape.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    UsdPhysics.CollisionAPI.Apply(shape.GetPrim())
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+    if material:
+        UsdShade.MaterialBindingAPI.Apply(shape.GetPrim()).Bind(material, materialPurpose="physics")
+    prim.RemoveAPI(UsdPhysics.CollisionAPI)

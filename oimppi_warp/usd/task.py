@@ -1,0 +1,83 @@
+"""What is to be done: the attributes of the scene's default prim."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from pxr import Usd
+
+from oimppi_warp.scene import PlanarPose, Tolerance
+from oimppi_warp.usd.stage import SceneStage
+
+_POSE = "(x [m], y [m], yaw [rad])"
+
+
+@dataclass(frozen=True, eq=False)
+class TaskWords:
+    """What the attributes of OimppiTaskAPI say; each is as in :class:`oimppi_warp.scene.Scene`.
+
+    Attributes:
+        title, goal, spread, tolerance, tight_tolerance: See there.
+        starts: Those that are listed, shape [n, 3]; none where the one in the file is the only one.
+    """
+
+    title: str
+    goal: PlanarPose
+    starts: np.ndarray
+    spread: tuple[float, float]
+    tolerance: Tolerance
+    tight_tolerance: Tolerance
+
+    def starts_or(self, start: PlanarPose) -> np.ndarray:
+        """The listed starts, or the one in the file, shape [n, 3]."""
+        return self.starts if len(self.starts) else np.array([start])
+
+
+def read_task(stage: SceneStage) -> TaskWords:
+    """The task.
+
+    Raises:
+        SceneError: There is none or more than one, or one of its attributes is missing or cannot be used.
+    """
+    world = stage.the("OimppiTaskAPI", "task", "the scene's default prim")
+    unread = Tolerance(math.nan, math.nan)
+    return TaskWords(
+        title=stage.text(world, "oimppi:title"),
+        goal=stage.attempt((math.nan, math.nan, math.nan), _goal, stage, world),
+        starts=stage.attempt(np.zeros((0, 3)), _starts, stage, world),
+        spread=stage.attempt((math.nan, math.nan), _spread, stage, world),
+        tolerance=stage.attempt(unread, _tolerance, stage, world, "oimppi:tolerance"),
+        tight_tolerance=stage.attempt(unread, _tolerance, stage, world, "oimppi:tightTolerance"),
+    )
+
+
+def _goal(stage: SceneStage, world: Usd.Prim) -> PlanarPose:
+    x, y, yaw = map(float, stage.numbers(world, "oimppi:goal", (3,), f"{_POSE} of the object's goal"))
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise stage.error(f"oimppi:goal is not finite: ({x:g}, {y:g}, {yaw:g})", world, allowed=_POSE)
+    return x, y, yaw
+
+
+def _starts(stage: SceneStage, world: Usd.Prim) -> np.ndarray:
+    starts = stage.numbers(world, "oimppi:starts", (-1, 3), f"a list of {_POSE}")
+    for number in np.flatnonzero(~np.isfinite(starts).all(axis=1)):
+        what = f"oimppi:starts[{number}] is not finite: {tuple(starts[number].tolist())}"
+        stage.keep(stage.error(what, world, allowed=_POSE))
+    return starts
+
+
+def _spread(stage: SceneStage, world: Usd.Prim) -> tuple[float, float]:
+    meaning = "half widths (position [m], yaw [rad]), zero or more"
+    position, yaw = map(float, stage.numbers(world, "oimppi:spread", (2,), meaning))
+    if not (0.0 <= position < math.inf and 0.0 <= yaw < math.inf):
+        raise stage.error(f"oimppi:spread is ({position:g}, {yaw:g})", world, allowed="finite numbers, zero or more")
+    return position, yaw
+
+
+def _tolerance(stage: SceneStage, world: Usd.Prim, name: str) -> Tolerance:
+    position, yaw = map(float, stage.numbers(world, name, (2,), "(position [m], yaw [rad]), each more than zero"))
+    if not (position > 0.0 and yaw > 0.0):
+        raise stage.error(f"{name} is ({position:g}, {yaw:g})", world, allowed="numbers above zero")
+    return Tolerance(position, yaw)

@@ -1,0 +1,152 @@
+"""Pictures of the viewer, taken in a headless Chromium: every shipped scene in the middle of a push, and an animation.
+
+Usage: ``python tools/gallery.py [--scenes task02 ...] [--out docs/images/view] [--film task02]``. It needs Debian's
+``chromium`` and Playwright (the extra ``dev``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from oimppi_warp.episode import Setup
+from oimppi_warp.presets import best
+from oimppi_warp.task import make_task
+from oimppi_warp.usd import shipped_scenes
+from oimppi_warp.view.browser import open_viewer
+from oimppi_warp.view.canvas import Canvas
+from oimppi_warp.view.session import Session
+
+SIZE = (720, 450)
+"""Of a picture [pixel]."""
+EYE, LOOK_AT, FIELD = (1.2, -0.71, 0.84), (0.3, -0.02, 0.15), 0.85
+"""Where the camera stands and looks, with no panel beside it [m], and its field of view from top to bottom [rad]."""
+SHARE = 0.45
+"""How much of the way to its goal the object has gone in a picture of a scene."""
+STRIDE = 5
+"""Control steps from frame to frame of the film."""
+FLAGS = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+BARE = ".mantine-Paper-root, .mantine-Notifications-root { display: none !important }"
+"""What hides the panel and notices."""
+
+
+class Stage:
+    """A session that is stepped from here, drawn in a page that is photographed."""
+
+    def __init__(self, page: Any, scene: str) -> None:
+        self._page = page
+        self.session = Session(Setup(make_task(scene, start=1), best("cloi")), speed=float("inf"))
+        self.session.paused = self.session.watched = True
+        self.session.start()
+        self._viewer = open_viewer(port=8500)
+        camera = self._viewer.server.initial_camera
+        camera.position, camera.look_at, camera.fov = EYE, LOOK_AT, FIELD
+        self._canvas = Canvas(self._viewer)
+        self._draw()
+        page.goto(f"http://127.0.0.1:{self._viewer.server.get_port()}")
+        page.add_style_tag(content=BARE)
+
+    def close(self) -> None:
+        """End session and viewer."""
+        self.session.close()
+        self._viewer.close()
+
+    def steps(self) -> Iterator[float]:
+        """Goes on step by step to the end; yields the distance to the goal [m] after each."""
+        while True:
+            before = self.session.latest.time
+            self.session.step()
+            while self.session.latest.time == before:
+                if self.session.over:
+                    return
+                time.sleep(0.002)
+            yield self.session.latest.figures.get("position error [m]", float("inf"))
+
+    def photo(self) -> Image.Image:
+        """The present moment, when the page shows it: two photographs in a row are the same."""
+        self._draw()
+        last, image = None, np.zeros(0)
+        while last is None or not np.array_equal(last, image):
+            time.sleep(0.3)
+            last, image = image, np.asarray(Image.open(io.BytesIO(self._page.screenshot(timeout=120_000))))
+        return Image.fromarray(image).convert("RGB")
+
+    def _draw(self) -> None:
+        picture = self.session.latest
+        self._viewer.begin_frame(picture.time)
+        self._canvas.draw(picture)
+        self._viewer.end_frame()
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A page in a headless Chromium."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+        page.set_default_timeout(120_000)
+        yield page
+        browser.close()
+
+
+def picture(page: Any, scene: str) -> Image.Image:
+    """A scene in the middle of a push."""
+    stage = Stage(page, scene)
+    try:
+        first = next(distances := stage.steps())
+        for distance in distances:
+            if distance < (1.0 - SHARE) * first:
+                break
+        return stage.photo()
+    finally:
+        stage.close()
+
+
+def film(page: Any, scene: str) -> list[Image.Image]:
+    """A whole push."""
+    stage = Stage(page, scene)
+    try:
+        frames = [stage.photo()]
+        for step, _ in enumerate(stage.steps(), start=1):
+            if step % STRIDE == 0:
+                frames.append(stage.photo())
+        return [*frames, stage.photo()]
+    finally:
+        stage.close()
+
+
+def main() -> int:
+    """Take the pictures; exit status 0."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", nargs="*", default=[scene.name for scene in shipped_scenes()])
+    parser.add_argument("--film", nargs="*", default=["task02"])
+    parser.add_argument("--out", type=Path, default=Path("docs/images/view"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    with chromium() as page:
+        for scene in options.scenes:
+            picture(page, scene).quantize(128).save(file := options.out / f"{scene}.png", optimize=True)
+            print(f"{file}: {file.stat().st_size / 1e3:.0f} kB")
+        for scene in options.film:
+            first, *others = [frame.resize((560, 350)).quantize(64) for frame in film(page, scene)]
+            times = [100] * len(others) + [2000]
+            file = options.out / f"{scene}.gif"
+            first.save(file, save_all=True, append_images=others, duration=times, loop=0, optimize=True)
+            print(f"{file}: {len(times)} frames, {file.stat().st_size / 1e6:.1f} MB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
