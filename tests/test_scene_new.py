@@ -16,6 +16,7 @@ from pxr import Usd, UsdGeom, UsdValidation
 
 from oimppi_warp.authoring import Block, Pillar, Standing, Task, box, letter, read_object, write_object, write_task
 from oimppi_warp.authoring.arm_start import joints_at
+from oimppi_warp.authoring.check import check_scene
 from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import ConfigError, SceneError
@@ -328,6 +329,7 @@ TASKS = st.fixed_dictionaries(
         "goal": poses(),
         "mass": st.floats(0.05, 2.0),
         "friction": st.floats(0.1, 1.0),
+        "robot": st.sampled_from(["xarm6", "xarm6", "arm7", "point"]),
         "obstacle": st.lists(st.tuples(THINGS_IN_THE_WAY, poses()).map("@".join), max_size=3),
     }
 )
@@ -365,6 +367,7 @@ def run_ten_steps(options: dict) -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene = try_task(options, Path(folder))
         assume(scene is not None)
+        assert [problem for problem in check_scene(scene.file) if problem.severity == "error"] == []
         config = best("cloi")
         for option in ("robot.mppi.samples=64", "object.mppi.samples=64", "episode.max_sim_seconds=0.5"):
             config = set_option(config, option)

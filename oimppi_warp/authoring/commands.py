@@ -12,6 +12,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 if TYPE_CHECKING:
     from oimppi_warp.authoring.words import Manner
+    from oimppi_warp.scene import PushedObject
 
 _Unit = Literal["mm", "cm", "m", "inch"]
 _Lay = Literal["stable", "as-is"]
@@ -128,13 +129,15 @@ class New(ObjectOptions):
         for file in written.files:
             print(f"wrote {file}")
         body = written.scene.object
-        print(f"{thing.doc}: {body.mass:g} kg, friction {body.friction:g}, of {len(body.colliders)} convex pieces")
+        print(_summary(thing.doc, body))
         if can_tip(body):
             print(
                 f"a push above {1000 * tipping_height(body):.0f} mm tips it over: the planner touches it low and slowly"
             )
         print("checked: nothing overlaps, the arm reaches start and goal")
-        _print_next(("view", "run"), written.file)
+        print("next:")
+        for command in ("scene check", "view", "run"):
+            print(f"  oimppi {command} {shlex.quote(str(written.file))}")
         return 0
 
 
@@ -172,7 +175,7 @@ class Import(ObjectOptions):
         picture = draw_portrait(thing, body, file.with_suffix(".png"))
         print(f"wrote {file}")
         print(f"wrote {picture}")
-        print(f"{thing.doc}: {body.mass:g} kg, friction {body.friction:g}, of {len(body.colliders)} convex pieces")
+        print(_summary(thing.doc, body))
         for note in thing.notes if isinstance(thing, Solid) else ():
             print(f"  {note}")
         out = [] if self.out == Path(".") else ["--out", str(self.out)]
@@ -181,14 +184,14 @@ class Import(ObjectOptions):
         return 0
 
 
+def _summary(doc: str, body: PushedObject) -> str:
+    """A line about an object."""
+    pieces = len(body.colliders)
+    of = "one convex piece" if pieces == 1 else f"{pieces} convex pieces"
+    return f"{doc}: {body.mass:g} kg, friction {body.friction:g}, {of}"
+
+
 def _article(doc: str) -> str:
     """What an object is, as it stands in the middle of a sentence."""
     short = doc.partition(":")[0].partition(", ")[0]
     return f"{short[0].lower()}{short[1:]}" if short.startswith(("A ", "The ")) else f"the {short}"
-
-
-def _print_next(commands: tuple[str, ...], file: Path) -> None:
-    """What to do with a scene."""
-    print("next:")
-    for command in commands:
-        print("  " + shlex.join(["oimppi", command, str(file)]))
