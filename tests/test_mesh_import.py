@@ -162,6 +162,19 @@ def test_a_sheet_with_two_sides_is_flat(tmp_path):
         import_mesh(file)
 
 
+def test_moments_of_parts_apart_are_exact_and_of_parts_that_overlap_close():
+    apart = trimesh.util.concatenate(
+        [trimesh.creation.box((0.1, 0.02, 0.02)), trimesh.creation.box((0.02, 0.02, 0.02))]
+    )
+    apart.vertices[8:] += (0.2, 0.0, 0.0)
+    found = moments(apart)
+    assert found.volume == pytest.approx(0.02**2 * 0.12)
+    assert found.center == pytest.approx((0.2 * 0.02 / 0.12, 0, 0))
+    same = moments(trimesh.util.concatenate([trimesh.creation.box((0.1, 0.06, 0.04)).subdivide() for _ in range(2)]))
+    assert same.volume == pytest.approx(0.1 * 0.06 * 0.04, rel=1e-3)
+    assert np.diag(same.inertia) == pytest.approx(np.array([0.0052, 0.0116, 0.0136]) / 12, rel=0.01)
+
+
 def test_the_three_errors_are_those_of_a_hull_in_place_of_an_l():
     mesh = bracket()
     hull = mesh.convex_hull

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -113,7 +114,8 @@ class New(ObjectOptions):
         start, goal = checked_pose("--start", self.start), checked_pose("--goal", self.goal)
         manner = self.manner()
         check_used(manner, (self.object, *self.obstacle))
-        thing = parse_object(self.object, manner, folder=self.out)
+        with _working("making the object"):
+            thing = parse_object(self.object, manner, folder=self.out)
         task = Task(
             name=self.name.removesuffix(".usda"),
             title=self.title or f"Push {_article(thing.doc)} to its goal",
@@ -167,7 +169,8 @@ class Import(ObjectOptions):
         from oimppi_warp.authoring.words import check_used, parse_object
 
         check_used(self.manner(), (self.source,))
-        thing = parse_object(self.source, self.manner())
+        with _working("making the object"):
+            thing = parse_object(self.source, self.manner())
         if self.name is not None:
             thing = replace(thing, name=plain_name(self.name))  # pyright: ignore[reportArgumentType]
         file = write_object(thing, self.out, force=self.force)
@@ -182,6 +185,13 @@ class Import(ObjectOptions):
         print("next:")
         print("  " + shlex.join(["oimppi", "scene", "new", f"push_{thing.name}", "--object", thing.name, *out]))
         return 0
+
+
+def _working(on: str) -> AbstractContextManager[object]:
+    """Says on a terminal that something is being done."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(on)
 
 
 def _summary(doc: str, body: PushedObject) -> str:

@@ -23,12 +23,15 @@ THRESHOLDS = (0.05, 0.02)
 CLOSE = (0.04, 0.04, 0.004)
 """Close enough: errors of the volume and of the footprint, and distance of the surfaces [m]."""
 
-PIECES, CORNERS = 32, 64
+PIECES, CORNERS = 32, 200
 """Most pieces of an object, and most corners of a piece."""
+
+FINE, COARSER = 10_000, 40
+"""A part of more triangles is made anew by CoACD, with so many cells along its longest side, before it is cut: it would
+take minutes otherwise."""
 
 _POINTS = 60_000  # that a volume is sampled with
 _ON_SURFACE = 8000  # that a distance is sampled with
-_WALL = 2e-3  # slits between pieces that are narrower are none to a stick [m]
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,8 @@ class Fit:
     Attributes:
         volume: Volume of their union over the mesh's, less one.
         footprint: What only one of them covers of the table, over what the mesh covers.
-        distance: Hausdorff distance of the surfaces, sampled [m].
+        distance: Hausdorff distance, sampled [m]: how far the mesh's surface is from the pieces, or what sticks out of
+            it from the mesh. Slits between pieces, within the mesh, do not count: nothing gets there.
     """
 
     volume: float
@@ -91,8 +95,8 @@ def _cut(solid: trimesh.Trimesh, threshold: float, most: int) -> list[Hull]:
         coacd.Mesh(solid.vertices, solid.faces),
         threshold=threshold,
         max_convex_hull=max(most, 2),
-        decimate=True,
-        max_ch_vertex=CORNERS,
+        preprocess_mode="on" if len(solid.faces) > FINE else "auto",
+        preprocess_resolution=COARSER,
         seed=0,
     )
     return [_hull(np.asarray(corners)) for corners, _ in parts]
@@ -103,11 +107,10 @@ def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
     covered, shadow = shadow_of(mesh.vertices, mesh.faces), shapely.union_all([_shadow_of_hull(h) for h in hulls])
     footprint = shapely.area(shapely.symmetric_difference(covered, shadow)) / shapely.area(covered)
     volume = _volume_of_union(hulls) / moments(mesh).volume - 1.0
-    there, _ = _sampled(mesh, _ON_SURFACE, 0)
     whole = cast(trimesh.Trimesh, trimesh.util.concatenate([trimesh.Trimesh(*hull) for hull in hulls]))
-    here = _outer_points(whole, hulls)
-    ways = distances(whole, np.vstack([there, mesh.vertices])), distances(mesh, here)
-    return Fit(float(volume), float(footprint), float(max(way.max(initial=0.0) for way in ways)))
+    lost = distances(whole, np.vstack([_sampled(mesh, _ON_SURFACE, 0)[0], mesh.vertices]))
+    gained = -signed_depths(mesh, np.vstack([_sampled(whole, _ON_SURFACE, 0)[0], whole.vertices]))
+    return Fit(float(volume), float(footprint), float(max(lost.max(), gained.max(initial=0.0))))
 
 
 def shadow_of(vertices: np.ndarray, faces: np.ndarray) -> BaseGeometry:
@@ -122,23 +125,24 @@ def _shadow_of_hull(hull: Hull) -> BaseGeometry:
 
 
 def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Distance of points [n, 3] to a surface, shape [n] [m]: exact to the triangles whose samples are nearest."""
+    """Distance of points [n, 3] to a surface, shape [n] [m]."""
+    return np.abs(signed_depths(mesh, points))
+
+
+def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """How deep points [n, 3] are below a surface, negative above it, shape [n] [m]: exact to the triangles near by."""
     samples, owner = _sampled(mesh, 4 * _ON_SURFACE, 1)
     samples = np.vstack([samples, mesh.triangles_center])
     owner = np.concatenate([owner, np.arange(len(mesh.faces))])
     _, near = KDTree(samples).query(points, k=min(20, len(samples)))
     candidates = owner[near]
-    closest = trimesh.triangles.closest_point(
-        mesh.triangles[candidates.ravel()], np.repeat(points, candidates.shape[1], axis=0)
-    )
-    away = np.linalg.norm(closest.reshape(*candidates.shape, 3) - points[:, None], axis=-1)
-    return away.min(axis=1)
-
-
-def _outer_points(whole: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> np.ndarray:
-    """Points on the surface of the union [n, 3]: those of a wall between two pieces have one of them before them."""
-    points, faces = _sampled(whole, _ON_SURFACE, 0)
-    return points[_depth(hulls, points + _WALL * whole.face_normals[faces]) < 0.0]
+    repeated = np.repeat(points, candidates.shape[1], axis=0)
+    closest = trimesh.triangles.closest_point(mesh.triangles[candidates.ravel()], repeated)
+    away = (repeated - closest).reshape(*candidates.shape, 3)
+    far = np.linalg.norm(away, axis=-1)
+    first = np.arange(len(points)), far.argmin(axis=1)
+    above = np.einsum("ni,ni->n", away[first], mesh.face_normals[candidates[first]]) > 0.0
+    return np.where(above, -1.0, 1.0) * far[first]
 
 
 def _sampled(mesh: trimesh.Trimesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -169,6 +173,14 @@ def _depth(hulls: tuple[Hull, ...], points: np.ndarray) -> np.ndarray:
 
 
 def _hull(points: np.ndarray) -> Hull:
-    """The convex hull of points, its corners rounded as they are written."""
+    """The convex hull of points, its corners rounded as they are written.
+
+    One of more than :data:`CORNERS` corners is that of fewer of them, one for each cell of a grid: it shrinks by no
+    more than a cell.
+    """
     hull = trimesh.convex.convex_hull(np.round(points, 5))
+    cell = 0.0005
+    while len(hull.vertices) > CORNERS:
+        _, kept = np.unique(np.round(hull.vertices / cell), axis=0, return_index=True)
+        hull, cell = trimesh.convex.convex_hull(hull.vertices[np.sort(kept)]), 1.5 * cell
     return np.asarray(hull.vertices), np.asarray(hull.faces)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import trimesh
 from scipy.stats import qmc
 
-_POINTS = 20_000  # that a solid of several parts is sampled with
+_POINTS, _SPENT = 20_000, 2e8  # points that overlapping parts are sampled with, and how many times their triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +28,22 @@ class Moments:
 
 
 def moments(mesh: trimesh.Trimesh) -> Moments:
-    """Moments of a closed surface: exact of one part; of several, which may overlap, of points within any of them."""
-    if mesh.body_count == 1:
+    """Moments of a closed surface: exact, but of parts that may overlap those of points within any of them."""
+    if not _may_overlap(mesh):
         return Moments(float(mesh.volume), np.asarray(mesh.center_mass), mesh.moment_inertia / mesh.volume)
-    points, box = points_in_box(mesh.bounds, _POINTS)
+    points, box = points_in_box(mesh.bounds, int(np.clip(_SPENT / len(mesh.faces), 1000, _POINTS)))
     inside = points[winding(mesh, points) > 0.5]
     second = np.cov(inside.T, bias=True)
     volume = box * len(inside) / len(points)
     return Moments(volume, inside.mean(axis=0), np.trace(second) * np.eye(3) - second)
+
+
+def _may_overlap(mesh: trimesh.Trimesh) -> bool:
+    """Whether the boxes around two parts do."""
+    if mesh.body_count == 1:
+        return False
+    bounds = [part.bounds for part in mesh.split(only_watertight=False, repair=False)]
+    return any((a[0] < b[1]).all() and (b[0] < a[1]).all() for a, b in combinations(bounds, 2))
 
 
 def winding(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
