@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +40,15 @@ def check_scene(scene: str | Path) -> tuple[Problem, ...]:
         problems += [*errors, *_task_warnings(found.scene), *_weight_warnings(found)]
         if not errors:
             problems += _way_warnings(found.scene)
-    return tuple(sorted(problems, key=lambda problem: problem.severity == "warning"))
+    placed = [problem if problem.prim else replace(problem, prim=_task_prim(found)) for problem in problems]
+    return tuple(sorted(placed, key=lambda problem: problem.severity == "warning"))
+
+
+def _task_prim(found: Inspection) -> str:
+    """The prim that goal and starts stand at, if the scene can be read."""
+    if found.scene is None or found.stage is None:
+        return ""
+    return str(found.stage.role("OimppiTaskAPI")[0].GetPath())
 
 
 def _task_errors(scene: Scene) -> Iterator[SceneError]:
