@@ -23,7 +23,7 @@ from oimppi_warp.cache import cached, content_of
 from oimppi_warp.footprint import LimitSurface, Piece, core_points, footprint, height_range, limit_surface, outline
 from oimppi_warp.kernels import clearance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
-from oimppi_warp.reach import stretched_length
+from oimppi_warp.reach import area_of, stretched_length
 from oimppi_warp.scene import Collider, Scene
 
 STEP = 0.01
@@ -156,8 +156,7 @@ def _clearance_field(
     reach = arm_reach_bound(scene)
     first = np.maximum(lower, -reach)
     count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
-    if not edge:
-        lower, upper = lower - 10.0, upper + 10.0
+    lower, upper = area_of(scene) if edge else (lower - 10.0, upper + 10.0)
 
     def compute() -> np.ndarray:
         values = wp.zeros((YAW_NODES, *count), dtype=float, device="cpu")

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from oimppi_warp.kinematics import link_frames, tip_frame, tip_jacobian, turning
-from oimppi_warp.scene import Robot
+from oimppi_warp.scene import Robot, Scene
 
 _SIDES = 32
 """Sides of the polygon around a disc that is carried along."""
@@ -75,6 +75,18 @@ def reach_of(robot: Robot) -> Reach:
     disc = radius / np.cos(np.pi / _SIDES) * np.column_stack([np.cos(angles), np.sin(angles)])
     offset = axis - tip_frame(robot, robot.start)[1][:2]
     return _region((_corners(robot, first)[:, None] + offset + disc).reshape(-1, 2))
+
+
+def area_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the rectangle within which the object is to stay [m]: the table's, or what of it the robot reaches.
+
+    An arm that turns about its base is kept to its reach by a cost instead, as that is no rectangle.
+    """
+    lower, upper, reach = np.array(scene.table.lower), np.array(scene.table.upper), reach_of(scene.robot)
+    if reach.border is None:
+        return lower, upper
+    behind = 2.0 * scene.robot.tool_radius
+    return np.maximum(lower, reach.bounds[0] + behind), np.minimum(upper, reach.bounds[1] - behind)
 
 
 def stretched_length(robot: Robot) -> float:

@@ -27,7 +27,7 @@ from oimppi_warp.metrics import summarize
 from oimppi_warp.planner import Planner
 from oimppi_warp.plant import SimulatedPlant
 from oimppi_warp.presets import best, lab
-from oimppi_warp.reach import can_lift, joints_for, reach_of
+from oimppi_warp.reach import area_of, can_lift, joints_for, reach_of
 from oimppi_warp.regrasp import Regrasping
 from oimppi_warp.scene import Joint, Link, Obstacle, Robot, Scene
 from oimppi_warp.settings import set_option
@@ -108,6 +108,17 @@ def test_a_point_reaches_a_rectangle():
     room = reach.room(np.array([[0.3, 0.0], [0.9, 0.7], [1.0, 0.0], [-0.3, -0.8]]))
     np.testing.assert_allclose(room, [0.52, 0.07, -0.03, -np.hypot(0.08, 0.03)], atol=1e-6)
     assert not can_lift(robot)
+
+
+def test_the_object_of_a_point_is_kept_to_where_the_stick_gets_behind_it():
+    scene = shipped("point01")
+    lower, upper = area_of(scene)
+    np.testing.assert_allclose([lower, upper], [[-0.204, -0.754], [0.954, 0.754]], atol=1e-9)
+    geometry = build_geometry(scene, "cpu")
+    assert geometry.clearance_at(np.array([0.954 - geometry.size - 0.02, 0.0, 0.3])) > 0.0
+    assert geometry.clearance_at(np.array([0.954, 0.0, 0.3])) < 0.0
+    table = shipped("task01")
+    np.testing.assert_array_equal(area_of(table), [table.table.lower, table.table.upper])
 
 
 def test_an_arm_reaches_a_disc_and_can_lift():

@@ -14,10 +14,10 @@ from made_urdf import arm_parts, joint, link, shape, write_urdf
 from scipy.spatial import ConvexHull
 
 from oimppi_warp.authoring.arm import Arm
+from oimppi_warp.authoring.articulation import ToolAxis
 from oimppi_warp.authoring.fitting import POINTS, fitted
 from oimppi_warp.authoring.start import HEIGHT, table_room, with_start
-from oimppi_warp.authoring.urdf import read_chain
-from oimppi_warp.authoring.urdf_arm import arm_of
+from oimppi_warp.authoring.urdf import read_urdf
 from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import SceneError
@@ -32,10 +32,12 @@ RANDOM = np.random.default_rng(4)
 Parts = dict[str, str]
 
 
-def made(folder: Path, parts: Parts | None = None, *, flange: str = "", axis: str = "x", length: float = 0.17) -> Arm:
+def made(
+    folder: Path, parts: Parts | None = None, *, flange: str = "", axis: ToolAxis = "x", length: float = 0.17
+) -> Arm:
     """The arm of a URDF of these parts."""
-    chain = read_chain(write_urdf(folder, arm_parts() if parts is None else parts), flange=flange)
-    return arm_of(chain, name="Made", length=length, radius=0.008, axis=axis)  # pyright: ignore[reportArgumentType]
+    chain, robot = read_urdf(write_urdf(folder, arm_parts() if parts is None else parts), flange=flange)
+    return robot.arm(chain, name="Made", doc="", length=length, radius=0.008, axis=axis)
 
 
 def bare(parts: Parts) -> Parts:
@@ -130,10 +132,8 @@ def test_a_gripper_is_left_out_where_the_flange_is_named(tmp_path):
 
 
 def test_the_stick_points_along_the_axis_that_was_asked_for(tmp_path):
-    along = {
-        axis: rotation_matrix(np.asarray(made(tmp_path, axis=axis).stick.turn))[:, 2]
-        for axis in ("x", "y", "z", "-x", "-y", "-z")
-    }
+    axes: tuple[ToolAxis, ...] = ("x", "y", "z", "-x", "-y", "-z")
+    along = {axis: rotation_matrix(np.asarray(made(tmp_path, axis=axis).stick.turn))[:, 2] for axis in axes}
     np.testing.assert_allclose(np.cross(along["x"], along["y"]), along["z"], atol=1e-6)
     for axis in "xyz":
         np.testing.assert_allclose(along[f"-{axis}"], -along[axis], atol=1e-6)
@@ -265,7 +265,7 @@ BAD: dict[str, tuple[Callable[[], Parts], str, str]] = {
         "package://NAME/",
     ),
     "a link without mass": (
-        changed(fore='<link name="fore"/>', cover='<link name="cover"/>'), "fore has no mass", "<mass>",
+        changed(fore='<link name="fore"/>', cover='<link name="cover"/>'), "fore has no mass", "a mass and an inertia",
     ),
     "an impossible inertia": (
         changed(pitch=link("pitch", inertia='<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>')),
@@ -302,9 +302,9 @@ def test_what_is_no_urdf_is_refused(tmp_path, text, what):
     file = tmp_path / "arm.urdf"
     file.write_text(text)
     with pytest.raises(SceneError, match=what):
-        read_chain(file)
+        read_urdf(file)
     with pytest.raises(SceneError, match="no such file"):
-        read_chain(tmp_path / "none.urdf")
+        read_urdf(tmp_path / "none.urdf")
 
 
 def test_a_flange_that_is_not_there_is_refused(tmp_path):
@@ -321,7 +321,13 @@ def test_the_command_makes_a_robot_and_a_task_that_can_be_run(tmp_path, capsys):
     asked = ["scene", "robot", str(urdf), "--tool-length", "0.15", "--tool-axis=x", "--out", str(tmp_path / "out")]
     assert main(asked) == 0
     told = capsys.readouterr().out
-    for words in ("6 joints (RRRRRR)", "j1, j2, j3, j4, j5, j6", "along x of tool0", "oimppi run"):
+    for words in (
+        "6 joints (RRRRRR)",
+        "j1, j2, j3, j4, j5, j6",
+        "along x of tool0",
+        "oimppi run",
+        "no collision shapes on pitch:",
+    ):
         assert words in told
     scene = load_scene(tmp_path / "out" / "made_open.usda")
     check_task(scene)

@@ -13,16 +13,19 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from oimppi_warp.errors import ConfigError, SceneError
 
+_USD = (".usd", ".usda", ".usdc", ".usdz")
+
 
 @dataclass(frozen=True)
 class AddRobot:
-    """Make a robot for scenes from a URDF: a serial arm of turning or sliding joints, with a stick at its flange.
+    """Make a robot for scenes from a URDF or a USD: a serial arm of turning or sliding joints, with a stick at its end.
 
     Writes robots/NAME.usda, and NAME_open.usda: a T on an open table to try it on. Exit status: 0, or 2 for bad input.
     """
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
-    """The URDF. Its base stands at the world's origin, z up; the table's top is at z = 0."""
+    """The URDF, or a USD file of an articulation. Its base stands at the world's origin, z up; the table's top is at
+    z = 0."""
 
     tool_length: Annotated[float, arg(metavar="M")] = 0.17
     """Length of the stick, from the flange to its tip [m]."""
@@ -36,7 +39,7 @@ class AddRobot:
     flange: Annotated[str, arg(metavar="LINK", help_behavior_hint="(the last link)")] = ""
     """Link that carries the stick; what else moves, as a gripper's fingers, is left out."""
 
-    name: Annotated[str, arg(metavar="NAME", help_behavior_hint="(the URDF's file name)")] = ""
+    name: Annotated[str, arg(metavar="NAME", help_behavior_hint="(that of the file)")] = ""
     """Name of the files that are written."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
@@ -59,25 +62,36 @@ class AddRobot:
         from oimppi_warp.authoring import arm
         from oimppi_warp.authoring.start import with_start
         from oimppi_warp.authoring.trial import write_trial
-        from oimppi_warp.authoring.urdf import read_chain
-        from oimppi_warp.authoring.urdf_arm import arm_of
+        from oimppi_warp.authoring.urdf import read_urdf
+        from oimppi_warp.authoring.usd_robot import read_usd
         from oimppi_warp.reach import reach_of
 
         console = Console(highlight=False, soft_wrap=True)
         with console.status("reading the robot"):
-            chain = read_chain(self.file, flange=self.flange)
-            root = "".join(part.capitalize() for part in name.replace("-", "_").split("_"))
-            made = arm_of(chain, name=root, length=self.tool_length, radius=self.tool_radius, axis=self.tool_axis)
+            read = read_usd if self.file.suffix in _USD else read_urdf
+            chain, robot = read(self.file, flange=self.flange)
+            made = robot.arm(
+                chain,
+                name="".join(part.capitalize() for part in name.replace("-", "_").split("_")),
+                doc=f"{name} with a stick of {self.tool_length:g} m, from {self.file.name}",
+                length=self.tool_length,
+                radius=self.tool_radius,
+                axis=self.tool_axis,
+            )
             made = with_start(made, file=self.file)
             robot = made.robot()
             with tempfile.TemporaryDirectory() as folder:  # what is not good is not kept
                 arm.write(made, Path(folder) / "robots" / f"{name}.usda")
                 scene = write_trial(robot, name, Path(folder))
                 self._keep(Path(folder))
+        bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
+        if bare:
+            links = ", ".join(link.rpartition("/")[2] for link in bare)
+            console.print(f"warning: no collision shapes on {links}: they are not drawn, and run into things unnoticed")
         reach = reach_of(robot)
-        console.print(f"{self.out / 'robots' / name}.usda: {robot.dof} joints ({robot.chain}), from {chain.file.name}")
-        console.print(f"  joints   {', '.join(chain.joints)}")
-        console.print(f"  stick    {self.tool_length:g} m along {self.tool_axis} of {chain.flange}")
+        console.print(f"{self.out / 'robots' / name}.usda: {robot.dof} joints ({robot.chain}), from {self.file.name}")
+        console.print(f"  joints   {', '.join(joint.rpartition('/')[2] for joint in chain.joints)}")
+        console.print(f"  stick    {self.tool_length:g} m along {self.tool_axis} of {chain.flange.rpartition('/')[2]}")
         console.print(f"  reach    {reach.radius:.2f} m from the origin, with the stick upright")
         console.print(f"  try it   oimppi run {self.out / scene.name}")
         return 0

@@ -13,6 +13,7 @@ from oimppi_warp.kernels.cost import RobotWeights
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.kinematics import Surroundings
 from oimppi_warp.kernels.pushing import ObjectModel
+from oimppi_warp.reach import area_of
 from oimppi_warp.scene import Scene
 from oimppi_warp.tipping import can_tip, tipping_speed
 
@@ -53,8 +54,9 @@ def surroundings(scene: Scene, geometry: Geometry, cost: RobotCost) -> Surroundi
 
 
 def table_within(scene: Scene, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the rectangle within which the object's centre keeps all of it on the table [m]."""
-    return np.array(scene.table.lower) + geometry.size, np.array(scene.table.upper) - geometry.size
+    """Corners of the rectangle within which the object's centre keeps all of it on the table, and within reach [m]."""
+    lower, upper = area_of(scene)
+    return lower + geometry.size, upper - geometry.size
 
 
 def robot_weights(scene: Scene, geometry: Geometry, cost: RobotCost) -> RobotWeights:

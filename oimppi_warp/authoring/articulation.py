@@ -1,0 +1,186 @@
+"""A chain in Newton's builder as an arm: what is fixed together made one link, frames turned to the joints' axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from oimppi_warp.authoring.arm import Arm, ArmJoint, ArmLink, Stick
+from oimppi_warp.authoring.chain import Chain
+from oimppi_warp.authoring.fitting import fitted
+from oimppi_warp.authoring.prims import Look, matrix_quat, z_to
+from oimppi_warp.errors import SceneError
+from oimppi_warp.footprint import rotation_matrix
+from oimppi_warp.scene import Collider
+
+if TYPE_CHECKING:
+    import newton
+
+ToolAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+GREY = (0.7, 0.71, 0.73)
+BASE_MASS = 1.0
+"""Mass of a base that has none: it stands fast, and no matter [kg]."""
+
+
+class Articulation:
+    """Links and joints in a Newton builder, looked up by their names.
+
+    Args:
+        builder: What an importer of Newton's filled.
+        bodies, joints: Indices of links and joints by their names.
+        file: Where they come from, for errors.
+        base: Frame of the base in the world, 4 x 4; ``None``: there is nothing between.
+    """
+
+    def __init__(
+        self,
+        builder: newton.ModelBuilder,
+        *,
+        bodies: Mapping[str, int],
+        joints: Mapping[str, int],
+        file: Path,
+        base: np.ndarray | None = None,
+    ) -> None:
+        import newton
+
+        self._builder, self._bodies, self._joints, self._file = builder, bodies, joints, file
+        self._geo, self._collides = newton.GeoType, int(newton.ShapeFlags.COLLIDE_SHAPES)
+        self._base = np.eye(4) if base is None else base
+        self._names = {index: name for name, index in bodies.items()}
+
+    def arm(self, chain: Chain, *, name: str, doc: str, length: float, radius: float, axis: ToolAxis) -> Arm:
+        """The arm that a chain makes, its start still all zeros (:func:`oimppi_warp.authoring.start.with_start`).
+
+        Args:
+            chain: Which links and joints.
+            name: Name of its root prim.
+            doc: What it is.
+            length, radius: Of the stick [m].
+            axis: Axis of the flange that the stick points along.
+
+        Raises:
+            SceneError: A link has no mass or an impossible inertia, or a mesh is flat.
+        """
+        joints = [self._joints[joint] for joint in chain.joints]
+        # The frame of each link, seen from that of its body: at its joint, z along the axis.
+        own = [np.linalg.inv(self._base), *(matrix_of(self._builder.joint_X_c[j]) @ self._to_z(j) for j in joints)]
+        placed = [self._placed(group) for group in chain.groups]
+        links = [self._link(where, np.linalg.inv(frame)) for where, frame in zip(placed, own, strict=True)]
+        for link, group in zip(links[1:], chain.groups[1:], strict=True):
+            if link.mass <= 0.0:
+                what, fix = f"link {group[0][0]} has no mass", "give it a mass and an inertia"
+                raise SceneError(what, file=self._file, allowed="more than zero", fix=fix)
+        made = []
+        for number, joint in enumerate(joints):
+            parent = placed[number][self._names[self._builder.joint_parent[joint]]]
+            frame = np.linalg.inv(own[number]) @ parent @ matrix_of(self._builder.joint_X_p[joint]) @ self._to_z(joint)
+            made.append(self._arm_joint(joint, frame, chain, number))
+        mount = np.linalg.inv(own[-1]) @ placed[-1][chain.flange] @ _along(axis)
+        return Arm(
+            name=name,
+            doc=doc,
+            base=links[0] if links[0].mass > 0.0 else ArmLink(BASE_MASS, np.zeros(3), np.eye(3), links[0].colliders),
+            joints=tuple(made),
+            links=tuple(links[1:]),
+            stick=Stick(length, radius, position=mount[:3, 3], turn=matrix_quat(mount[:3, :3])),
+            start=(0.0,) * len(joints),
+            look=Look(GREY, collide=True),
+        )
+
+    def _arm_joint(self, joint: int, frame: np.ndarray, chain: Chain, number: int) -> ArmJoint:
+        import newton
+
+        slides, limit = self._builder.joint_type[joint] == newton.JointType.PRISMATIC, chain.limits[number]
+        return ArmJoint(
+            frame[:3, 3],
+            matrix_quat(frame[:3, :3]),
+            limit.lower,
+            limit.upper,
+            limit.effort,
+            limit.velocity,
+            "prismatic" if slides else "revolute",
+        )
+
+    def _to_z(self, joint: int) -> np.ndarray:
+        """The turn from a joint's frame to one whose z is its axis, 4 x 4."""
+        axis = self._builder.joint_axis[self._builder.joint_qd_start[joint]]
+        turn = np.eye(4)
+        turn[:3, :3] = rotation_matrix(z_to(np.array(axis, dtype=float)))
+        return turn
+
+    def _placed(self, group: tuple[tuple[str, str], ...]) -> dict[str, np.ndarray]:
+        """Frames of a body and of all that is fixed to it, in the frame of that body, 4 x 4 each."""
+        frames = {group[0][0]: np.eye(4)}
+        for link, name in group[1:]:
+            joint = self._joints[name]
+            before, after = (matrix_of(each[joint]) for each in (self._builder.joint_X_p, self._builder.joint_X_c))
+            frames[link] = frames[self._names[self._builder.joint_parent[joint]]] @ before @ np.linalg.inv(after)
+        return frames
+
+    def _link(self, placed: dict[str, np.ndarray], turn: np.ndarray) -> ArmLink:
+        """Parts that are fixed to each other as one link, their frames seen from one that is turned."""
+        mass, first, second, shapes = 0.0, np.zeros(3), np.zeros((3, 3)), []
+        for name, frame in placed.items():
+            frame, body = turn @ frame, self._bodies[name]
+            m = float(self._builder.body_mass[body])
+            center = frame[:3, :3] @ np.array(self._builder.body_com[body], dtype=float) + frame[:3, 3]
+            inertia = np.array(self._builder.body_inertia[body], dtype=float).reshape(3, 3)
+            mass, first = mass + m, first + m * center
+            second += frame[:3, :3] @ inertia @ frame[:3, :3].T + m * _shifted(center)
+            for shape in self._builder.body_shapes[body]:
+                if self._builder.shape_flags[shape] & self._collides:
+                    shapes.append(self._collider(shape, frame, f"collider{len(shapes)}", name))
+        center = first / max(mass, 1e-12)
+        inertia = second - mass * _shifted(center)
+        if mass > 0.0 and np.linalg.eigvalsh(inertia)[0] <= 0.0:
+            what = f"link {next(iter(placed))} has an inertia that no body has"
+            raise SceneError(what, file=self._file, allowed="moments above zero", fix="correct its inertia")
+        return ArmLink(mass, center, inertia, tuple(shapes))
+
+    def _collider(self, shape: int, frame: np.ndarray, name: str, link: str) -> Collider:
+        """A collision shape on a frame."""
+        builder, geo = self._builder, self._geo
+        frame = frame @ matrix_of(builder.shape_transform[shape])
+        size = [float(value) for value in builder.shape_scale[shape]]
+        kind = builder.shape_type[shape]
+        at = np.array([*frame[:3, 3], *matrix_quat(frame[:3, :3])])
+        if kind == geo.BOX:
+            return Collider(name, "box", at, tuple(size))
+        if kind == geo.SPHERE:
+            return Collider(name, "sphere", at, (size[0],))
+        if kind in (geo.CYLINDER, geo.CAPSULE):
+            return Collider(name, "cylinder" if kind == geo.CYLINDER else "capsule", at, (size[0], size[1]))
+        if builder.shape_source[shape] is None:
+            what = f"link {link} has a collision shape of a kind that is not known"
+            allowed = "boxes, spheres, cylinders, capsules and meshes"
+            raise SceneError(what, file=self._file, allowed=allowed)
+        points = np.asarray(builder.shape_source[shape].vertices, dtype=float) * size
+        try:
+            return fitted(name, points @ frame[:3, :3].T + frame[:3, 3])
+        except ValueError as error:
+            raise SceneError(f"link {link}: {error}", file=self._file, allowed="solid collision meshes") from None
+
+
+def matrix_of(transform: object) -> np.ndarray:
+    """A transform of Newton's (position, quaternion xyzw) as a 4 x 4 matrix."""
+    values = np.array(transform, dtype=float).ravel()
+    frame = np.eye(4)
+    frame[:3, :3] = rotation_matrix(values[3:] / np.linalg.norm(values[3:]))
+    frame[:3, 3] = values[:3]
+    return frame
+
+
+def _shifted(center: np.ndarray) -> np.ndarray:
+    """Inertia of a unit of mass at a point, about the origin [m^2]."""
+    return center @ center * np.eye(3) - np.outer(center, center)
+
+
+def _along(axis: ToolAxis) -> np.ndarray:
+    """The turn from z to an axis of the flange, 4 x 4."""
+    direction = (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])]
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_matrix(z_to(direction))
+    return turn

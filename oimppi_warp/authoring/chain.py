@@ -1,0 +1,164 @@
+"""The serial chain in a tree of links: which joints move the flange, and what is fixed to each link."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import networkx as nx
+
+from oimppi_warp.errors import SceneError
+
+Kind = Literal["turns", "slides", "fixed"]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a joint can do; infinite where nothing is said.
+
+    Attributes:
+        lower, upper: [rad; m where it slides].
+        effort: [N m; N].
+        velocity: [rad/s; m/s].
+    """
+
+    lower: float
+    upper: float
+    effort: float
+    velocity: float
+
+
+@dataclass(frozen=True)
+class TreeJoint:
+    """A joint of the tree.
+
+    Attributes:
+        name: Its name.
+        kind: What it lets its link do.
+        limits: Of a joint that moves.
+        follows: Whether it moves with another one (mimic).
+    """
+
+    name: str
+    kind: Kind
+    limits: Limits | None = None
+    follows: bool = False
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A serial chain from a base to its flange, by the names of links and joints.
+
+    Attributes:
+        joints: The moving joints, from base to flange.
+        groups: For the base, and for the link that each joint moves: that link, then all that is fixed to it, each with
+            the joint that fixes it (none for the first).
+        flange: The link that carries the stick.
+        limits: Of each joint.
+    """
+
+    joints: tuple[str, ...]
+    groups: tuple[tuple[tuple[str, str], ...], ...]
+    flange: str
+    limits: tuple[Limits, ...]
+
+
+def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
+    """The chain in a tree whose edges carry a :class:`TreeJoint` as ``joint``.
+
+    Args:
+        tree: Links, each edge from one to the next.
+        file: Where it comes from, for errors.
+        flange: The link that carries the stick; what else moves is left out then. None: the end of the only chain.
+
+    Raises:
+        SceneError: It is no tree, branches, or has a joint that a planner cannot drive.
+    """
+    base = _base(tree, file)
+    if flange and flange not in tree:
+        raise SceneError(f"--flange {flange}: no such link", file=file, allowed=", ".join(tree))
+    path = _path(tree, base, flange, file)
+    moving = [joint for joint in pairwise(path) if _joint(tree, *joint).kind != "fixed"]
+    if not moving:
+        raise SceneError("a robot without moving joints", file=file, allowed="a chain of them from base to flange")
+    groups = tuple(tuple(_fixed_to(tree, link)) for link in [base, *(child for _, child in moving)])
+    joints = [_joint(tree, *ends) for ends in moving]
+    return Chain(
+        joints=tuple(joint.name for joint in joints),
+        groups=groups,
+        flange=flange or _flange(tree, groups[-1]),
+        limits=tuple(_checked(joint, file) for joint in joints),
+    )
+
+
+def _joint(tree: nx.DiGraph, parent: str, child: str) -> TreeJoint:
+    return tree.edges[parent, child]["joint"]
+
+
+def _base(tree: nx.DiGraph, file: Path) -> str:
+    """The link that nothing holds."""
+    for link in tree:
+        if tree.in_degree(link) > 1:
+            raise SceneError(f"link {link} has two joints before it", file=file, allowed="a tree of links")
+    bases = [link for link in tree if tree.in_degree(link) == 0]
+    if not bases or not nx.is_directed_acyclic_graph(tree):
+        raise SceneError("links that hold each other in a circle, or none at all", file=file, allowed="a tree of links")
+    if len(bases) > 1:
+        what = f"{len(bases)} links that nothing holds: {', '.join(bases)}"
+        raise SceneError(what, file=file, allowed="one base", fix="join the others to it, or remove them")
+    return bases[0]
+
+
+def _path(tree: nx.DiGraph, base: str, flange: str, file: Path) -> list[str]:
+    """Links from the base to the flange, or to the last link that moves."""
+    moved = [child for parent, child in tree.edges if _joint(tree, parent, child).kind != "fixed"]
+    ends = [link for link in moved if not any(other in moved for other in nx.descendants(tree, link))]
+    if not flange and len(ends) > 1:
+        raise SceneError(
+            f"the arm branches: {' and '.join(ends)} move on their own",
+            file=file,
+            allowed="a serial arm",
+            fix="say with --flange which link carries the stick; what else moves is left out",
+        )
+    path = nx.shortest_path(tree, base, flange or (ends[0] if ends else base))
+    for ends in pairwise(path):
+        if _joint(tree, *ends).follows:
+            what = f"joint {_joint(tree, *ends).name} moves with another (mimic)"
+            raise SceneError(what, file=file, allowed="joints that are driven by themselves", fix="make it fixed")
+    return path
+
+
+def _fixed_to(tree: nx.DiGraph, link: str) -> Iterator[tuple[str, str]]:
+    """A link and all that is fixed to it, with the joints that fix them, parents first."""
+    yield link, ""
+    for child in tree.successors(link):
+        joint = _joint(tree, link, child)
+        if joint.kind == "fixed":
+            for member, name in _fixed_to(tree, child):
+                yield member, name or joint.name
+
+
+def _flange(tree: nx.DiGraph, group: tuple[tuple[str, str], ...]) -> str:
+    """The end of the links fixed to the last one that moves; that one itself, where they branch."""
+    ends = [link for link, _ in group if not tree.out_degree(link)]
+    return ends[0] if len(ends) == 1 else group[0][0]
+
+
+def _checked(joint: TreeJoint, file: Path) -> Limits:
+    """A joint's limits, if it can be driven within them."""
+    limits, unit = joint.limits, "m" if joint.kind == "slides" else "rad"
+    if limits is None or (joint.kind == "slides" and not abs(limits.upper - limits.lower) < float("inf")):
+        fix = "" if joint.kind == "slides" else "a joint that turns without end is of type continuous"
+        allowed = f"lower and upper in {unit}, effort and velocity"
+        raise SceneError(f"joint {joint.name} has no limits", file=file, allowed=allowed, fix=fix)
+    if not limits.lower < limits.upper:
+        what = f"joint {joint.name}: limits of {limits.lower:g} and {limits.upper:g} {unit}"
+        raise SceneError(what, file=file, allowed="lower below upper")
+    if not (limits.effort > 0.0 and limits.velocity > 0.0):
+        what = f"joint {joint.name}: effort {limits.effort:g} and velocity {limits.velocity:g}"
+        fix = "give what the arm can do; left out, they are unlimited"
+        raise SceneError(what, file=file, allowed="more than zero", fix=fix)
+    return limits

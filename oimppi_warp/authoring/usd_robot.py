@@ -1,0 +1,108 @@
+"""A robot in a USD file as simulators have it, without our schemas: its tree of links, in Newton's builder."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import networkx as nx
+import numpy as np
+from pxr import Usd, UsdGeom, UsdPhysics
+
+from oimppi_warp.authoring.articulation import Articulation, matrix_of
+from oimppi_warp.authoring.chain import Chain, Kind, Limits, TreeJoint, serial_chain
+from oimppi_warp.errors import SceneError
+from oimppi_warp.newton_model import collector_paused
+
+if TYPE_CHECKING:
+    import newton
+
+_UNLIMITED = 1e6
+"""Newton's number for a limit that is none, or more."""
+
+
+def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
+    """The chain in a USD articulation, and what its links and joints are, by the paths of their prims.
+
+    Args:
+        file: The USD file.
+        flange: Path or name of the link that carries the stick; what else moves is left out then. None: the end of the
+            only chain.
+
+    Raises:
+        SceneError: It cannot be read, is not in metres with z up, floats, branches or has joints that cannot be driven.
+    """
+    _check(file)
+    with collector_paused():
+        import newton
+    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+    try:
+        found = builder.add_usd(str(file), load_visual_shapes=False, enable_self_collisions=False)
+    except Exception as error:  # whatever Newton's importer raises
+        raise SceneError(f"it cannot be read ({error})", file=file, allowed="a USD articulation") from error
+    bodies, joints = found["path_body_map"], found["path_joint_map"]
+    tree, base = _tree(builder, bodies, joints, file)
+    chain = serial_chain(tree, file=file, flange=_path_of(flange, bodies))
+    return chain, Articulation(builder, bodies=bodies, joints=joints, file=file, base=base)
+
+
+def _check(file: Path) -> None:
+    """Raise SceneError for what Newton would read and get wrong."""
+    if not file.is_file():
+        raise SceneError("there is no such file", file=file, allowed="a USD file of a robot")
+    try:
+        stage = Usd.Stage.Open(str(file))
+    except Exception:  # Tf.ErrorException, whose text is a list of places in USD's own source
+        raise SceneError("not a USD file that can be read", file=file, allowed=".usda, .usd, .usdc, .usdz") from None
+    if abs(UsdGeom.GetStageMetersPerUnit(stage) - 1.0) > 1e-9 or UsdGeom.GetStageUpAxis(stage) != UsdGeom.Tokens.z:
+        fix = "export the robot again with these settings"
+        raise SceneError("a robot in other units, or with another axis up", file=file, allowed="metres, z up", fix=fix)
+    roots = [prim for prim in stage.Traverse() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
+    if len(roots) != 1:
+        what = f"{len(roots)} articulations"
+        raise SceneError(what, file=file, allowed="one robot", fix="apply PhysicsArticulationRootAPI to one prim")
+
+
+def _tree(
+    builder: newton.ModelBuilder, bodies: dict[str, int], joints: dict[str, int], file: Path
+) -> tuple[nx.DiGraph, np.ndarray]:
+    """Links and the joints between them, and where the base stands in the world."""
+    import newton
+
+    kinds: dict[int, Kind] = {
+        newton.JointType.REVOLUTE: "turns",
+        newton.JointType.PRISMATIC: "slides",
+        newton.JointType.FIXED: "fixed",
+    }
+    names = {index: path for path, index in bodies.items()}
+    tree, base = nx.DiGraph(), None
+    tree.add_nodes_from(bodies)
+    for path, joint in joints.items():
+        parent, child, kind = builder.joint_parent[joint], builder.joint_child[joint], builder.joint_type[joint]
+        if kind not in kinds:
+            what = f"a joint of type {newton.JointType(kind).name.lower()}"
+            allowed = "PhysicsRevoluteJoint, PhysicsPrismaticJoint, PhysicsFixedJoint"
+            raise SceneError(what, file=file, prim=path, allowed=allowed)
+        if parent >= 0:
+            limits = None if kinds[kind] == "fixed" else _limits(builder, joint)
+            tree.add_edge(names[parent], names[child], joint=TreeJoint(path, kinds[kind], limits))
+        elif kinds[kind] == "fixed":
+            base = matrix_of(builder.joint_X_p[joint]) @ np.linalg.inv(matrix_of(builder.joint_X_c[joint]))
+    if base is None:
+        fix = "one PhysicsFixedJoint with only physics:body1"
+        raise SceneError("the robot's base is not fixed to the world", file=file, allowed="a fixed base", fix=fix)
+    return tree, base
+
+
+def _limits(builder: newton.ModelBuilder, joint: int) -> Limits:
+    at = builder.joint_qd_start[joint]
+    arrays = builder.joint_limit_lower, builder.joint_limit_upper, builder.joint_effort_limit
+    values = [float(array[at]) for array in (*arrays, builder.joint_velocity_limit)]
+    return Limits(*(math.copysign(math.inf, value) if abs(value) >= _UNLIMITED else value for value in values))
+
+
+def _path_of(flange: str, bodies: dict[str, int]) -> str:
+    """The path of a link that is given by its path or its name."""
+    named = [path for path in bodies if path.rpartition("/")[2] == flange]
+    return named[0] if len(named) == 1 and flange not in bodies else flange
