@@ -9,8 +9,9 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.scene import Collider
+from oimppi_warp.usd.frames import scales, transform
 from oimppi_warp.usd.meshes import approximation, triangles
-from oimppi_warp.usd.stage import FARTHEST, SceneStage, scales, transform
+from oimppi_warp.usd.stage import FARTHEST, SceneStage
 
 ALLOWED = "Cube, Sphere, Cylinder, Capsule, or a Mesh that is convex or has a convex physics:approximation"
 

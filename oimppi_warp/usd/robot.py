@@ -9,7 +9,8 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 
 from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
 from oimppi_warp.usd.colliders import read_colliders
-from oimppi_warp.usd.stage import FARTHEST, SceneStage, matrix, scales, transform
+from oimppi_warp.usd.frames import matrix, scales, transform
+from oimppi_warp.usd.stage import FARTHEST, SceneStage
 
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
 _EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}

@@ -11,6 +11,7 @@ import numpy as np
 from pxr import Ar, Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
 from oimppi_warp.errors import Problem, SceneError
+from oimppi_warp.usd.frames import is_rigid, readable, scales, single
 from oimppi_warp.usd.meshes import simplify_meshes
 from oimppi_warp.usd.sound import unsound_properties, usd_reason
 from oimppi_warp.usd.units import to_si, to_z_up
@@ -236,7 +237,7 @@ class SceneStage:
         if not is_rigid(frame):
             self.keep(
                 self.error(
-                    f"a body with a scale {_readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
+                    f"a body with a scale {readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
                 )
             )
         return frame.GetOrthonormalized()
@@ -280,34 +281,3 @@ def schema_default(name: str) -> Any:
 def schema_attributes() -> dict[str, tuple[str, ...]]:
     """Our API schemas with the names of their attributes."""
     return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}
-
-
-def scales(frame: Gf.Matrix4d) -> np.ndarray:
-    """Lengths of a frame's axes, shape [3]."""
-    return np.array([frame.GetRow3(i).GetLength() for i in range(3)])
-
-
-def is_rigid(frame: Gf.Matrix4d) -> bool:
-    """Whether a frame is turned and moved only, neither scaled nor mirrored."""
-    return bool(np.allclose(scales(frame), 1.0, atol=1e-5)) and frame.GetDeterminant() > 0
-
-
-def transform(frame: Gf.Matrix4d) -> np.ndarray:
-    """A frame without its scale, as (position, quaternion xyzw), shape [7]."""
-    q = frame.GetOrthonormalized().ExtractRotationQuat().GetNormalized()
-    return np.array([*frame.ExtractTranslation(), *q.GetImaginary(), q.GetReal()])
-
-
-def matrix(position: Any, orientation: Any) -> Gf.Matrix4d:
-    """The frame at a position with an orientation (quaternion of any precision)."""
-    q = Gf.Quatd(float(orientation.GetReal()), Gf.Vec3d(orientation.GetImaginary())).GetNormalized()
-    return Gf.Matrix4d().SetTransform(Gf.Rotation(q), Gf.Vec3d(*map(single, position)))
-
-
-def single(value: float) -> float:
-    """The decimal that was written where USD keeps single precision: 0.4 and not 0.4000000059604645."""
-    return float(str(np.float32(value)))
-
-
-def _readable(values: np.ndarray) -> str:
-    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

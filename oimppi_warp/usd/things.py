@@ -10,8 +10,9 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 from oimppi_warp.footprint import height_range, rotation_matrix
 from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
+from oimppi_warp.usd.frames import is_rigid, single, transform
 from oimppi_warp.usd.robot import read_mass
-from oimppi_warp.usd.stage import SceneStage, is_rigid, single, transform
+from oimppi_warp.usd.stage import SceneStage
 
 FLOATING = 1e-3
 """How far an object may stand above or in the table in the file [m]."""
