@@ -67,7 +67,9 @@ def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
     value = type_name.scalarType.defaultValue
     if isinstance(value, bool):
         kind = "bool"
-    elif isinstance(value, int | float):
+    elif isinstance(value, int):
+        kind = "whole number"
+    elif isinstance(value, float):
         kind = "number"
     elif isinstance(value, str):
         kind = "words"
