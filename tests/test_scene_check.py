@@ -266,6 +266,19 @@ def test_what_is_allowed_but_hardly_meant_is_warned_of(tmp_path, doubt):
     assert more in f"{problem.allowed} {problem.fix}"
 
 
+def test_a_table_that_is_too_large_for_the_grid_is_a_mistake(tmp_path):
+    def change(stage: Usd.Stage) -> None:
+        for name, way in (("joint1", 40.0), ("joint2", 40.0)):
+            joint = UsdPhysics.PrismaticJoint(stage.GetPrimAtPath(f"{ROBOT}/joints/{name}"))
+            joint.GetLowerLimitAttr().Set(-way)
+            joint.GetUpperLimitAttr().Set(way)
+        put("/World/Table", "xformOp:scale", Gf.Vec3d(80.0, 80.0, 0.04))(stage)
+
+    severity, what = found(variant(tmp_path, change, "point01"))[0]
+    assert severity == "error"
+    assert what == "the arm reaches 80 x 80 m of the table"
+
+
 def test_the_manual_lists_the_messages():
     """Written anew by `python tests/messages.py`."""
     assert MANUAL.read_text() == manual()

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from oimppi_warp.errors import Problem, SceneError
 from oimppi_warp.feasibility import draw_start, pose_mistakes, task_mistakes
 from oimppi_warp.footprint import height_range
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
 
 TIGHT = 0.005
 """Room on either side of the object below which a way is called narrow [m]."""
+
+LARGEST = 2e8
+"""Most nodes of the grid of phi_2: 800 MB of it."""
 
 
 def check_scene(scene: str | Path) -> tuple[Problem, ...]:
@@ -53,13 +58,29 @@ def _task_prim(found: Inspection) -> str:
 
 def _task_errors(scene: Scene) -> Iterator[SceneError]:
     """Why the scene's own start and goal, or the starts that seeds draw, stop a run."""
-    mistakes = list(task_mistakes(scene))
+    mistakes = [*task_mistakes(scene), *_too_large(scene)]
     yield from mistakes
     if not mistakes:
         try:
             draw_start(scene, 0)
         except SceneError as mistake:
             yield mistake
+
+
+def _too_large(scene: Scene) -> Iterator[SceneError]:
+    """A table for whose part within reach the planner's fields would not fit into memory."""
+    from oimppi_warp.clearance import STEP, YAW_NODES, arm_reach_bound
+
+    reach = arm_reach_bound(scene)
+    size = np.minimum(scene.table.upper, reach) - np.maximum(scene.table.lower, -reach)
+    if YAW_NODES * float(np.prod(np.maximum(size, 0.0) / STEP)) > LARGEST:
+        yield SceneError(
+            f"the arm reaches {size[0]:.3g} x {size[1]:.3g} m of the table",
+            file=scene.file,
+            prim=scene.table.path,
+            allowed=f"as many as {LARGEST:.0e} nodes of the grid of phi_2, {YAW_NODES} of them to a square of 1 cm",
+            fix="make the table smaller, or the arm's links and limits",
+        )
 
 
 def _task_warnings(scene: Scene) -> Iterator[Problem]:
