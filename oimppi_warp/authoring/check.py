@@ -18,7 +18,7 @@ from oimppi_warp.usd import Inspection, inspect_scene
 from oimppi_warp.usd.doubts import given_inertia, stage_doubts
 
 if TYPE_CHECKING:
-    from oimppi_warp.authoring.way import Neck
+    from oimppi_warp.authoring.way import Neck, Ways
 
 TIGHT = 0.005
 """Room on either side of the object below which a way is called narrow [m]."""
@@ -128,21 +128,36 @@ def _mistakes(scene: Scene, number: int, start: PlanarPose) -> Iterator[SceneErr
 
 
 def _way_warnings(scene: Scene) -> Iterator[Problem]:
-    """Starts from which no way is free, and the narrowest place of the widest one; start and goal overlap nothing."""
+    """Poses without room, starts from which no way is free, ways that are narrow; start and goal overlap nothing."""
     from oimppi_warp.authoring.way import Ways
     from oimppi_warp.clearance import build_geometry
 
     ways = Ways(scene, build_geometry(scene, "cpu"))
     listed = {f"start {number}": start for number, start in _starts(scene) if not any(_mistakes(scene, number, start))}
-    starts = {"start": scene.start, **listed}
+    poses = {"goal": scene.goal, "start": scene.start, **listed}
+    cramped = [name for name, pose in poses.items() if ways.room(pose) <= 0.0]
+    for name in cramped:
+        yield _warning(
+            scene,
+            f"there is hardly any room around the object's {name}, next to {' and '.join(ways.beside(poses[name])[0])}",
+            allowed="so much that the object is free on a grid of 1 cm and 5 degrees",
+            fix="move these away from it, or choose another pose",
+        )
+    starts = {name: pose for name, pose in poses.items() if name not in ("goal", *cramped)}
+    if "goal" not in cramped and starts:
+        yield from _narrow_warnings(scene, ways, starts)
+
+
+def _narrow_warnings(scene: Scene, ways: Ways, starts: dict[str, PlanarPose]) -> Iterator[Problem]:
+    """The narrowest place of the widest way: of the first start without a free one, or of the first of all."""
     blocked = [name for name, start in starts.items() if ways.is_blocked(start)]
-    neck = ways.neck(starts[blocked[0]] if blocked else scene.start)
+    neck = ways.neck(starts[blocked[0]] if blocked else next(iter(starts.values())))
     if blocked:
         which = f"{blocked[0]}{f' and {len(blocked) - 1} others' if blocked[1:] else ''}"
         yield _warning(
             scene,
             f"no way to the goal is free from the object's {which}{'' if neck is None else f': {_tight(neck)}'}",
-            allowed="a way on which the object overlaps nothing, on a grid of 1 cm",
+            allowed="a way on which the object overlaps nothing, on a grid of 1 cm and 5 degrees",
             fix="move what is in the way, or choose another start or goal",
         )
     elif neck is not None and neck.clearance < TIGHT:
