@@ -9,7 +9,7 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.scene import Collider
-from oimppi_warp.usd.frames import scales, transform
+from oimppi_warp.usd.frames import is_orthogonal, scales, transform
 from oimppi_warp.usd.meshes import approximation, triangles
 from oimppi_warp.usd.stage import FARTHEST, SceneStage
 
@@ -54,7 +54,7 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
             allowed="a positive scale",
             fix="scale it by positive numbers; to mirror a mesh, mirror its points",
         )
-    if not _orthogonal(frame):
+    if not is_orthogonal(frame):
         raise scene.error(
             "a sheared shape",
             prim,
@@ -106,11 +106,6 @@ def _uniform(scene: SceneStage, prim: Usd.Prim, scale: np.ndarray) -> float:
             fix="scale it evenly, or use a Mesh",
         )
     return float(scale.mean())
-
-
-def _orthogonal(frame: Gf.Matrix4d) -> bool:
-    rows = np.array([frame.GetRow3(i).GetNormalized() for i in range(3)])
-    return bool(np.allclose(rows @ rows.T, np.eye(3), atol=1e-5))
 
 
 def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:

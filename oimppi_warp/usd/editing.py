@@ -10,6 +10,7 @@ from pxr import Gf, Usd, UsdGeom
 from oimppi_warp.errors import SceneError
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.usd.frames import scales
 from oimppi_warp.usd.stage import SceneStage
 
 
@@ -52,7 +53,8 @@ def _put(prim: Usd.Prim, transform: list[float]) -> None:
     """Put a prim at a world transform [7], its scale kept."""
     x, y, z, qx, qy, qz, qw = transform
     world = Gf.Matrix4d(1.0).SetRotate(Gf.Quatd(qw, qx, qy, qz)) * Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, z))
-    _set_world(prim, world)
+    stood = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+    _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * world)
 
 
 def _shift(prim: Usd.Prim, x: float, y: float, turn: float) -> None:

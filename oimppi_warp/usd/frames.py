@@ -18,6 +18,12 @@ def is_rigid(frame: Gf.Matrix4d) -> bool:
     return bool(np.allclose(scales(frame), 1.0, atol=1e-5)) and frame.GetDeterminant() > 0
 
 
+def is_orthogonal(frame: Gf.Matrix4d) -> bool:
+    """Whether a frame's axes are square to each other: scaled along them if at all, not sheared."""
+    rows = np.array([frame.GetRow3(i).GetNormalized() for i in range(3)])
+    return bool(np.allclose(rows @ rows.T, np.eye(3), atol=1e-5))
+
+
 def transform(frame: Gf.Matrix4d) -> np.ndarray:
     """A frame without its scale, as (position, quaternion xyzw), shape [7]."""
     q = frame.GetOrthonormalized().ExtractRotationQuat().GetNormalized()

@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 from oimppi_warp.footprint import height_range, rotation_matrix
 from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
-from oimppi_warp.usd.frames import is_rigid, single, transform
+from oimppi_warp.usd.frames import is_orthogonal, scales, single, transform
 from oimppi_warp.usd.robot import read_mass
 from oimppi_warp.usd.stage import SceneStage
 
@@ -76,7 +76,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
             )
         )
     mass = stage.attempt(math.nan, read_mass, stage, prim)
-    frame = stage.body_frame(prim)
+    frame = _object_frame(stage, prim)
     colliders = read_colliders(stage, prim, frame)
     center, rest_height, friction, tool_friction = np.zeros(3), 0.0, math.nan, math.nan
     if not any(collider_prims(prim)):
@@ -84,8 +84,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
         stage.keep(stage.error("an object without a collider", prim, allowed=ALLOWED, fix=fix))
     elif len(colliders) == len(list(collider_prims(prim))):
         rest_height = round(-float(height_range(colliders)[0]), 6)
-        if is_rigid(stage.frame(prim)):
-            _check_lies(stage, prim, transform(frame), rest_height)
+        _check_lies(stage, prim, transform(frame), rest_height)
         center = _center_of_mass(stage, prim, colliders)
     if colliders:
         friction, tool_friction = _frictions(stage, prim)
@@ -144,6 +143,19 @@ def check_roles(stage: SceneStage) -> None:
             stage.keep(mistake)
 
 
+def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
+    """The object's frame in the world without its scale, which is that of its shapes: a scaled Cube may be a body."""
+    frame = stage.frame(prim)
+    if not is_orthogonal(frame) or scales(frame).min() < 1e-9 or frame.GetDeterminant() <= 0.0:
+        raise stage.error(
+            "an object that is mirrored, sheared, or scaled to nothing",
+            prim,
+            allowed="moved, turned, and scaled along its own axes",
+            fix="scale its shapes instead",
+        )
+    return frame.GetOrthonormalized()
+
+
 def _check_lies(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:
     """An object lies flat, and neither above nor in the table."""
     if abs(pose[3]) > 1e-4 or abs(pose[4]) > 1e-4:
@@ -162,7 +174,7 @@ def _center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider
     given = UsdPhysics.MassAPI(prim).GetCenterOfMassAttr().Get()
     center = np.array([single(c) for c in given or [math.nan]])
     if np.isfinite(center).all():
-        return center
+        return center * scales(stage.frame(prim))
     parts = [volume_and_center(stage, collider) for collider in colliders]
     return np.average([c for _, c in parts], axis=0, weights=[volume for volume, _ in parts])
 
