@@ -19,7 +19,7 @@ from pathlib import Path
 LIMIT = 20.0
 """Time that reading a stage may take [s]."""
 
-MOST = 10
+MOST = 5
 """Failures after which enough is known."""
 
 BASES = ("task02", "task05", "lab02", "point01")

@@ -184,12 +184,118 @@ def far_reference(stage: Usd.Stage) -> None:
     prim(stage, "/World/Obstacles").GetReferences().AddReference("./nowhere.usda")
 
 
+def typed(path: str, name: str, kind: Sdf.ValueTypeName, value: object) -> Callable[[Usd.Stage], object]:
+    """Set an attribute of another type than its schema's."""
+
+    def change(stage: Usd.Stage) -> None:
+        spec = Sdf.CreatePrimInLayer(stage.GetRootLayer(), path)
+        Sdf.AttributeSpec(spec, name, kind).default = value
+
+    return change
+
+
+def relation_as_attribute(stage: Usd.Stage) -> None:
+    path = f"{ROBOT}/joints/joint2"
+    prim(stage, path).GetRelationship("physics:body1").ClearTargets(True)
+    joint = UsdPhysics.RevoluteJoint.Define(stage, "/World/Joint")
+    spec = stage.GetRootLayer().GetPrimAtPath(joint.GetPath())
+    Sdf.AttributeSpec(spec, "physics:body1", Sdf.ValueTypeNames.String).default = "link2"
+
+
+def order(*names: str) -> Callable[[Usd.Stage], object]:
+    """The order of the operations that place the object."""
+    return put("/World/Object", "xformOpOrder", names)
+
+
+def crooked_table(stage: Usd.Stage) -> None:
+    table = UsdGeom.Xformable(prim(stage, "/World/Table"))
+    turn = table.AddRotateZOp()
+    turn.Set(30.0)
+    translate, scale, _ = table.GetOrderedXformOps()
+    table.SetXformOpOrder([translate, turn, scale])
+
+
+def far_joint(stage: Usd.Stage) -> None:
+    UsdPhysics.Joint(prim(stage, f"{ROBOT}/joints/joint4")).GetLocalPos0Attr().Set(Gf.Vec3f(1e30, 0, 0))
+
+
+def to_a_stranger(stage: Usd.Stage) -> None:
+    joint = UsdPhysics.Joint(prim(stage, f"{ROBOT}/joints/joint4"))
+    joint.GetBody1Rel().SetTargets(["/World/Object"])
+
+
+def to_nothing(stage: Usd.Stage) -> None:
+    UsdPhysics.Joint(prim(stage, f"{ROBOT}/joints/joint4")).GetBody1Rel().SetTargets([])
+
+
+def welded_base(stage: Usd.Stage) -> None:
+    part = UsdGeom.Xform.Define(stage, f"{ROBOT}/part").GetPrim()
+    UsdPhysics.RigidBodyAPI.Apply(part)
+    joint = UsdPhysics.FixedJoint.Define(stage, f"{ROBOT}/joints/extra")
+    joint.CreateBody0Rel().SetTargets([f"{ROBOT}/base"])
+    joint.CreateBody1Rel().SetTargets([part.GetPath()])
+
+
+def tool_elsewhere(stage: Usd.Stage) -> None:
+    drop(TIP, "OimppiToolAPI")(stage)
+    add(f"{ROBOT}/link3", "OimppiToolAPI")(stage)
+    attribute = prim(stage, f"{ROBOT}/link3").CreateAttribute("oimppi:radius", Sdf.ValueTypeNames.Double)
+    attribute.Set(0.008)
+
+
+def tool_outside(stage: Usd.Stage) -> None:
+    drop(TIP, "OimppiToolAPI")(stage)
+    tip = UsdGeom.Xform.Define(stage, "/World/Tip").GetPrim()
+    tip.AddAppliedSchema("OimppiToolAPI")
+    tip.CreateAttribute("oimppi:radius", Sdf.ValueTypeNames.Double).Set(0.008)
+
+
 MISTAKES = {
     "no unit": (lambda s: s.ClearMetadata("metersPerUnit"), "the unit of length is not given", "1 for metres"),
     "no axis": (lambda s: s.ClearMetadata("upAxis"), "which axis is up is not given", '"Z" for z'),
     "no length": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 0.0), "metersPerUnit is 0", "above zero"),
     "no weight": (lambda s: UsdPhysics.SetStageKilogramsPerUnit(s, -1.0), "kilogramsPerUnit is -1", "above zero"),
     "a missing reference": (far_reference, "nowhere.usda", "to do:"),
+    "a mass in words": (
+        typed("/World/Object", "physics:mass", Sdf.ValueTypeNames.String, "heavy"),
+        "physics:mass is of type string",
+        "allowed: float",
+    ),
+    "a relation that is none": (relation_as_attribute, "physics:body1 is not a relationship", "as its schema says"),
+    "an unknown operation": (order("xformOp:translate", "xformOp:spin"), "names xformOp:spin", "xformOp attributes"),
+    "an operation that is none": (order("kind"), "xformOpOrder names kind", "xformOp attributes"),
+    "an object nowhere": (object_to(math.nan, 0.0), "not finite, or far away", "below 1000 m"),
+    "an obstacle on the moon": (
+        put("/World/Obstacles/Cube", "xformOp:translate", Gf.Vec3d(4e8, 0, 0)),
+        "not finite, or far away",
+        "</World/Obstacles/Cube>",
+    ),
+    "a joint far away": (far_joint, "frames are not finite, or far away", "below 1000 m"),
+    "a joint to something else": (to_a_stranger, "which is no rigid body of the robot", "</World/Object>"),
+    "a joint to nothing": (to_nothing, "a joint that moves nothing", "physics:body1 names a link"),
+    "a base of two parts": (welded_base, "welded to the robot's base", "a base alone"),
+    "a tool on the elbow": (tool_elsewhere, "not on the robot's last link", "/World/Robot/link6"),
+    "a tool apart": (tool_outside, "not part of the robot", "a prim below </World/Robot>"),
+    "an endless goal": (put("/World", "oimppi:goal", Gf.Vec3d(0.5, 0.3, math.inf)), "not finite", "yaw [rad]"),
+    "a start at infinity": (
+        put("/World", "oimppi:starts", [Gf.Vec3d(0.3, -0.45, 0), Gf.Vec3d(math.inf, 0, 0)]),
+        "oimppi:starts[1] is not finite",
+        "yaw [rad]",
+    ),
+    "a tight tolerance of nothing": (
+        put("/World", "oimppi:tightTolerance", Gf.Vec2d(0.05, -1)),
+        "oimppi:tightTolerance is (0.05, -1)",
+        "above zero",
+    ),
+    "a body that is switched off": (
+        lambda s: UsdPhysics.RigidBodyAPI(prim(s, "/World/Object")).CreateRigidBodyEnabledAttr(False),
+        "an object that cannot move",
+        "PhysicsRigidBodyAPI",
+    ),
+    "a crooked table": (crooked_table, "without a flat top at z = 0", "a Cube with CollisionAPI"),
+    "a table that moves": (add("/World/Table", "PhysicsRigidBodyAPI"), "a rigid body in the table", "static shapes"),
+    "a link of no size": (put(f"{ROBOT}/link2/collider0", "radius", 0.0), "radius is 0", "more than zero"),
+    "no speed": (put(f"{ROBOT}/joints/joint2", "newton:velocityLimit", 0.0), "and 0 rad/s", "more than zero"),
     "no task": (drop("/World", "OimppiTaskAPI"), "no task", "apply OimppiTaskAPI"),
     "no robot": (without(ROBOT), "no robot", "OimppiRobotAPI"),
     "two robots": (second_robot, "2 robots", "</World/Robot2>"),

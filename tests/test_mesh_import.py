@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 import shapely
 import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from meshes import L_SHAPE, bracket, prism, saved
 from pxr import Usd
 
@@ -128,6 +133,30 @@ def test_parts_that_overlap_weigh_what_their_union_does(tmp_path):
     assert found.volume == pytest.approx(0.03 * (2 * 0.12 * 0.03 - 0.03**2), rel=0.01)
 
 
+def test_parts_that_share_edges_or_a_wall_are_one_object(tmp_path):
+    for shift in (0.035, 0.065):  # with common corners, and side by side
+        legs = [trimesh.creation.box((0.12, 0.03, 0.04)), trimesh.creation.box((0.12, 0.1, 0.04))]
+        legs[1].apply_translation((0.0, shift, 0.0))
+        solid = import_mesh(saved(trimesh.util.concatenate(legs), tmp_path, "legs.stl"), mass=1.0)
+        assert abs(solid.fit.volume) < 0.02
+        shape = shapely.union_all([shapely.MultiPoint(corners[:, :2]).convex_hull for corners, _ in solid.hulls])
+        assert shape.area == pytest.approx(0.12 * (shift + 0.065), rel=1e-3)
+
+
+def test_faces_that_are_there_twice_count_once(tmp_path):
+    mesh = bracket()
+    twice = trimesh.Trimesh(mesh.vertices, np.vstack([mesh.faces, mesh.faces[:7]]), process=False)
+    assert len(import_mesh(saved(twice, tmp_path, "twice.stl")).hulls) == 2
+
+
+def test_a_sheet_with_two_sides_is_flat(tmp_path):
+    corners = [(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0), (0, 0.1, 0.05)]
+    file = tmp_path / "sheet.obj"
+    trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3), (2, 1, 0), (3, 2, 0)], process=False).export(file)
+    with pytest.raises(SceneError, match="flat"):
+        import_mesh(file)
+
+
 def test_the_three_errors_are_those_of_a_hull_in_place_of_an_l():
     mesh = bracket()
     hull = mesh.convex_hull
@@ -229,6 +258,55 @@ def test_a_picture_can_be_made_of_any_object(tmp_path):
     solid = import_mesh(saved(ring, tmp_path, "disc.glb"))
     file = write_object(solid, tmp_path)
     assert draw_portrait(solid, read_body(file), tmp_path / "disc.png").stat().st_size > 5000
+
+
+BOXES = st.lists(st.tuples(*[st.integers(-3, 3)] * 2, *[st.integers(1, 4)] * 3), min_size=1, max_size=4)
+
+
+def check_any_mesh(boxes, holes, flips, seed):
+    """Boxes on a grid, in any way into and beside each other, with some faces gone and some turned."""
+    solids = []
+    for x, y, *sides in boxes:
+        solid = trimesh.creation.box(0.02 * np.array(sides))
+        solids.append(solid.apply_translation([0.02 * x, 0.02 * y, 0.01 * sides[2]]))
+    mesh = trimesh.util.concatenate(solids)
+    random = np.random.default_rng(seed)
+    faces = mesh.faces.copy()
+    turned = random.choice(len(faces), flips, replace=False)
+    faces[turned] = faces[turned, ::-1]
+    kept = np.sort(random.choice(len(faces), len(faces) - holes, replace=False))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "part.stl"
+        trimesh.Trimesh(mesh.vertices, faces[kept], process=False).export(file)
+        try:
+            solid = import_mesh(file, mass=0.5)
+        except SceneError as error:
+            assert "allowed:" in str(error) and "to do:" in str(error)
+            return
+        assert (np.linalg.eigvalsh(solid.inertia) > 0.0).all()
+        body = read_body(write_object(solid, folder))
+        shape = outline(footprint(body.colliders))
+        assert shapely.distance(shape.convex_hull, shapely.Point(body.center_of_mass[:2])) == 0.0
+        if not holes and not flips:
+            assert abs(solid.fit.volume) < 0.06
+            assert solid.fit.footprint < 0.06
+
+
+ANY_MESH = {"boxes": BOXES, "holes": st.integers(0, 2), "flips": st.integers(0, 2), "seed": st.integers(0, 99)}
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+@given(**ANY_MESH)
+def test_any_mesh_becomes_a_sound_object_or_is_refused_in_words(boxes, holes, flips, seed):
+    check_any_mesh(boxes, holes, flips, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(**ANY_MESH)
+def test_any_mesh_becomes_a_sound_object_or_is_refused_in_words_at_length(boxes, holes, flips, seed):
+    check_any_mesh(boxes, holes, flips, seed)
 
 
 def test_an_imported_bracket_is_pushed_around_a_box_to_its_goal(tmp_path):

@@ -6,27 +6,17 @@ import gc
 import json
 
 import pytest
+from doubtful import CUBE, DOUBTFUL, OBJECT, ROBOT, several
 from elsewhere import flat
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
-from test_bad_scenes import START, TIP, drop, goal_to, object_to, prim, put, walls, without
+from messages import MANUAL, manual
+from pxr import Gf, Usd, UsdGeom, UsdPhysics
+from test_bad_scenes import START, TIP, add, drop, goal_to, object_to, prim, put, walls, without
 from variants import variant
 
 from oimppi_warp.authoring.check import check_scene
 from oimppi_warp.cli import main
 from oimppi_warp.errors import Problem, SceneError
 from oimppi_warp.usd import inspect_scene, load_scene, shipped_scenes
-
-ROBOT, OBJECT, CUBE = "/World/Robot", "/World/Object", "/World/Obstacles/Cube"
-
-
-def several(*changes):
-    """All changes, one after the other."""
-
-    def change(stage: Usd.Stage) -> None:
-        for each in changes:
-            each(stage)
-
-    return change
 
 
 def found(file) -> list[tuple[str, str]]:
@@ -266,76 +256,6 @@ def test_any_yaw_will_do_at_a_goal_without_one(tmp_path):
     assert found("lab02")[1:] == []
 
 
-def author(path: str, name: str, kind: Sdf.ValueTypeName, value: object):
-    """Give a prim an attribute that it does not have."""
-    return lambda stage: prim(stage, path).CreateAttribute(name, kind, custom=True).Set(value)
-
-
-def texture(path: str):
-    return author("/World/Table", "inputs:file", Sdf.ValueTypeNames.Asset, Sdf.AssetPath(path))
-
-
-def timed(stage: Usd.Stage) -> None:
-    prim(stage, "/World/Obstacles/Cube").GetAttribute("xformOp:translate").Set(Gf.Vec3d(0.5, 0.05, 0.05), 1.0)
-
-
-def schema(path: str, name: str):
-    return lambda stage: prim(stage, path).AddAppliedSchema(name)
-
-
-double, double2 = Sdf.ValueTypeNames.Double, Sdf.ValueTypeNames.Double2
-DOUBTFUL = {
-    "a misspelt attribute": (
-        author("/World", "oimppi:tolerence", double2, Gf.Vec2d(0.1)),
-        ("/World", "an attribute that nothing reads: oimppi:tolerence", "did you mean oimppi:tolerance?"),
-    ),
-    "a misspelt namespace": (
-        author("/World", "oimpi:goal", double2, Gf.Vec2d(0.1)),
-        ("/World", "an attribute that nothing reads: oimpi:goal", "did you mean oimppi:goal?"),
-    ),
-    "an attribute in the wrong place": (
-        author(OBJECT, "oimppi:goal", double2, Gf.Vec2d(0.1)),
-        (OBJECT, "oimppi:goal does nothing here", "on a prim with OimppiTaskAPI"),
-    ),
-    "a misspelt schema": (
-        schema("/World/Table", "OimppiObstackleAPI"),
-        ("/World/Table", "an API schema that does not exist: OimppiObstackleAPI", "did you mean OimppiObstacleAPI?"),
-    ),
-    "a prim that moves in time": (
-        timed,
-        (CUBE, "xformOp:translate with time samples, which are not read", "default value"),
-    ),
-    "a texture that is not there": (
-        texture("./wood.png"),
-        ("/World/Table", "inputs:file names a file that is not there: ./wood.png", "counts from the file"),
-    ),
-    "a texture from elsewhere": (
-        texture(__file__),
-        ("/World/Table", f"a file outside the scene's folder is used: {__file__}", "copy it there"),
-    ),
-    "an inertia that no body has": (
-        put(f"{ROBOT}/link3", "physics:diagonalInertia", Gf.Vec3f(0.001, 0.001, 0.01)),
-        (f"{ROBOT}/link3", "physics:diagonalInertia is (0.001, 0.001, 0.01), which no body can have", "leave it out"),
-    ),
-    "an object of feathers": (
-        several(put(OBJECT, "physics:mass", 0.001), put(OBJECT, "physics:diagonalInertia", Gf.Vec3f(0.0))),
-        (OBJECT, "a mass of 0.001 kg in a volume of 0.75 litres is 1.33 kg/m^3", "10 (foam) to 20000 (gold)"),
-    ),
-    "an object heavier than gold": (
-        several(put(OBJECT, "physics:mass", 50.0), put(OBJECT, "physics:diagonalInertia", Gf.Vec3f(0.0))),
-        (OBJECT, "a mass of 50 kg in a volume of 0.75 litres is 6.67e+04 kg/m^3", "correct physics:mass"),
-    ),
-    "an inertia of another object": (
-        put(OBJECT, "physics:diagonalInertia", Gf.Vec3f(0.09, 0.12, 0.19)),
-        (OBJECT, "physics:diagonalInertia is 96", "0.25 to 4 times"),
-    ),
-    "a centre of mass beside the object": (
-        put(OBJECT, "physics:centerOfMass", Gf.Vec3f(0.2, 0.0, 0.0)),
-        (OBJECT, "physics:centerOfMass (0.2, 0, 0) is outside the object", "leave it out"),
-    ),
-}
-
-
 @pytest.mark.parametrize("doubt", DOUBTFUL)
 def test_what_is_allowed_but_hardly_meant_is_warned_of(tmp_path, doubt):
     change, (path, what, more) = DOUBTFUL[doubt]
@@ -344,6 +264,11 @@ def test_what_is_allowed_but_hardly_meant_is_warned_of(tmp_path, doubt):
     assert problem.prim == path
     assert problem.what.startswith(what)
     assert more in f"{problem.allowed} {problem.fix}"
+
+
+def test_the_manual_lists_the_messages():
+    """Written anew by `python tests/messages.py`."""
+    assert MANUAL.read_text() == manual()
 
 
 def test_a_file_in_other_units_that_is_referred_to_is_warned_of(tmp_path):
@@ -361,7 +286,7 @@ def test_a_file_in_other_units_that_is_referred_to_is_warned_of(tmp_path):
 
 
 def test_warnings_help_where_a_scene_cannot_be_read(tmp_path):
-    file = variant(tmp_path, several(drop("/World/Table", "OimppiTableAPI"), schema("/World/Table", "OimppiTabelAPI")))
+    file = variant(tmp_path, several(drop("/World/Table", "OimppiTableAPI"), add("/World/Table", "OimppiTabelAPI")))
     assert found(file) == [
         ("error", "no table"),
         ("warning", "an API schema that does not exist: OimppiTabelAPI"),

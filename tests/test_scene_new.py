@@ -15,7 +15,7 @@ from meshes import bracket, saved
 from pxr import Usd, UsdGeom, UsdValidation
 
 from oimppi_warp.authoring import Block, Pillar, Standing, Task, box, letter, read_object, write_object, write_task
-from oimppi_warp.authoring.arm_start import reach_for
+from oimppi_warp.authoring.arm_start import joints_at
 from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import ConfigError, SceneError
@@ -205,10 +205,10 @@ def test_the_arm_starts_elsewhere_if_its_own_start_is_taken(tmp_path):
 @pytest.mark.parametrize("place", [(0.4, 0.2), (0.2, -0.3), (0.6, 0.0), (-0.1, 0.4)])
 def test_the_arm_is_led_to_any_place_within_reach(place):
     robot = load_scene("task01").robot
-    joints = reach_for(robot, np.array([*place, 0.05]))
+    joints = joints_at(robot, np.array([*place, 0.05]))
     assert joints is not None
     assert tip_frame(robot, joints)[1] == pytest.approx((*place, 0.05), abs=1e-4)
-    assert reach_for(robot, np.array([2.0, 0.0, 0.05])) is None
+    assert joints_at(robot, np.array([2.0, 0.0, 0.05])) is None
 
 
 def test_where_there_is_little_room_starts_are_drawn_from_less(tmp_path):

@@ -10,6 +10,7 @@ import shapely
 import trimesh
 from elsewhere import differences, flat, measured_in, reframed, with_y_up, written
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
+from test_world import assert_shapes_agree
 
 from oimppi_warp.authoring.check import check_scene
 from oimppi_warp.clearance import to_center
@@ -290,3 +291,43 @@ def test_an_obstacle_below_scaled_and_mirrored_frames_is_read_or_refused(tmp_pat
     assert block.size == pytest.approx((0.1, 0.1, 0.05))
     with pytest.raises(SceneError, match="zero or negative"):
         load_scene(nested(Gf.Vec3f(1.0, 1.0, -1.0)))
+
+
+def odd_obstacles(stage: Usd.Stage) -> None:
+    """A scaled mesh and a lying cylinder below turned and scaled frames."""
+    outer = UsdGeom.Xform.Define(stage, "/World/Obstacles/Outer")
+    outer.AddTranslateOp().Set(Gf.Vec3d(0.1, 0.5, 0.0))
+    outer.AddRotateZOp().Set(40.0)
+    outer.AddScaleOp().Set(Gf.Vec3f(2.0))
+    outer.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+    mesh = stage.OverridePrim("/World/Obstacles/Outer/Mesh")
+    box_mesh(stage, str(mesh.GetPath()), "convexHull")
+    mesh.RemoveAppliedSchema("OimppiObstacleAPI")
+    scale = UsdGeom.Xformable(mesh).AddScaleOp()
+    scale.Set(Gf.Vec3f(0.5, 0.25, 0.5))
+    UsdGeom.Xformable(mesh).GetOrderedXformOps()[0].Set(Gf.Vec3d(0.0, 0.0, 0.025))
+    post = UsdGeom.Cylinder.Define(stage, "/World/Obstacles/Outer/Post")
+    post.CreateRadiusAttr(0.02)
+    post.CreateHeightAttr(0.1)
+    post.CreateAxisAttr("X")
+    post.AddTranslateOp().Set(Gf.Vec3d(0.1, 0.0, 0.02))
+    UsdPhysics.CollisionAPI.Apply(post.GetPrim())
+
+
+def frames_turned(stage: Usd.Stage) -> None:
+    reframed(stage, "/World/Object", TURNS["x up"])
+    reframed(stage, "/World/Robot/base", Y_TO_Z, ("/World/Robot/joints/joint1",))
+    UsdPhysics.Joint(stage.GetPrimAtPath("/World/Robot/joints/mount")).CreateLocalRot0Attr(Gf.Quatf(Y_TO_Z.GetQuat()))
+
+
+def in_centimetres(stage: Usd.Stage) -> None:
+    odd_obstacles(stage)
+    measured_in(stage, 0.01, 0.001)
+    with_y_up(stage)
+
+
+@pytest.mark.parametrize("change", [odd_obstacles, frames_turned, in_centimetres])
+def test_planner_and_physics_have_the_same_shapes(tmp_path, change):
+    stage = flat("task02")
+    change(stage)
+    assert_shapes_agree(load_scene(written(stage, tmp_path / "task02.usda")))

@@ -89,7 +89,11 @@ def test_masses_and_limits_are_those_of_the_scene(name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_shapes_stand_where_the_scene_has_them(name):
-    scene = load_scene(name)
+    assert_shapes_agree(load_scene(name))
+
+
+def assert_shapes_agree(scene: Scene) -> None:
+    """MuJoCo has every collider of a scene, with its role, size and place, and no other."""
     mapped = World(scene).mujoco
     model = mapped.model
     data = mujoco.MjData(model)

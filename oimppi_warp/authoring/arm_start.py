@@ -37,14 +37,17 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
         return None
     tip = tip_frame(robot, robot.start)[1]
     for place in _places(tip, reach_of(robot)):
-        joints = _joints_at(robot, place)
+        joints = joints_at(robot, place)
         if joints is not None and _clear(scene, joints):
             return tuple(round(float(q), 5) for q in joints)
     return None
 
 
-def _joints_at(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
-    """Joint positions with the tip at a place [3] [m], from the robot's start with its first joint turned there."""
+def joints_at(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
+    """Joint positions with the tip at a place [3] [m] and the tool pointing down; ``None`` where none are found.
+
+    They are sought from the robot's start, its first joint turned towards the place.
+    """
     joints = np.array(robot.start, dtype=float)
     if robot.joints[0].kind == "revolute":
         own = tip_frame(robot, joints)[1]

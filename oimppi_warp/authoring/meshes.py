@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
+from oimppi_warp.authoring.parts import tidied
 from oimppi_warp.errors import ConfigError, SceneError
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
@@ -62,7 +64,7 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
     mesh = _read(file)
     _check_size(file, mesh, scale)
     mesh.apply_scale(UNITS[scale or "m"])
-    _tidy(mesh)
+    mesh = tidied(mesh)
     _check_volume(file, mesh)
     parts = mesh.body_count
     if parts > PARTS:
@@ -126,13 +128,6 @@ def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
     )
 
 
-def _tidy(mesh: trimesh.Trimesh) -> None:
-    """Join corners that are the same, and drop faces that are nothing."""
-    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=7)
-    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
-    mesh.remove_unreferenced_vertices()
-
-
 def _check_volume(file: Path, mesh: trimesh.Trimesh) -> None:
     """Refuse a sheet: whatever its rim is closed with, it stays flat."""
     if len(mesh.faces) < 4 or mesh.bounding_box_oriented.primitive.extents.min() < 1e-4:
@@ -152,8 +147,11 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
         notes.append("faces that looked the wrong way were turned")
     if not mesh.is_watertight:
         area, holes = float(mesh.area), _rims(mesh)
-        trimesh.repair.fill_holes(mesh)
+        if holes:
+            trimesh.repair.fill_holes(mesh)
         if not mesh.is_watertight:
+            if not _rims(mesh):
+                raise _open(file, "the surface crosses itself: some of its edges have more than two faces")
             _stitch(mesh)
         share = 1.0 - area / float(mesh.area)
         missing = f"{_counted(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of it"
@@ -168,8 +166,8 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
 
 def _stitch(mesh: trimesh.Trimesh) -> None:
     """Close the larger holes with fans of triangles."""
-    faces = trimesh.repair.stitch(mesh)
-    mesh.faces = np.vstack([mesh.faces, faces]) if len(faces) else mesh.faces
+    with suppress(ValueError):  # none of the rims goes all the way round: it stays open
+        mesh.faces = np.vstack([mesh.faces, trimesh.repair.stitch(mesh)])
     trimesh.repair.fix_winding(mesh)
 
 

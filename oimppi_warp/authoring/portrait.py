@@ -79,7 +79,7 @@ def _draw_side(axes: Axes, body: PushedObject) -> None:
     axes.axhline(0.0, color=INK, lw=1.2)
     axes.autoscale_view()
     axes.set(aspect="equal", xlabel="x [m]", ylabel="z [m]", title="from the side")
-    axes.set_title("dot: centre of mass", loc="right", fontsize=8, fontweight="normal")
+    axes.annotate("centre of mass", (x, z + body.rest_height), (6, 3), textcoords="offset points", fontsize=7)
 
 
 def _draw_limit_surface(axes: Axes, body: PushedObject) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.errors import Problem
+from oimppi_warp.footprint import GRAVITY
 from oimppi_warp.usd.stage import SCENES, SceneStage, schema_attributes
 
 _OURS = "oimppi"
@@ -22,6 +23,7 @@ def stage_doubts(stage: SceneStage) -> Iterator[Problem]:
         yield from _unused_attributes(stage, prim)
         yield from _moving_in_time(stage, prim)
         yield from _impossible_inertia(stage, prim)
+        yield from _other_gravity(stage, prim)
         yield from _files_elsewhere(stage, prim)
     yield from _layers_elsewhere(stage)
     yield from _layers_in_other_units(stage)
@@ -87,6 +89,22 @@ def _impossible_inertia(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
             prim,
             allowed="three moments above zero, none larger than the sum of the other two",
             fix="correct it, or leave it out: then the shapes and the mass decide",
+        )
+
+
+def _other_gravity(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
+    if not prim.IsA(UsdPhysics.Scene):
+        return
+    scene = UsdPhysics.Scene(prim)
+    direction, magnitude = np.array(scene.GetGravityDirectionAttr().Get()), scene.GetGravityMagnitudeAttr().Get()
+    down = not direction.any() or np.allclose(direction / np.linalg.norm(direction), (0.0, 0.0, -1.0), atol=1e-3)
+    if not down or (magnitude >= 0.0 and abs(magnitude - GRAVITY) > 0.1):
+        x, y, z = direction
+        yield stage.doubt(
+            f"gravity is {magnitude:g} m/s^2 along ({x:g}, {y:g}, {z:g}), which the planner does not know of",
+            prim,
+            allowed=f"{GRAVITY:g} m/s^2 downwards",
+            fix="leave physics:gravityDirection and physics:gravityMagnitude out",
         )
 
 

@@ -108,9 +108,8 @@ class _Chain:
         for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
             targets = relation.GetTargets()
             if targets and targets[0] not in self.bodies:
-                raise self.scene.error(
-                    f"a joint to <{targets[0]}>, which is no rigid body of the robot", joint.GetPrim()
-                )
+                what = f"a joint to <{targets[0]}>, which is no rigid body of the robot"
+                raise self.scene.error(what, joint.GetPrim(), allowed=", ".join(f"<{path}>" for path in self.bodies))
             found.append(self.bodies[targets[0]] if targets else None)
         if found[1] is None:
             raise self.scene.error("a joint that moves nothing", joint.GetPrim(), allowed="physics:body1 names a link")
@@ -149,7 +148,7 @@ class _Chain:
                 joints.append(self.scene.attempt(unread, self.joint, moving[0]))
                 body = self.ends(moving[0])[1]
         if not joints:
-            raise self.scene.error("a robot without moving joints", self.base_prim)
+            raise self.scene.error("a robot without moving joints", self.base_prim, allowed="a joint that moves a link")
         return tuple(joints), tuple(links)
 
     def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:

@@ -55,6 +55,9 @@ def _other_than(prim: Usd.Prim, name: str, wanted: Sdf.PropertySpec) -> Iterator
         if isinstance(wanted, Sdf.AttributeSpec) and _kind(spec.typeName) != _kind(wanted.typeName):
             yield Unsound(prim, f"{name} is of type {spec.typeName}", str(wanted.typeName))
             return
+    value = prim.GetAttribute(name).Get() if isinstance(wanted, Sdf.AttributeSpec) else None
+    if value is not None and type(value) is not type(found[0].typeName.defaultValue):
+        yield Unsound(prim, f"{name} is {value!r}", f"a {wanted.typeName}")
 
 
 def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
@@ -76,8 +79,14 @@ def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
 
 
 def _misplaced(prim: Usd.Prim) -> Iterator[Unsound]:
+    """A place that USD would compute without the operations that it cannot follow."""
+    allowed = "names of xformOp attributes of this prim, each of the type of its operation"
+    order = UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or []
+    for name in (word.removeprefix("!invert!") for word in order if word != "!resetXformStack!"):
+        if not name.startswith("xformOp:") or not prim.HasAttribute(name):
+            yield Unsound(prim, f"xformOpOrder names {name}, which is no operation here", allowed)
+            return
     try:
-        UsdGeom.Xformable(prim).GetLocalTransformation(Usd.TimeCode.Default())
+        UsdGeom.Xformable(prim).GetOrderedXformOps()
     except Tf.ErrorException as error:
-        allowed = "names of xformOp attributes of this prim, each of the type of its operation"
         yield Unsound(prim, f"xformOpOrder cannot be followed ({usd_reason(error)})", allowed)

@@ -56,21 +56,30 @@ class SceneStage:
         self._mistakes = mistakes
         if not file.is_file():
             raise self.error("there is no such file")
-        delegate = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
+        silenced = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
         try:
-            self.stage = Usd.Stage.Open(str(file))
+            self.stage = self._open()
+            self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
+            self._check_units()
+            self._convert()
+        finally:
+            del silenced
+
+    def _open(self) -> Usd.Stage:
+        """The stage as USD composes it, without anything that cannot be read."""
+        try:
+            stage = Usd.Stage.Open(str(self.file))
         except Tf.ErrorException as error:
             formats = ".usda, .usd, .usdc, .usdz"
             raise self.error(f"not a USD file that can be read ({usd_reason(error)})", allowed=formats) from None
-        finally:
-            del delegate
-        broken = self.stage.GetCompositionErrors()
         fix = "correct it; the paths of references count from the file that they stand in"
-        self._give_up_on([self.error(str(each), fix=fix) for each in broken])
-        unsound = unsound_properties(self.stage)
+        self._give_up_on([self.error(str(each), fix=fix) for each in stage.GetCompositionErrors()])
+        unsound = unsound_properties(stage)
         self._give_up_on([self.error(each.what, each.prim, allowed=each.allowed) for each in unsound])
-        self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
-        self._check_units()
+        return stage
+
+    def _convert(self) -> None:
+        """Other units, another axis up, meshes that a simple shape stands for."""
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         to_si(self.stage)
         to_z_up(self.stage)
