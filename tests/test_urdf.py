@@ -26,6 +26,7 @@ from oimppi_warp.footprint import core_points, rotation_matrix
 from oimppi_warp.kinematics import link_frames, tip_frame
 from oimppi_warp.metrics import summarize
 from oimppi_warp.presets import best
+from oimppi_warp.reach import can_lift, reach_of
 from oimppi_warp.usd import load_scene
 
 RANDOM = np.random.default_rng(4)
@@ -177,6 +178,19 @@ def test_slides_are_along_the_axes_that_the_urdf_gives(tmp_path):
     assert robot.chain == "PP"
     for joints in ([0.3, 0.4], [-0.2, 0.6]):
         np.testing.assert_allclose(tip_frame(robot, np.array(joints))[1], [joints[1], -joints[0], 0.012], atol=1e-6)
+
+
+def test_an_arm_whose_joints_all_stand_upright_stays_at_its_height(tmp_path):
+    parts = {name: link(name) for name in ("base", "upper", "fore", "wrist")}
+    parts["j1"] = joint("j1", "base", "upper", xyz="0 0 0.182")
+    parts["j2"] = joint("j2", "upper", "fore", xyz="0.3 0 0")
+    parts["j3"] = joint("j3", "fore", "wrist", xyz="0.3 0 0")
+    parts["end"] = joint("end", "wrist", "hand", kind="fixed", xyz="0.05 0 0") + link("hand", mass=0.1)
+    robot = with_start(made(tmp_path, parts, axis="-z")).robot()
+    assert robot.chain == "RRR"
+    assert tip_frame(robot, robot.start)[1][2] == pytest.approx(0.012, abs=1e-6)
+    assert not can_lift(robot)
+    assert reach_of(robot).radius == pytest.approx(0.65, abs=1e-3)
 
 
 def test_slides_that_carry_the_tool_too_high_say_how_long_it_should_be(tmp_path):
