@@ -67,6 +67,17 @@ def test_a_foreign_arm_moves_as_it_did(tmp_path):
         np.testing.assert_allclose(rotation[:, 2], expected_rotation[:, 2], atol=2e-6)
 
 
+def test_looks_are_kept(tmp_path):
+    arm = arm_of(foreign(tmp_path))
+    known = Usd.Stage.Open(str(SCENES / "robots" / "arm7.usda"))
+    for number, link in enumerate(arm.links, start=1):
+        skin = known.GetPrimAtPath(f"/Arm7/link{number}/skin").GetChildren()
+        assert len(link.visuals) == len(skin)
+        for visual, prim in zip(link.visuals, skin, strict=True):
+            (color,) = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+            assert visual.color == pytest.approx(tuple(color), abs=1e-6)
+
+
 def test_a_base_on_a_pedestal_stays_there(tmp_path):
     def lift(stage: Usd.Stage) -> None:
         UsdGeom.Xformable(stage.GetDefaultPrim()).AddTranslateOp().Set(Gf.Vec3d(0.0, 0.1, 0.2))

@@ -6,6 +6,7 @@ Metres, radians, kilograms; joints turn about or slide along their local +z.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.authoring.prims import (
     COLLIDER,
+    Color,
     Look,
     Vector,
     apply_api,
@@ -47,6 +49,21 @@ NOT_TURNED = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
+class Visual:
+    """Something that is only looked at.
+
+    Attributes:
+        shape: In the link's frame; its path is the name of its prim.
+        color: Linear RGB.
+        faces: Corners of each face, where the shape is a mesh.
+    """
+
+    shape: Collider
+    color: Color
+    faces: Sequence[Sequence[int]] = ()
+
+
+@dataclass(frozen=True, eq=False)
 class ArmLink:
     """A rigid link.
 
@@ -55,12 +72,14 @@ class ArmLink:
         center: Centre of mass in the link's frame [m].
         inertia: About it, in the link's axes, shape [3, 3] [kg m^2].
         colliders: Shapes in the link's frame; a collider's path is the name of its prim.
+        visuals: What it looks like; nothing: as it collides, or as a skin has it.
     """
 
     mass: float
     center: Vector
     inertia: np.ndarray
     colliders: tuple[Collider, ...] = ()
+    visuals: tuple[Visual, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -186,7 +205,8 @@ def write(arm: Arm, file: Path, *, skin: str = "") -> None:
         UsdPhysics.RigidBodyAPI.Apply(prim)
         mass_properties(prim, link.mass, link.center, link.inertia)
         for collider in link.colliders:
-            _write_collider(stage, f"{prim.GetPath()}/{collider.path}", collider, arm.look)
+            look = COLLIDER if link.visuals else arm.look
+            _write_collider(stage, f"{prim.GetPath()}/{collider.path}", collider, look)
     bind_physics(root, material)
     _write_tool(stage, arm)
     _write_joints(stage, arm)
@@ -195,6 +215,25 @@ def write(arm: Arm, file: Path, *, skin: str = "") -> None:
     if skin:
         stage.GetRootLayer().subLayerPaths.append(f"./{skin}")
     stage.Save()
+
+
+def write_visuals(arm: Arm, file: Path) -> bool:
+    """Write what the links look like as a layer of its own, the skin of :func:`write`; whether there is anything."""
+    links = dict(zip(_link_names(arm), (arm.base, *arm.links), strict=True))
+    if not any(link.visuals for link in links.values()):
+        return False
+    stage = new_stage(file, arm.name, f"Looks of {arm.name}")
+    for name, link in links.items():
+        for visual in link.visuals:
+            path, look = f"/{arm.name}/{name}/skin/{visual.shape.path}", Look(visual.color)
+            UsdGeom.Scope.Define(stage, f"/{arm.name}/{name}/skin")
+            if visual.faces:
+                points = transform_points(visual.shape.transform, np.asarray(visual.shape.vertices))
+                mesh(stage, path, points, visual.faces, look)
+            else:
+                _write_collider(stage, path, visual.shape, look)
+    stage.Save()
+    return True
 
 
 def _link_names(arm: Arm) -> list[str]:

@@ -81,7 +81,9 @@ class AddRobot:
             made = with_start(made, file=self.file)
             robot = made.robot()
             with tempfile.TemporaryDirectory() as folder:  # what is not good is not kept
-                arm.write(made, Path(folder) / "robots" / f"{name}.usda")
+                skin = f"{name}_skin.usdc"
+                drawn = arm.write_visuals(made, Path(folder) / "robots" / skin)
+                arm.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
                 scene = write_trial(robot, name, Path(folder))
                 self._keep(Path(folder))
         bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
@@ -113,7 +115,7 @@ class AddRobot:
 
     def _keep(self, folder: Path) -> None:
         """Copy what was written to where it belongs; an object that is there already stays as it is."""
-        for file in folder.rglob("*.usda"):
+        for file in folder.rglob("*.usd*"):
             target = self.out / file.relative_to(folder)
             if target.exists() and target.parent.name == "objects":
                 continue

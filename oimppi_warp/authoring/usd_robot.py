@@ -38,7 +38,7 @@ def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
         import newton
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
-        found = builder.add_usd(str(file), load_visual_shapes=False, enable_self_collisions=False)
+        found = builder.add_usd(str(file), load_visual_shapes=True, enable_self_collisions=False)
     except Exception as error:  # whatever Newton's importer raises
         raise SceneError(f"it cannot be read ({error})", file=file, allowed="a USD articulation") from error
     bodies, joints = found["path_body_map"], found["path_joint_map"]
