@@ -90,8 +90,8 @@ def test_a_base_on_a_pedestal_stays_there(tmp_path):
     joints = np.linspace(-0.5, 0.7, 7)
     offset = tip_frame(lifted.robot(), joints)[1] - tip_frame(plain.robot(), joints)[1]
     np.testing.assert_allclose(offset, [0.0, 0.1, 0.2], atol=1e-6)
-    heights = [[collider.transform[2] for collider in arm.base.colliders] for arm in (lifted, plain)]
-    np.testing.assert_allclose(np.subtract(*heights), 0.2, atol=1e-6)
+    heights = np.array([[collider.transform[2] for collider in arm.base.colliders] for arm in (lifted, plain)])
+    np.testing.assert_allclose(heights[0] - heights[1], 0.2, atol=1e-6)
 
 
 def test_limits_masses_and_shapes_are_kept(tmp_path):

@@ -59,7 +59,7 @@ class AddRobot:
 
         device.start_warp()
         wp.set_logger(device.CompileNotice(Console(stderr=True, highlight=False).print))
-        from oimppi_warp.authoring import arm
+        from oimppi_warp.authoring import arm_usd
         from oimppi_warp.authoring.start import with_start
         from oimppi_warp.authoring.trial import write_trial
         from oimppi_warp.authoring.urdf import read_urdf
@@ -82,8 +82,8 @@ class AddRobot:
             robot = made.robot()
             with tempfile.TemporaryDirectory() as folder:  # what is not good is not kept
                 skin = f"{name}_skin.usdc"
-                drawn = arm.write_visuals(made, Path(folder) / "robots" / skin)
-                arm.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
+                drawn = arm_usd.write_visuals(made, Path(folder) / "robots" / skin)
+                arm_usd.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
                 scene = write_trial(robot, name, Path(folder))
                 self._keep(Path(folder))
         bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
