@@ -386,6 +386,8 @@ def test_a_mistake_is_told_once_and_without_consequences(tmp_path, mistake):
     change, what, _ = MISTAKES[mistake]
     (found,) = inspect_scene(variant(tmp_path, change)).mistakes
     assert what in found.what
+    assert found.allowed
+    assert found.fix
 
 
 IMPOSSIBLE = {

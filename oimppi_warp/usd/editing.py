@@ -30,10 +30,11 @@ def save_scene(scene: Scene, file: str | Path, *, moves: Mapping[str, PlanarPose
     if file.suffix not in (".usda", ".usdc"):
         raise SceneError(f"{file.name}: not the name of a scene", file=file, allowed="a name with .usda or .usdc")
     # A flattened copy: the layers of the file itself are shared by all in this process that have it open.
-    flat = SceneStage(scene.file).stage.Flatten(addSourceFileComment=False)
+    opened = SceneStage(scene.file)
+    flat = opened.stage.Flatten(addSourceFileComment=False)
     stage = Usd.Stage.Open(flat)
-    root = stage.GetDefaultPrim()
-    root.GetAttribute("oimppi:goal").Set(Gf.Vec3d(*scene.goal))
+    task = stage.GetPrimAtPath(opened.the("OimppiTaskAPI", "task", "the scene's default prim").GetPath())
+    task.GetAttribute("oimppi:goal").Set(Gf.Vec3d(*scene.goal))
     _put(stage.GetPrimAtPath(scene.object.path), planar_transform(scene.start, scene.object.rest_height).tolist())
     for path, (x, y, turn) in (moves or {}).items():
         _shift(stage.GetPrimAtPath(path), x, y, turn)

@@ -10,8 +10,9 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 from oimppi_warp.footprint import height_range, rotation_matrix
 from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
+from oimppi_warp.usd.frames import is_rigid, single, transform
 from oimppi_warp.usd.robot import read_mass
-from oimppi_warp.usd.stage import SceneStage, is_rigid, single, transform
+from oimppi_warp.usd.stage import SceneStage
 
 FLOATING = 1e-3
 """How far an object may stand above or in the table in the file [m]."""
@@ -41,7 +42,12 @@ def read_table(stage: SceneStage) -> Table:
     if moving or len(colliders) < len(list(collider_prims(prim))):
         return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are known
     found = f"; what is flat has its top at {', '.join(tops)}" if tops else ""
-    raise stage.error(f"a table without a flat top at z = 0{found}", prim, allowed=allowed)
+    raise stage.error(
+        f"a table without a flat top at z = 0{found}",
+        prim,
+        allowed=allowed,
+        fix="use a box that is not tilted, and move it until its top is at z = 0",
+    )
 
 
 def _level_half(collider: Collider) -> np.ndarray | None:
@@ -61,7 +67,14 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
     """
     prim = stage.the("OimppiObjectAPI", "object", "the rigid body that is to be pushed")
     if not prim.HasAPI(UsdPhysics.RigidBodyAPI) or not UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
-        stage.keep(stage.error("an object that cannot move", prim, fix="apply PhysicsRigidBodyAPI to it"))
+        stage.keep(
+            stage.error(
+                "an object that cannot move",
+                prim,
+                fix="apply PhysicsRigidBodyAPI to it",
+                allowed="a rigid body that is enabled",
+            )
+        )
     mass = stage.attempt(math.nan, read_mass, stage, prim)
     frame = stage.body_frame(prim)
     colliders = read_colliders(stage, prim, frame)
@@ -97,7 +110,12 @@ def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
         SceneError: It has no collider.
     """
     if not _moving_parts(stage, prim, "obstacle") and not any(collider_prims(prim)):
-        raise stage.error("an obstacle without a collider", prim, allowed=ALLOWED)
+        raise stage.error(
+            "an obstacle without a collider",
+            prim,
+            allowed=ALLOWED,
+            fix="apply PhysicsCollisionAPI to a shape at it or below it",
+        )
     return Obstacle(str(prim.GetPath()), read_colliders(stage, prim, _WORLD))
 
 
@@ -172,5 +190,9 @@ def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:
     moving = [part for part in stage.prims(prim) if part.HasAPI(UsdPhysics.RigidBodyAPI)]
     for part in moving:
         allowed = "static shapes: CollisionAPI without RigidBodyAPI"
-        stage.keep(stage.error(f"a rigid body in the {noun}", part, allowed=allowed))
+        stage.keep(
+            stage.error(
+                f"a rigid body in the {noun}", part, allowed=allowed, fix="remove PhysicsRigidBodyAPI, or the role"
+            )
+        )
     return bool(moving)
