@@ -14,11 +14,11 @@ from made_urdf import arm_parts, joint, link, shape, write_urdf
 from pxr import Usd, UsdGeom
 from scipy.spatial import ConvexHull
 
-from oimppi_warp.authoring.arm import Arm
-from oimppi_warp.authoring.articulation import GREY, ToolAxis
-from oimppi_warp.authoring.fitting import POINTS, fitted
-from oimppi_warp.authoring.start import HEIGHT, table_room, with_start
-from oimppi_warp.authoring.urdf import read_urdf
+from oimppi_warp.authoring.robots.arm import Arm
+from oimppi_warp.authoring.robots.articulation import GREY, ToolAxis
+from oimppi_warp.authoring.robots.fitting import POINTS, fitted
+from oimppi_warp.authoring.robots.from_urdf import read_urdf
+from oimppi_warp.authoring.robots.start import HEIGHT, table_room, with_start
 from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import SceneError

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.authoring.arm import Arm
-from oimppi_warp.authoring.usd_robot import read_usd
+from oimppi_warp.authoring.robots.arm import Arm
+from oimppi_warp.authoring.robots.from_usd import read_usd
 from oimppi_warp.cli import main
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task

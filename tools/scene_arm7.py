@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from scene_skin import DARK, METAL, SHELL, Part, Rings, drum, write_parts
 
-from oimppi_warp.authoring import arm_usd
-from oimppi_warp.authoring.arm import NOT_TURNED, Arm, ArmJoint, ArmLink, Stick, capsule_between
+from oimppi_warp.authoring.robots import arm_usd
+from oimppi_warp.authoring.robots.arm import NOT_TURNED, Arm, ArmJoint, ArmLink, Stick, capsule_between
 from oimppi_warp.scene import Collider
 
 _HALF = math.sqrt(0.5)

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import scene_skin
 
-from oimppi_warp.authoring import arm_usd
-from oimppi_warp.authoring.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
+from oimppi_warp.authoring.robots import arm_usd
+from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
 from oimppi_warp.scene import Collider
 
 HALF_PI = math.pi / 2

@@ -59,11 +59,11 @@ class AddRobot:
 
         device.start_warp()
         wp.set_logger(device.CompileNotice(Console(stderr=True, highlight=False).print))
-        from oimppi_warp.authoring import arm_usd
-        from oimppi_warp.authoring.start import with_start
-        from oimppi_warp.authoring.trial import write_trial
-        from oimppi_warp.authoring.urdf import read_urdf
-        from oimppi_warp.authoring.usd_robot import read_usd
+        from oimppi_warp.authoring.robots import arm_usd
+        from oimppi_warp.authoring.robots.from_urdf import read_urdf
+        from oimppi_warp.authoring.robots.from_usd import read_usd
+        from oimppi_warp.authoring.robots.start import with_start
+        from oimppi_warp.authoring.robots.trial import write_trial
         from oimppi_warp.reach import reach_of
 
         console = Console(highlight=False, soft_wrap=True)

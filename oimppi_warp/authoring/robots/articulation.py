@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from oimppi_warp.authoring.arm import Arm, ArmJoint, ArmLink, Stick, Visual
-from oimppi_warp.authoring.chain import Chain
-from oimppi_warp.authoring.fitting import fitted
 from oimppi_warp.authoring.prims import Look, matrix_quat, z_to
+from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, Visual
+from oimppi_warp.authoring.robots.chain import Chain
+from oimppi_warp.authoring.robots.fitting import fitted
 from oimppi_warp.errors import SceneError
 from oimppi_warp.footprint import rotation_matrix, transform_points
 from oimppi_warp.scene import Collider
@@ -52,7 +52,7 @@ class Articulation:
         self._names = {index: name for name, index in bodies.items()}
 
     def arm(self, chain: Chain, *, name: str, doc: str, length: float, radius: float, axis: ToolAxis) -> Arm:
-        """The arm that a chain makes, its start still all zeros (:func:`oimppi_warp.authoring.start.with_start`).
+        """The arm that a chain makes, its start still all zeros (see :func:`.start.with_start`).
 
         Args:
             chain: Which links and joints.

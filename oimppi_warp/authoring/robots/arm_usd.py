@@ -9,7 +9,6 @@ import numpy as np
 import trimesh
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.authoring.arm import NOT_TURNED, Arm, ArmJoint
 from oimppi_warp.authoring.prims import (
     COLLIDER,
     Look,
@@ -29,6 +28,7 @@ from oimppi_warp.authoring.prims import (
     sphere,
     vec3,
 )
+from oimppi_warp.authoring.robots.arm import NOT_TURNED, Arm, ArmJoint
 from oimppi_warp.footprint import rotation_matrix, transform_points
 from oimppi_warp.kinematics import link_frames
 from oimppi_warp.newton_model import DRIVE_GAIN, SLIDE_GAIN

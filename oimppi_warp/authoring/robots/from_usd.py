@@ -10,8 +10,8 @@ import networkx as nx
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.authoring.articulation import Articulation, matrix_of
-from oimppi_warp.authoring.chain import Chain, Kind, Limits, TreeJoint, serial_chain
+from oimppi_warp.authoring.robots.articulation import Articulation, matrix_of
+from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.errors import SceneError
 from oimppi_warp.newton_model import collector_paused
 

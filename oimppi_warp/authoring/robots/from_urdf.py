@@ -8,8 +8,8 @@ from pathlib import Path
 
 import networkx as nx
 
-from oimppi_warp.authoring.articulation import Articulation
-from oimppi_warp.authoring.chain import Chain, Kind, Limits, TreeJoint, serial_chain
+from oimppi_warp.authoring.robots.articulation import Articulation
+from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.errors import SceneError
 from oimppi_warp.newton_model import collector_paused
 
