@@ -38,14 +38,14 @@ class SceneStage:
     opened (``units.py``, ``upright.py``, ``meshes.py``). Whoever reads a scene's file reads this stage, so that all
     read the same numbers.
 
+    Args:
+        file: The USD file.
+        mistakes: Where mistakes are collected; without it, the first one is raised.
+
     Attributes:
         file: The USD file.
         stage: The stage; what is set on it goes to its session layer, and leaves the file as it is.
         layers: The files that it is composed of.
-
-    Args:
-        file: The USD file.
-        mistakes: Where mistakes are collected; without it, the first one is raised.
 
     Raises:
         SceneError: There is no such file, it is not USD, something that it refers to is missing, or its units are not
@@ -63,6 +63,8 @@ class SceneStage:
             self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
             self._check_units()
             self._convert()
+        except Tf.ErrorException as error:
+            raise self._unreadable(error) from None
         finally:
             del silenced
 
@@ -77,13 +79,10 @@ class SceneStage:
                 allowed=formats,
                 fix="export it again, or correct it where USD says",
             ) from None
+        allowed = "a file that is there, and a prim in it"
         fix = "correct it; the paths of references count from the file that they stand in"
-        self._give_up_on(
-            [
-                self.error(str(each), fix=fix, allowed="a file that is there, and a prim in it")
-                for each in stage.GetCompositionErrors()
-            ]
-        )
+        broken = stage.GetCompositionErrors()
+        self._give_up_on([self.error(str(each), allowed=allowed, fix=fix) for each in broken])
         unsound = unsound_properties(stage)
         self._give_up_on([self.error(each.what, each.prim, allowed=each.allowed, fix=each.fix) for each in unsound])
         return stage
@@ -120,12 +119,13 @@ class SceneStage:
         except SceneError as mistake:
             self.keep(mistake)
         except Tf.ErrorException as error:
-            self.keep(
-                self.error(
-                    f"OpenUSD cannot read it ({usd_reason(error)})", allowed="sound USD", fix="correct what it names"
-                )
-            )
+            self.keep(self._unreadable(error))
         return otherwise
+
+    def _unreadable(self, error: BaseException) -> SceneError:
+        """What USD itself says about something that it cannot read."""
+        what = f"OpenUSD cannot read it ({usd_reason(error)})"
+        return self.error(what, allowed="sound USD", fix="correct what it names")
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
         """A :class:`SceneError` at a prim of this file."""
