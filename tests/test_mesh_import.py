@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from meshes import L_SHAPE, bracket, prism, saved
-from pxr import Usd
+from pxr import Usd, UsdValidation
 
 from oimppi_warp.authoring import import_mesh, write_object
 from oimppi_warp.authoring.convex import compare
@@ -115,6 +115,11 @@ def test_a_part_that_stands_on_edge_is_laid_down(tmp_path):
     assert "turned over by 90 degrees" in " ".join(solid.notes)
     upright = import_mesh(tmp_path / "plate.stl", lying="as-is")
     assert 2 * upright.rest_height == pytest.approx(0.12, abs=1e-4)
+
+
+def test_a_glb_comes_with_its_y_axis_up(tmp_path):
+    file = saved(trimesh.creation.box((0.1, 0.08, 0.06)), tmp_path, "box.glb")
+    assert 2 * import_mesh(file, lying="as-is").rest_height == pytest.approx(0.08, abs=1e-4)
 
 
 def test_what_cannot_stand_as_it_is_is_refused(tmp_path):
@@ -234,6 +239,9 @@ def test_the_file_has_convex_colliders_a_surface_and_what_everything_means(tmp_p
     stage = Usd.Stage.Open(str(file))
     assert "[kg]" in stage.GetDefaultPrim().GetAttribute("physics:mass").GetDocumentation()
     assert "2 convex pieces: volume" in stage.GetRootLayer().documentation
+    registry = UsdValidation.ValidationRegistry()
+    errors = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators()).Validate(stage)
+    assert [e.GetErrorAsString() for e in errors if e.GetType() == UsdValidation.ValidationErrorType.Error] == []
     with pytest.raises(OimppiError, match="it is there already"):
         write_object(solid, tmp_path)
 

@@ -16,10 +16,12 @@ from pxr import Usd, UsdGeom, UsdValidation
 
 from oimppi_warp.authoring import Block, Pillar, Standing, Task, box, letter, read_object, write_object, write_task
 from oimppi_warp.authoring.arm_start import joints_at
+from oimppi_warp.authoring.check import check_scene
 from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.feasibility import check_task
+from oimppi_warp.footprint import height_range
 from oimppi_warp.kinematics import tip_frame
 from oimppi_warp.presets import best
 from oimppi_warp.scene import Scene
@@ -118,6 +120,21 @@ def test_a_mesh_can_be_pushed_at_once(tmp_path):
     )
     assert [collider.kind for collider in scene.object.colliders] == ["mesh", "mesh"]
     assert scene.object.mass == 0.4
+
+
+def test_what_stands_fast_is_made_as_what_is_pushed_but_for_its_mass(tmp_path):
+    file = saved(bracket(), tmp_path, "l.stl", scale=1000)
+    obstacles = ["--obstacle", f"mesh:{file}@0.5,0", "--obstacle", "letter:O@0.25,0.35"]
+    options = ["--scale", "mm", "--height", "0.03", "--mass", "0.7"]
+    scene = new(tmp_path / "out", "--object", "letter:S", *options, *obstacles)
+    assert [len(obstacle.colliders) for obstacle in scene.obstacles] == [2, 4]
+    assert height_range(scene.obstacles[1].colliders) == pytest.approx((0.0, 0.03), abs=1e-6)
+    assert "mass = 0.7" not in (tmp_path / "out" / "objects" / "letter_o.usda").read_text()
+
+
+def test_an_object_that_a_push_may_tip_over_is_said_to_be_one(tmp_path, capsys):
+    new(tmp_path, "--object", "cylinder:0.03x0.15")
+    assert "a push above 75 mm tips it over" in capsys.readouterr().out
 
 
 def test_an_imported_object_is_known_by_its_name_and_by_its_file(tmp_path):
@@ -231,6 +248,8 @@ IMPOSSIBLE = {
     "no mesh": (["--object", "mesh:nowhere.stl"], "there is no such file"),
     "no place": (["--obstacle", "box:0.1,0.1,0.1"], "no place"),
     "no robot": (["--robot", "hal9000"], "no such robot"),
+    "a size without letters": (["--size", "0.1"], "with letters and words only"),
+    "a unit without a mesh": (["--scale", "mm"], "with a mesh only"),
     "no mass": (["--mass", "-1"], "--mass -1"),
 }
 
@@ -310,6 +329,7 @@ TASKS = st.fixed_dictionaries(
         "goal": poses(),
         "mass": st.floats(0.05, 2.0),
         "friction": st.floats(0.1, 1.0),
+        "robot": st.sampled_from(["xarm6", "xarm6", "arm7", "point"]),
         "obstacle": st.lists(st.tuples(THINGS_IN_THE_WAY, poses()).map("@".join), max_size=3),
     }
 )
@@ -347,6 +367,7 @@ def run_ten_steps(options: dict) -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene = try_task(options, Path(folder))
         assume(scene is not None)
+        assert [problem for problem in check_scene(scene.file) if problem.severity == "error"] == []
         config = best("cloi")
         for option in ("robot.mppi.samples=64", "object.mppi.samples=64", "episode.max_sim_seconds=0.5"):
             config = set_option(config, option)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 if TYPE_CHECKING:
     from oimppi_warp.authoring.words import Manner
+    from oimppi_warp.scene import PushedObject
 
 _Unit = Literal["mm", "cm", "m", "inch"]
 _Lay = Literal["stable", "as-is"]
@@ -30,7 +30,7 @@ class ObjectOptions:
     friction: Annotated[float | None, arg(metavar="MU", help_behavior_hint="(default: 0.4 or the object's)")] = None
     """Coulomb coefficient between object and table."""
 
-    height: Annotated[float, arg(metavar="M")] = 0.05
+    height: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: 0.05)")] = None
     """Thickness of letters and words in metres."""
 
     size: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: 0.103, less for long words)")] = None
@@ -107,17 +107,20 @@ class New(ObjectOptions):
         """Write it; returns the exit status."""
         from oimppi_warp.authoring.project import write_task
         from oimppi_warp.authoring.task import PAPER, Task
-        from oimppi_warp.authoring.words import checked_pose, parse_object, parse_obstacles
+        from oimppi_warp.authoring.words import check_used, checked_pose, parse_object, parse_obstacles
+        from oimppi_warp.tipping import can_tip, tipping_height
 
         start, goal = checked_pose("--start", self.start), checked_pose("--goal", self.goal)
-        thing = parse_object(self.object, self.manner(), folder=self.out)
+        manner = self.manner()
+        check_used(manner, (self.object, *self.obstacle))
+        thing = parse_object(self.object, manner, folder=self.out)
         task = Task(
             name=self.name.removesuffix(".usda"),
             title=self.title or f"Push {_article(thing.doc)} to its goal",
             thing=thing,
             start=start,
             goal=goal,
-            obstacles=parse_obstacles(self.obstacle, folder=self.out),
+            obstacles=parse_obstacles(self.obstacle, manner, folder=self.out),
             tolerance=PAPER if thing.turns else (PAPER[0], math.inf),
             tight=(0.05, 0.1 if thing.turns else math.inf),
             robot=self.robot,
@@ -126,9 +129,15 @@ class New(ObjectOptions):
         for file in written.files:
             print(f"wrote {file}")
         body = written.scene.object
-        print(f"{thing.doc}: {body.mass:g} kg, friction {body.friction:g}, of {len(body.colliders)} convex pieces")
+        print(_summary(thing.doc, body))
+        if can_tip(body):
+            print(
+                f"a push above {1000 * tipping_height(body):.0f} mm tips it over: the planner touches it low and slowly"
+            )
         print("checked: nothing overlaps, the arm reaches start and goal")
-        _print_next(("view", "run"), written.file)
+        print("next:")
+        for command in ("scene check", "view", "run"):
+            print(f"  oimppi {command} {shlex.quote(str(written.file))}")
         return 0
 
 
@@ -155,8 +164,9 @@ class Import(ObjectOptions):
         from oimppi_warp.authoring.project import write_object
         from oimppi_warp.authoring.solid import Solid, plain_name
         from oimppi_warp.authoring.stored import read_body
-        from oimppi_warp.authoring.words import parse_object
+        from oimppi_warp.authoring.words import check_used, parse_object
 
+        check_used(self.manner(), (self.source,))
         thing = parse_object(self.source, self.manner())
         if self.name is not None:
             thing = replace(thing, name=plain_name(self.name))  # pyright: ignore[reportArgumentType]
@@ -165,7 +175,7 @@ class Import(ObjectOptions):
         picture = draw_portrait(thing, body, file.with_suffix(".png"))
         print(f"wrote {file}")
         print(f"wrote {picture}")
-        print(f"{thing.doc}: {body.mass:g} kg, friction {body.friction:g}, of {len(body.colliders)} convex pieces")
+        print(_summary(thing.doc, body))
         for note in thing.notes if isinstance(thing, Solid) else ():
             print(f"  {note}")
         out = [] if self.out == Path(".") else ["--out", str(self.out)]
@@ -174,14 +184,14 @@ class Import(ObjectOptions):
         return 0
 
 
+def _summary(doc: str, body: PushedObject) -> str:
+    """A line about an object."""
+    pieces = len(body.colliders)
+    of = "one convex piece" if pieces == 1 else f"{pieces} convex pieces"
+    return f"{doc}: {body.mass:g} kg, friction {body.friction:g}, {of}"
+
+
 def _article(doc: str) -> str:
     """What an object is, as it stands in the middle of a sentence."""
     short = doc.partition(":")[0].partition(", ")[0]
     return f"{short[0].lower()}{short[1:]}" if short.startswith(("A ", "The ")) else f"the {short}"
-
-
-def _print_next(commands: tuple[str, ...], file: Path) -> None:
-    """What to do with a scene."""
-    print("next:")
-    for command in commands:
-        print("  " + shlex.join(["oimppi", command, os.path.relpath(file)]))

@@ -96,6 +96,8 @@ def _read(file: Path) -> trimesh.Trimesh:
     except Exception as error:  # readers of a dozen formats raise what they like
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise SceneError(f"not a mesh that can be read ({reason})", file=file, allowed=formats) from None
+    if file.suffix.lower() in (".glb", ".gltf"):  # y is up in glTF
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
         what = "the mesh has no faces" if not len(mesh.faces) else "the mesh has corners that are not finite"
         raise SceneError(what, file=file, allowed="triangles that enclose a volume")

@@ -165,7 +165,8 @@ would not know of it. Colliders may be `Cube`, `Sphere`, `Cylinder`, `Capsule`, 
 `convexHull`, `boundingCube` or `boundingSphere`, or that is convex as it is; a hollow shape is cut into convex ones, as
 the letters in `scenes/objects/` are.
 
-The smallest scene of one's own refers to the shipped arm and objects:
+[`authoring.md`](authoring.md) shows how to write a scene, by command, by hand and in Python. The smallest one refers to
+the shipped arm and objects:
 
 ```usda
 #usda 1.0

@@ -37,7 +37,7 @@ class Manner:
     Attributes:
         mass: [kg]; ``None``: a shipped object's own, else what wood of its volume weighs.
         friction: Coulomb coefficient with the table; ``None``: a shipped object's own, else 0.4.
-        height: Thickness of letters and words [m].
+        height: Thickness of letters and words [m]; ``None``: 0.05.
         size: Height of a letter as it lies [m]; ``None``: 0.103, or what a long word has room for.
         font: An installed font, or the file of one; ``None``: our own alphabet.
         scale: Unit of a mesh: mm, cm, m or inch; ``None``: metres.
@@ -46,7 +46,7 @@ class Manner:
 
     mass: float | None = None
     friction: float | None = None
-    height: float = letters.HEIGHT
+    height: float | None = None
     size: float | None = None
     font: str | None = None
     scale: str | None = None
@@ -69,7 +69,8 @@ def parse_object(word: str, manner: Manner = Manner(), *, folder: Path = Path())
     kind = kind.strip().lower()
     friction = shapes.FRICTION if manner.friction is None else manner.friction
     weight = {"mass": manner.mass, "friction": friction}
-    flat = {**weight, "height": manner.height, "font": manner.font}
+    thickness = letters.HEIGHT if manner.height is None else manner.height
+    flat = {**weight, "height": thickness, "font": manner.font}
     if kind == "letter" and colon:
         return letters.letter(rest, size=CAP if manner.size is None else manner.size, **flat)
     if kind == "text" and colon:
@@ -83,11 +84,12 @@ def parse_object(word: str, manner: Manner = Manner(), *, folder: Path = Path())
     return _known(word, manner, folder)
 
 
-def parse_obstacle(word: str, *, name: str, folder: Path = Path()) -> Obstacle:
+def parse_obstacle(word: str, manner: Manner = Manner(), *, name: str, folder: Path = Path()) -> Obstacle:
     """An obstacle from a word: a box, a cylinder, or an object that stands fast.
 
     Args:
         word: As in :data:`OBSTACLES`.
+        manner: How an object that stands fast is made; mass and friction are the pushed object's alone.
         name: Of its prim.
         folder: Where the scene goes.
 
@@ -109,10 +111,11 @@ def parse_obstacle(word: str, *, name: str, folder: Path = Path()) -> Obstacle:
     if kind == "cylinder":
         radius, height = _lengths(word, rest, 2)
         return Pillar(name, (x, y), radius, height)
-    return Standing(name, parse_object(what, folder=folder), (x, y, yaw))
+    fast = replace(manner, mass=None, friction=None)
+    return Standing(name, parse_object(what, fast, folder=folder), (x, y, yaw))
 
 
-def parse_obstacles(words: Iterable[str], *, folder: Path = Path()) -> tuple[Obstacle, ...]:
+def parse_obstacles(words: Iterable[str], manner: Manner = Manner(), *, folder: Path = Path()) -> tuple[Obstacle, ...]:
     """Obstacles from words, with names that say what they are."""
     found: list[Obstacle] = []
     taken: set[str] = set()
@@ -123,8 +126,28 @@ def parse_obstacles(words: Iterable[str], *, folder: Path = Path()) -> tuple[Obs
             base = f"{base}{re.sub(r'[^A-Za-z0-9]', '', rest.partition('@')[0]).title()}"
         name = next(n for n in (base, *(f"{base}{i}" for i in range(2, 1000))) if n not in taken)
         taken.add(name)
-        found.append(parse_obstacle(word, name=name, folder=folder))
+        found.append(parse_obstacle(word, manner, name=name, folder=folder))
     return tuple(found)
+
+
+def check_used(manner: Manner, words: Iterable[str]) -> None:
+    """Refuse what none of the objects takes.
+
+    Raises:
+        ConfigError: A font, a size or a thickness without letters, or a unit or a way to lie without a mesh.
+    """
+    names = [word.rpartition("@")[0] or word for word in words]
+    kinds = {name.partition(":")[0].strip().lower() for name in names if ":" in name}
+    meshes = "mesh" in kinds or any(Path(name).suffix.lower() in FORMATS for name in names)
+    lettered = {"--height": manner.height, "--size": manner.size, "--font": manner.font}
+    of_meshes = {"--scale": manner.scale, "--lay": None if manner.lay == "stable" else manner.lay}
+    for given, there, what in (
+        (lettered, kinds & {"letter", "text"}, "letters and words"),
+        (of_meshes, meshes, "a mesh"),
+    ):
+        for option, value in given.items():
+            if value is not None and not there:
+                raise ConfigError(f"{option} {value}: there is nothing that it is for\n  allowed: with {what} only")
 
 
 def checked_pose(option: str, text: str) -> Pose:
