@@ -21,7 +21,7 @@ from tyro.conf import arg, subcommand
 
 from oimppi_warp.authoring.check_command import Check
 from oimppi_warp.authoring.commands import Import, New
-from oimppi_warp.authoring.robot_command import AddRobot
+from oimppi_warp.authoring.robots.command import AddRobot
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.options import TaskOptions, notices

@@ -50,7 +50,8 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
     place = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
     prim = scene.object.path if name == "start" else ""
     if not np.isfinite(pose).all():
-        yield SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed="x [m], y [m], yaw [rad]")
+        allowed = "x [m], y [m], yaw [rad]"
+        yield SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed=allowed, fix=_move(name))
         return
     shape = object_outline(scene, pose)
     if not shapely.covers(_table(scene), shape):

@@ -130,16 +130,18 @@ def _corners(robot: Robot, count: int) -> np.ndarray:
 
 def _farthest(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
     """How far from an axis [2] the tip gets with the joints that are free, led there step by step; 0: nowhere [m]."""
+    start = tip_frame(robot, robot.start)[1]
+    height = 0.0 if can_lift(robot) else start[2]
 
     def at(radius: float) -> Wanted:
         def away(tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             x, y = tip[:2] - axis
             outwards = np.array([x, y, 0.0]) / max(np.hypot(x, y), 1e-9)
-            return np.array([outwards, _UP]), np.array([np.hypot(x, y) - radius, tip[2]])
+            return np.array([outwards, _UP]), np.array([np.hypot(x, y) - radius, tip[2] - height])
 
         return away
 
-    radius = float(np.linalg.norm(tip_frame(robot, robot.start)[1][:2] - axis))
+    radius = float(np.linalg.norm(start[:2] - axis))
     joints, step = _led(robot, robot.start, at(radius), free), 0.05
     while step > 5e-4 and joints is not None:
         further = _led(robot, joints, at(radius + step), free)

@@ -8,6 +8,7 @@ It prints a line before and after each stage. A stage that takes longer than :da
 from __future__ import annotations
 
 import faulthandler
+import os
 import random
 import re
 import subprocess
@@ -19,10 +20,16 @@ from pathlib import Path
 LIMIT = 20.0
 """Time that reading a stage may take [s]."""
 
+MARK = "stage"
+"""Before each outcome, since Warp prints too."""
+
 MOST = 5
 """Failures after which enough is known."""
 
-BASES = ("task02", "task05", "lab02", "point01")
+BASES = ("task02", "task05", "lab02", "point01", "task05 in centimetres", "point01 in centimetres")
+
+WHOLE = 10
+"""Every so many stages, all of the check is run."""
 
 NUMBERS = ("0", "-1", "1e-30", "1e30", "1e400", "nan", "inf", "-inf", "3", "0.1", "1000000007", "-0.0")
 
@@ -55,17 +62,16 @@ class Outcome:
 @cache
 def base(name: str) -> str:
     """The text of a shipped scene with its robot and its objects, but without what only shows."""
-    from pxr import Usd
+    from elsewhere import flat, measured_in, with_y_up
 
-    from oimppi_warp.usd import shipped_scenes
-
-    (file,) = [scene.path for scene in shipped_scenes() if scene.name == name]
-    stage = Usd.Stage.Open(str(file))
-    stage.SetEditTarget(stage.GetSessionLayer())
+    stage = flat(name.partition(" ")[0])
     shown = [prim.GetPath() for prim in stage.Traverse() if prim.GetName() in ("skin", "Goal", "Camera", "Sky", "Sun")]
     for path in shown:
-        stage.GetPrimAtPath(path).SetActive(False)
-    return Usd.Stage.Open(stage.Flatten(addSourceFileComment=False)).ExportToString()
+        stage.RemovePrim(path)
+    if " " in name:
+        measured_in(stage, 0.01, 0.001)
+        with_y_up(stage)
+    return stage.ExportToString()
 
 
 def damaged(seed: int, number: int) -> bytes:
@@ -160,45 +166,58 @@ def outcomes(seed: int, count: int, folder: Path) -> list[Outcome]:
     while len(found) < count and sum(not outcome.is_sound for outcome in found) < MOST:
         command = [sys.executable, __file__, *map(str, (seed, len(found), count - len(found), folder))]
         ended = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-        lines = ended.stdout.splitlines()
-        found += [Outcome(int(number), words) for number, _, words in (line.partition(" ") for line in lines)]
+        lines = [line.split(" ", 2) for line in ended.stdout.splitlines() if line.startswith(f"{MARK} ")]
+        found += [Outcome(int(number), words) for _, number, words in lines]
         if len(found) < count:
             found.append(Outcome(len(found), f"exit status {ended.returncode}: {ended.stderr[-2000:]}"))
     return found
 
 
-def read(file: Path) -> str:
-    """What comes of a file, in a word."""
+def read(file: Path, *, whole: bool) -> str:
+    """What comes of a file, in a word.
+
+    Args:
+        file: The stage.
+        whole: Whether to look for ways to the goal too, which takes most of a second.
+    """
+    from oimppi_warp.authoring.check import check_scene
     from oimppi_warp.feasibility import task_mistakes
     from oimppi_warp.usd import inspect_scene
     from oimppi_warp.usd.doubts import stage_doubts
 
+    if whole:
+        problems = check_scene(file)
+        return "refused" if any(problem.severity == "error" for problem in problems) else "scene"
     found = inspect_scene(file)
     if found.stage is not None:
         list(stage_doubts(found.stage))
     if found.scene is None:
         assert found.mistakes
         return "refused"
-    list(task_mistakes(found.scene))
-    return "scene"
+    return "refused" if list(task_mistakes(found.scene)) else "scene"
 
 
 def main() -> None:
     """Read stages and say what came of each."""
+    import shutil
     import traceback
 
     seed, first, count = map(int, sys.argv[1:4])
+    cache = Path(sys.argv[4]) / "cache"
+    os.environ["OIMPPI_CACHE"] = str(cache)  # fields of damaged scenes are of no use to anyone
     for number in range(first, first + count):
         file = Path(sys.argv[4]) / f"damaged{number}.usda"
         file.write_bytes(damaged(seed, number))
         faulthandler.dump_traceback_later(LIMIT, exit=True)
         try:
-            words = read(file)
+            words = read(file, whole=number % WHOLE == 0)
         except Exception as error:
             ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "oimppi_warp" in frame.filename]
             words = f"{type(error).__name__} at {ours[-1].filename}:{ours[-1].lineno}"
         faulthandler.cancel_dump_traceback_later()
-        print(number, words, flush=True)
+        file.unlink()
+        shutil.rmtree(cache, ignore_errors=True)
+        print(f"\n{MARK}", number, words, flush=True)
 
 
 if __name__ == "__main__":

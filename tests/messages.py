@@ -30,8 +30,8 @@ def manual() -> str:
 
 
 def _tables() -> Iterator[str]:
-    yield "Each as it is said of one wrong scene; <!-- made by tests/messages.py, do not edit by hand --> the numbers are"
-    yield "examples. A prim is that of the example, too."
+    yield "<!-- Made by tests/messages.py; do not edit by hand. -->\n"
+    yield "Each as it is said of one wrong scene: numbers and prims are examples."
     errors = {name: change for name, (change, *_) in {**MISTAKES, **IMPOSSIBLE}.items()} | {"no room": walls}
     warnings = {name: change for name, (change, _) in DOUBTFUL.items()}
     for title, changes in (("Errors", errors), ("Warnings", warnings)):

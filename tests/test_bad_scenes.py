@@ -134,8 +134,9 @@ def tilt_object(stage: Usd.Stage) -> None:
     UsdGeom.Xformable(prim(stage, "/World/Object")).AddRotateXOp().Set(10.0)
 
 
-def scale_object(stage: Usd.Stage) -> None:
-    UsdGeom.Xformable(prim(stage, "/World/Object")).AddScaleOp().Set(Gf.Vec3f(2.0))
+def scaled(path: str, *scale: float) -> Callable[[Usd.Stage], object]:
+    """Scale a body."""
+    return lambda stage: UsdGeom.Xformable(prim(stage, path)).AddScaleOp().Set(Gf.Vec3f(*scale))
 
 
 def move_robot(stage: Usd.Stage) -> None:
@@ -346,7 +347,9 @@ MISTAKES = {
     "a floating object": (object_to(0.3, -0.45, 0.055), "30.0 mm above the table", "set its z to 0.025 m"),
     "a sunken object": (object_to(0.3, -0.45, 0.02), "5.0 mm inside the table", "set its z to 0.025 m"),
     "a tilted object": (tilt_object, "does not lie flat", "about z only"),
-    "a scaled object": (scale_object, "a scale (2, 2, 2)", "scale its shapes"),
+    "a scaled link": (scaled(f"{ROBOT}/link3", 2, 2, 2), "a scale (2, 2, 2)", "scale its shapes"),
+    "a mirrored object": (scaled("/World/Object", 1, 1, -1), "mirrored", "scale its shapes"),
+    "an object scaled to nothing": (scaled("/World/Object", 1, 1, 0), "scaled to nothing", "along its own axes"),
     "an empty obstacle": (drop("/World/Obstacles/Cube", "PhysicsCollisionAPI"), "obstacle without a collider", "Cube"),
     "a moving obstacle": (add("/World/Obstacles/Cube", "PhysicsRigidBodyAPI"), "rigid body in the obstacle", "static"),
     "something without a role": (loose_ball, "no role in the task", "</World/Ball>"),
@@ -386,6 +389,8 @@ def test_a_mistake_is_told_once_and_without_consequences(tmp_path, mistake):
     change, what, _ = MISTAKES[mistake]
     (found,) = inspect_scene(variant(tmp_path, change)).mistakes
     assert what in found.what
+    assert found.allowed
+    assert found.fix
 
 
 IMPOSSIBLE = {

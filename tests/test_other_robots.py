@@ -17,6 +17,7 @@ from test_newton import ends, make, plant_at, roll
 from oimppi_warp.clearance import build_geometry, from_center
 from oimppi_warp.config import Regrasp
 from oimppi_warp.dynamics.newton_threads import NewtonThreads
+from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task
@@ -241,6 +242,23 @@ def test_the_newton_engine_ends_a_push_where_the_plant_does(name):
     assert np.linalg.norm(found[:2] - pose[:2]) > 0.02
     np.testing.assert_allclose(found, plant.observe().object_pose, atol=0.01)
     np.testing.assert_allclose(still, pose, atol=1e-3)
+
+
+@pytest.mark.slow  # its kernels are MuJoCo Warp's, compiled for each robot's joints
+@pytest.mark.parametrize("name", NAMES)
+def test_the_batched_worlds_do_what_the_threads_do(name):
+    scene = shipped(name)
+    joints = joints_at(scene.robot, (0.42, -0.212, 0.012))
+    pose = from_center(build_geometry(scene, "cpu").surface, np.array([0.42, -0.10, 0.0]))
+    controls = straight(scene.robot, joints, (0.0, 0.15, 0.0), 8)
+    seen = observe(scene, joints=joints, pose=pose)
+    found = []
+    for kind in (NewtonThreads, NewtonWorlds):
+        engine = make(kind, scene, 2, steps=8)
+        roll(engine, seen, np.stack([controls, 0.0 * controls]))
+        found.append(ends(engine))
+    assert found[0][0, 1] - pose[1] > 0.04
+    np.testing.assert_allclose(found[0], found[1], atol=5e-4)
 
 
 # Letting go

@@ -250,6 +250,23 @@ def test_listed_starts_without_a_way_are_warned_of(tmp_path):
     assert problem.what.startswith("no way to the goal is free from the object's start 1 and 1 others: ")
 
 
+def test_a_goal_in_a_slot_is_warned_of(tmp_path):
+    def change(stage: Usd.Stage) -> None:
+        goal_to(0.505, 0.3, 3.14159265)(stage)
+        for name, x in (("A", 0.352), ("B", 0.658)):
+            cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/{name}")
+            cube.CreateSizeAttr(0.1)
+            cube.AddTranslateOp().Set(Gf.Vec3d(x, 0.3, 0.05))
+            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+            cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+
+    ((severity, what),) = found(variant(tmp_path, change, "task01"))
+    assert severity == "warning"
+    assert what.startswith("there is hardly any room around the object's goal, next to the obstacle ")
+    assert "</World/Obstacles/A>" in what
+    assert "</World/Obstacles/B>" in what
+
+
 def test_any_yaw_will_do_at_a_goal_without_one(tmp_path):
     change = several(barrier(0.12), put("/World", "oimppi:tolerance", Gf.Vec2d(0.1, float("inf"))))
     assert "no way to the goal is free" in found(variant(tmp_path, change, "task01"))[-1][1]
@@ -264,6 +281,19 @@ def test_what_is_allowed_but_hardly_meant_is_warned_of(tmp_path, doubt):
     assert problem.prim == path
     assert problem.what.startswith(what)
     assert more in f"{problem.allowed} {problem.fix}"
+
+
+def test_a_table_that_is_too_large_for_the_grid_is_a_mistake(tmp_path):
+    def change(stage: Usd.Stage) -> None:
+        for name, way in (("joint1", 40.0), ("joint2", 40.0)):
+            joint = UsdPhysics.PrismaticJoint(stage.GetPrimAtPath(f"{ROBOT}/joints/{name}"))
+            joint.GetLowerLimitAttr().Set(-way)
+            joint.GetUpperLimitAttr().Set(way)
+        put("/World/Table", "xformOp:scale", Gf.Vec3d(80.0, 80.0, 0.04))(stage)
+
+    severity, what = found(variant(tmp_path, change, "point01"))[0]
+    assert severity == "error"
+    assert what == "the arm reaches 80 x 80 m of the table"
 
 
 def test_the_manual_lists_the_messages():

@@ -331,3 +331,33 @@ def test_planner_and_physics_have_the_same_shapes(tmp_path, change):
     stage = flat("task02")
     change(stage)
     assert_shapes_agree(load_scene(written(stage, tmp_path / "task02.usda")))
+
+
+def scaled_cube(stage: Usd.Stage) -> None:
+    """A scaled Cube that is a rigid body itself, in the place of the T."""
+    stage.GetPrimAtPath("/World/Object").SetActive(False)
+    cube = UsdGeom.Cube.Define(stage, "/World/Block")
+    cube.CreateSizeAttr(1.0)
+    cube.AddTranslateOp().Set(Gf.Vec3d(0.3, -0.45, 0.025))
+    cube.AddRotateZOp().Set(30.0)
+    cube.AddScaleOp().Set(Gf.Vec3f(0.2, 0.1, 0.05))
+    UsdPhysics.RigidBodyAPI.Apply(cube.GetPrim())
+    UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+    mass = UsdPhysics.MassAPI.Apply(cube.GetPrim())
+    mass.CreateMassAttr(0.5)
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(0.1, 0.0, 0.0))
+    cube.GetPrim().AddAppliedSchema("OimppiObjectAPI")
+
+
+def test_a_scaled_cube_may_be_the_object_itself(tmp_path):
+    stage = flat("task01")
+    scaled_cube(stage)
+    scene = load_scene(written(stage, tmp_path / "task01.usda"))
+    assert_shapes_agree(scene)
+    built = World(scene).newton
+    assert scene.object.center_of_mass == pytest.approx((0.02, 0.0, 0.0), abs=1e-7)
+    assert built.model.body_com.numpy()[built.object_body] == pytest.approx((0.02, 0.0, 0.0), abs=1e-7)
+    assert scene.start == pytest.approx((0.3, -0.45, np.pi / 6))
+    again = load_scene(save_scene(scene.with_start((0.3, -0.4, 0.1)), tmp_path / "saved.usda"))
+    assert differences(scene.with_start((0.3, -0.4, 0.1)).object, again.object, tolerance=1e-6) == []
+    assert again.start == pytest.approx((0.3, -0.4, 0.1))

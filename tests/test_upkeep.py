@@ -14,6 +14,7 @@ import tasks
 
 from oimppi_warp.ahead import compile_for, needed_on_cuda
 from oimppi_warp.cli import main
+from oimppi_warp.device import start_warp
 from oimppi_warp.doctor import PACKAGES, Facts, Gpu, examine, judge
 from oimppi_warp.presets import best
 from oimppi_warp.usd import shipped_scenes
@@ -123,6 +124,7 @@ def test_what_a_gpu_needs_of_ours_is_found():
 def test_all_that_a_newton_plan_needs_compiles_for_a_hopper_gpu(tmp_path, monkeypatch):
     import warp as wp
 
+    start_warp()  # it fills in the folder that is put back in the end
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     variants = needed_on_cuda(tasks.shipped("task02"), best("cloi"), "newton")
     names = {module.name for module, _ in variants}

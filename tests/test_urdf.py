@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 import trimesh
 from made_urdf import arm_parts, joint, link, shape, write_urdf
+from pxr import Usd, UsdGeom
 from scipy.spatial import ConvexHull
 
-from oimppi_warp.authoring.arm import Arm
-from oimppi_warp.authoring.articulation import ToolAxis
-from oimppi_warp.authoring.fitting import POINTS, fitted
-from oimppi_warp.authoring.start import HEIGHT, table_room, with_start
-from oimppi_warp.authoring.urdf import read_urdf
+from oimppi_warp.authoring.robots.arm import Arm
+from oimppi_warp.authoring.robots.articulation import GREY, ToolAxis
+from oimppi_warp.authoring.robots.fitting import POINTS, fitted
+from oimppi_warp.authoring.robots.from_urdf import read_urdf
+from oimppi_warp.authoring.robots.start import HEIGHT, table_room, with_start
 from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import SceneError
@@ -26,6 +27,7 @@ from oimppi_warp.footprint import core_points, rotation_matrix
 from oimppi_warp.kinematics import link_frames, tip_frame
 from oimppi_warp.metrics import summarize
 from oimppi_warp.presets import best
+from oimppi_warp.reach import can_lift, reach_of
 from oimppi_warp.usd import load_scene
 
 RANDOM = np.random.default_rng(4)
@@ -179,6 +181,19 @@ def test_slides_are_along_the_axes_that_the_urdf_gives(tmp_path):
         np.testing.assert_allclose(tip_frame(robot, np.array(joints))[1], [joints[1], -joints[0], 0.012], atol=1e-6)
 
 
+def test_an_arm_whose_joints_all_stand_upright_stays_at_its_height(tmp_path):
+    parts = {name: link(name) for name in ("base", "upper", "fore", "wrist")}
+    parts["j1"] = joint("j1", "base", "upper", xyz="0 0 0.182")
+    parts["j2"] = joint("j2", "upper", "fore", xyz="0.3 0 0")
+    parts["j3"] = joint("j3", "fore", "wrist", xyz="0.3 0 0")
+    parts["end"] = joint("end", "wrist", "hand", kind="fixed", xyz="0.05 0 0") + link("hand", mass=0.1)
+    robot = with_start(made(tmp_path, parts, axis="-z")).robot()
+    assert robot.chain == "RRR"
+    assert tip_frame(robot, robot.start)[1][2] == pytest.approx(0.012, abs=1e-6)
+    assert not can_lift(robot)
+    assert reach_of(robot).radius == pytest.approx(0.65, abs=1e-3)
+
+
 def test_slides_that_carry_the_tool_too_high_say_how_long_it_should_be(tmp_path):
     with pytest.raises(SceneError, match=r"the tip is at 0\.100 m") as error:
         with_start(made(tmp_path, sliding(0.27), axis="-z"))
@@ -226,6 +241,53 @@ def test_a_fine_mesh_becomes_a_hull_with_few_points_around_it():
 def test_a_flat_mesh_is_refused():
     with pytest.raises(ValueError, match="without a volume"):
         fitted("c", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]))
+
+
+# Looks
+
+RED = '<material name="red"><color rgba="0.8 0.1 0.1 1"/></material>'
+RED_LIGHT = pytest.approx((0.6038, 0.0100, 0.0100), abs=1e-4)
+"""The same in linear light."""
+LOOKS = (
+    f'<visual><origin xyz="0 0 0.1"/><geometry><box size="0.05 0.06 0.2"/></geometry>{RED}</visual>'
+    '<visual><geometry><mesh filename="meshes/fore.stl" scale="0.001 0.001 0.001"/></geometry></visual>'
+    '<visual><geometry><mesh filename="meshes/look.dae"/></geometry></visual>'
+)
+
+
+def test_looks_are_kept_and_those_that_are_not_there_left_out(tmp_path):
+    parts = arm_parts() | {"upper": link("upper", shapes=shape('<sphere radius="0.05"/>') + LOOKS)}
+    arm = made(tmp_path, parts)
+    box, mesh = arm.links[1].visuals
+    assert box.shape.kind == "box"
+    assert box.shape.size == pytest.approx((0.025, 0.03, 0.1))
+    assert box.color == RED_LIGHT
+    assert len(mesh.faces) > 100
+    assert mesh.color == pytest.approx(GREY, abs=2e-3)
+    assert np.ptp(np.asarray(mesh.shape.vertices), axis=0).max() == pytest.approx(0.27, abs=0.01)
+    assert not any(part.visuals for part in (arm.base, arm.links[0], *arm.links[2:]))
+
+
+def test_looks_that_nobody_reads_do_not_stop_a_robot(tmp_path):
+    parts = arm_parts() | {"upper": link("upper", shapes=shape('<sphere radius="0.05"/>') + LOOKS)}
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "look.dae").write_text("nothing")
+    arm = made(tmp_path, parts)
+    assert not arm.links[1].visuals
+    assert [collider.kind for collider in arm.links[1].colliders] == ["sphere"]
+
+
+def test_a_robot_with_looks_hides_the_shapes_that_collide(tmp_path, capsys):
+    parts = arm_parts() | {"upper": link("upper", shapes=shape('<sphere radius="0.05"/>') + LOOKS)}
+    asked = ["scene", "robot", str(write_urdf(tmp_path, parts)), "--tool-axis=x", "--out", str(tmp_path / "out")]
+    assert main(asked) == 0
+    scene = load_scene(tmp_path / "out" / "made_open.usda")
+    assert [collider.kind for collider in scene.robot.links[1].colliders] == ["sphere"]
+    stage = Usd.Stage.Open(str(scene.file))
+    link2, link1 = "/World/Robot/link2", "/World/Robot/link1"
+    assert UsdGeom.Imageable(stage.GetPrimAtPath(f"{link2}/collider0")).ComputePurpose() == "guide"
+    assert UsdGeom.Imageable(stage.GetPrimAtPath(f"{link1}/collider0")).ComputePurpose() == "default"
+    assert {prim.GetTypeName() for prim in stage.GetPrimAtPath(f"{link2}/skin").GetChildren()} == {"Cube", "Mesh"}
 
 
 # What is wrong

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.authoring.arm import Arm
-from oimppi_warp.authoring.usd_robot import read_usd
+from oimppi_warp.authoring.robots.arm import Arm
+from oimppi_warp.authoring.robots.from_usd import read_usd
 from oimppi_warp.cli import main
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task
@@ -67,6 +67,17 @@ def test_a_foreign_arm_moves_as_it_did(tmp_path):
         np.testing.assert_allclose(rotation[:, 2], expected_rotation[:, 2], atol=2e-6)
 
 
+def test_looks_are_kept(tmp_path):
+    arm = arm_of(foreign(tmp_path))
+    known = Usd.Stage.Open(str(SCENES / "robots" / "arm7.usda"))
+    for number, link in enumerate(arm.links, start=1):
+        skin = known.GetPrimAtPath(f"/Arm7/link{number}/skin").GetChildren()
+        assert len(link.visuals) == len(skin)
+        for visual, prim in zip(link.visuals, skin, strict=True):
+            (color,) = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+            assert visual.color == pytest.approx(tuple(color), abs=1e-6)
+
+
 def test_a_base_on_a_pedestal_stays_there(tmp_path):
     def lift(stage: Usd.Stage) -> None:
         UsdGeom.Xformable(stage.GetDefaultPrim()).AddTranslateOp().Set(Gf.Vec3d(0.0, 0.1, 0.2))
@@ -79,8 +90,8 @@ def test_a_base_on_a_pedestal_stays_there(tmp_path):
     joints = np.linspace(-0.5, 0.7, 7)
     offset = tip_frame(lifted.robot(), joints)[1] - tip_frame(plain.robot(), joints)[1]
     np.testing.assert_allclose(offset, [0.0, 0.1, 0.2], atol=1e-6)
-    heights = [[collider.transform[2] for collider in arm.base.colliders] for arm in (lifted, plain)]
-    np.testing.assert_allclose(np.subtract(*heights), 0.2, atol=1e-6)
+    heights = np.array([[collider.transform[2] for collider in arm.base.colliders] for arm in (lifted, plain)])
+    np.testing.assert_allclose(heights[0] - heights[1], 0.2, atol=1e-6)
 
 
 def test_limits_masses_and_shapes_are_kept(tmp_path):

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from scene_skin import DARK, METAL, SHELL, Part, Rings, drum, write_parts
 
-from oimppi_warp.authoring import arm
-from oimppi_warp.authoring.arm import NOT_TURNED, Arm, ArmJoint, ArmLink, Stick, capsule_between
+from oimppi_warp.authoring.robots import arm_usd
+from oimppi_warp.authoring.robots.arm import NOT_TURNED, Arm, ArmJoint, ArmLink, Stick, capsule_between
 from oimppi_warp.scene import Collider
 
 _HALF = math.sqrt(0.5)
@@ -90,7 +90,7 @@ def write(folder: Path) -> None:
         ("collar", drum((0, 0, 0.150), (0, 0, 0.162), 0.062, fillet=0.001), DARK),
     ]
     write_parts(folder / "arm7_skin.usda", "Arm7", "the arm of seven joints", parts, STICK.length, STICK.radius).Save()
-    arm.write(ARM7, folder / "arm7.usda", skin="arm7_skin.usda")
+    arm_usd.write(ARM7, folder / "arm7.usda", skin="arm7_skin.usda")
 
 
 def _parts(index: int) -> list[Part]:

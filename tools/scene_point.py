@@ -13,9 +13,9 @@ import numpy as np
 from pxr import Usd, UsdGeom
 from scene_skin import DARK, METAL, SHELL, drum, stretch
 
-from oimppi_warp.authoring import arm
-from oimppi_warp.authoring.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
 from oimppi_warp.authoring.prims import Look, box, new_stage
+from oimppi_warp.authoring.robots import arm_usd
+from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
 
 HEIGHT = 0.40  # of bridge and carriage
 TIP = 0.012  # height of the stick's tip
@@ -62,7 +62,7 @@ POINT = Arm(
 def write(folder: Path) -> None:
     """Write the robot's files."""
     _write_skin(folder / "point_skin.usda")
-    arm.write(POINT, folder / "point.usda", skin="point_skin.usda")
+    arm_usd.write(POINT, folder / "point.usda", skin="point_skin.usda")
 
 
 def _write_skin(file: Path) -> None:

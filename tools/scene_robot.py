@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import scene_skin
 
-from oimppi_warp.authoring import arm
-from oimppi_warp.authoring.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
+from oimppi_warp.authoring.robots import arm_usd
+from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
 from oimppi_warp.scene import Collider
 
 HALF_PI = math.pi / 2
@@ -109,4 +109,4 @@ XARM6 = Arm(
 def write(folder: Path) -> None:
     """Write the robot's files."""
     scene_skin.write(folder / "xarm6_skin.usda", STICK.length, STICK.radius)
-    arm.write(XARM6, folder / "xarm6.usda", skin="xarm6_skin.usda")
+    arm_usd.write(XARM6, folder / "xarm6.usda", skin="xarm6_skin.usda")

@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from oimppi_warp.authoring.check import check_scene
     from oimppi_warp.authoring.letters import letter, word
     from oimppi_warp.authoring.project import Written, write_object, write_task
     from oimppi_warp.authoring.shapes import box, cylinder, flat
@@ -28,6 +29,7 @@ _MODULES = {
     "Thing": "thing",
     "Written": "project",
     "box": "shapes",
+    "check_scene": "check",
     "cylinder": "shapes",
     "flat": "shapes",
     "import_mesh": "solid",
@@ -49,6 +51,7 @@ __all__ = [
     "Thing",
     "Written",
     "box",
+    "check_scene",
     "cylinder",
     "flat",
     "import_mesh",

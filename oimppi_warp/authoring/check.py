@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from oimppi_warp.errors import Problem, SceneError
 from oimppi_warp.feasibility import draw_start, pose_mistakes, task_mistakes
@@ -15,10 +18,13 @@ from oimppi_warp.usd import Inspection, inspect_scene
 from oimppi_warp.usd.doubts import given_inertia, stage_doubts
 
 if TYPE_CHECKING:
-    from oimppi_warp.authoring.way import Neck
+    from oimppi_warp.authoring.way import Neck, Ways
 
 TIGHT = 0.005
 """Room on either side of the object below which a way is called narrow [m]."""
+
+LARGEST = 2e8
+"""Most nodes of the grid of phi_2: 800 MB of it."""
 
 
 def check_scene(scene: str | Path) -> tuple[Problem, ...]:
@@ -39,18 +45,42 @@ def check_scene(scene: str | Path) -> tuple[Problem, ...]:
         problems += [*errors, *_task_warnings(found.scene), *_weight_warnings(found)]
         if not errors:
             problems += _way_warnings(found.scene)
-    return tuple(sorted(problems, key=lambda problem: problem.severity == "warning"))
+    placed = [problem if problem.prim else replace(problem, prim=_task_prim(found)) for problem in problems]
+    return tuple(sorted(placed, key=lambda problem: problem.severity == "warning"))
+
+
+def _task_prim(found: Inspection) -> str:
+    """The prim that goal and starts stand at, if the scene can be read."""
+    if found.scene is None or found.stage is None:
+        return ""
+    return str(found.stage.role("OimppiTaskAPI")[0].GetPath())
 
 
 def _task_errors(scene: Scene) -> Iterator[SceneError]:
     """Why the scene's own start and goal, or the starts that seeds draw, stop a run."""
-    mistakes = list(task_mistakes(scene))
+    mistakes = [*task_mistakes(scene), *_too_large(scene)]
     yield from mistakes
     if not mistakes:
         try:
             draw_start(scene, 0)
         except SceneError as mistake:
             yield mistake
+
+
+def _too_large(scene: Scene) -> Iterator[SceneError]:
+    """A table for whose part within reach the planner's fields would not fit into memory."""
+    from oimppi_warp.clearance import STEP, YAW_NODES, arm_reach_bound
+
+    reach = arm_reach_bound(scene)
+    size = np.minimum(scene.table.upper, reach) - np.maximum(scene.table.lower, -reach)
+    if YAW_NODES * float(np.prod(np.maximum(size, 0.0) / STEP)) > LARGEST:
+        yield SceneError(
+            f"the arm reaches {size[0]:.3g} x {size[1]:.3g} m of the table",
+            file=scene.file,
+            prim=scene.table.path,
+            allowed=f"as many as {LARGEST:.0e} nodes of the grid of phi_2, {YAW_NODES} of them to a square of 1 cm",
+            fix="make the table smaller, or the arm's links and limits",
+        )
 
 
 def _task_warnings(scene: Scene) -> Iterator[Problem]:
@@ -98,21 +128,36 @@ def _mistakes(scene: Scene, number: int, start: PlanarPose) -> Iterator[SceneErr
 
 
 def _way_warnings(scene: Scene) -> Iterator[Problem]:
-    """Starts from which no way is free, and the narrowest place of the widest one; start and goal overlap nothing."""
+    """Poses without room, starts from which no way is free, ways that are narrow; start and goal overlap nothing."""
     from oimppi_warp.authoring.way import Ways
     from oimppi_warp.clearance import build_geometry
 
     ways = Ways(scene, build_geometry(scene, "cpu"))
     listed = {f"start {number}": start for number, start in _starts(scene) if not any(_mistakes(scene, number, start))}
-    starts = {"start": scene.start, **listed}
+    poses = {"goal": scene.goal, "start": scene.start, **listed}
+    cramped = [name for name, pose in poses.items() if ways.room(pose) <= 0.0]
+    for name in cramped:
+        yield _warning(
+            scene,
+            f"there is hardly any room around the object's {name}, next to {' and '.join(ways.beside(poses[name])[0])}",
+            allowed="so much that the object is free on a grid of 1 cm and 5 degrees",
+            fix="move these away from it, or choose another pose",
+        )
+    starts = {name: pose for name, pose in poses.items() if name not in ("goal", *cramped)}
+    if "goal" not in cramped and starts:
+        yield from _narrow_warnings(scene, ways, starts)
+
+
+def _narrow_warnings(scene: Scene, ways: Ways, starts: dict[str, PlanarPose]) -> Iterator[Problem]:
+    """The narrowest place of the widest way: of the first start without a free one, or of the first of all."""
     blocked = [name for name, start in starts.items() if ways.is_blocked(start)]
-    neck = ways.neck(starts[blocked[0]] if blocked else scene.start)
+    neck = ways.neck(starts[blocked[0]] if blocked else next(iter(starts.values())))
     if blocked:
         which = f"{blocked[0]}{f' and {len(blocked) - 1} others' if blocked[1:] else ''}"
         yield _warning(
             scene,
             f"no way to the goal is free from the object's {which}{'' if neck is None else f': {_tight(neck)}'}",
-            allowed="a way on which the object overlaps nothing, on a grid of 1 cm",
+            allowed="a way on which the object overlaps nothing, on a grid of 1 cm and 5 degrees",
             fix="move what is in the way, or choose another start or goal",
         )
     elif neck is not None and neck.clearance < TIGHT:

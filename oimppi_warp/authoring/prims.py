@@ -226,7 +226,10 @@ def _is_diagonal(matrix: np.ndarray) -> bool:
 
 
 def matrix_quat(matrix: np.ndarray) -> np.ndarray:
-    """The quaternion (xyzw, w >= 0) of a rotation matrix: the eigenvector of Bar-Itzhack's symmetric form."""
+    """The quaternion (xyzw) of a rotation matrix: the eigenvector of Bar-Itzhack's symmetric form.
+
+    Of the two, the one with w > 0, and for half a turn the one whose first number is negative: the same everywhere.
+    """
     m = matrix
     k = np.array(
         [
@@ -237,4 +240,5 @@ def matrix_quat(matrix: np.ndarray) -> np.ndarray:
         ]
     )
     q = np.linalg.eigh(k)[1][:, -1]
-    return q if q[3] >= 0 else -q
+    w, first = q[3], q[np.flatnonzero(np.abs(q) > 1e-9)[0]]
+    return q if w > 1e-9 or (w > -1e-9 and first < 0.0) else -q

@@ -153,15 +153,17 @@ _HEAD = """# The scene schema
 
 <!-- Written by tools/make_scenes.py from the schema itself; do not edit by hand. -->
 
-A scene is a USD file in metres (`metersPerUnit = 1`), kilograms and z up. What moves, collides, weighs and slides is
-said with the standard UsdPhysics schemas, so that other tools read it too. What USD has no word for is said with six
-API schemas of ours. They are codeless: `scenes/schema/` is all there is to them, the package registers it by itself,
-and other USD tools find it when `PXR_PLUGINPATH_NAME` names that folder. Angles in our attributes are radians; those
-of UsdPhysics are degrees.
+A scene is a USD file, best in metres (`metersPerUnit = 1`), kilograms and z up; other units and y up are converted as
+it is read (`docs/scene-check.md` has all that is converted, and what is refused). What moves, collides, weighs and
+slides is said with the standard UsdPhysics schemas, so that other tools read it too. What USD has no word for is said
+with six API schemas of ours. They are codeless: `scenes/schema/` is all there is to them, the package registers it by
+itself, and other USD tools find it when `PXR_PLUGINPATH_NAME` names that folder. Our attributes are in metres and
+radians, and of the frame with z up, whatever the stage's units are; angles of UsdPhysics are degrees.
 
 Everything that collides or moves must have a role; a scene in which something does not is refused, because the planner
-would not know of it. Colliders may be `Cube`, `Sphere`, `Cylinder`, `Capsule`, or `Mesh` with `physics:approximation =
-"convexHull"`; a hollow shape is cut into convex ones, as the letters in `scenes/objects/` are.
+would not know of it. Colliders may be `Cube`, `Sphere`, `Cylinder`, `Capsule`, or `Mesh` with `physics:approximation`
+`convexHull`, `boundingCube` or `boundingSphere`, or that is convex as it is; a hollow shape is cut into convex ones, as
+the letters in `scenes/objects/` are.
 
 [`authoring.md`](authoring.md) shows how to write a scene, by command, by hand and in Python. The smallest one refers to
 the shipped arm and objects:

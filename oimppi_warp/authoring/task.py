@@ -23,7 +23,7 @@ from oimppi_warp.authoring.prims import (
     place_planar,
     rounded,
 )
-from oimppi_warp.authoring.robot import pose_robot
+from oimppi_warp.authoring.robots.posed import pose_robot
 from oimppi_warp.authoring.thing import Pushable
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task, draw_start

@@ -69,6 +69,10 @@ class Ways:
         if np.isinf(scene.tolerance.yaw):
             self._goals = [(turn, i, j) for _, i, j in self._goals for turn in range(len(values))]
 
+    def room(self, pose: PlanarPose) -> float:
+        """The largest clearance on the grid right around a pose [m]."""
+        return max(float(self._values[node]) for node in self._nodes(pose))
+
     def is_blocked(self, start: PlanarPose) -> bool:
         """Whether no way from a start is free."""
         return not self._joined(self._free, self._nodes(start))
@@ -77,9 +81,11 @@ class Ways:
         """The narrowest place of the widest way from a start; ``None`` where that is at one of its ends."""
         starts = self._nodes(start)
         end = float(min(max(self._values[node] for node in nodes) for nodes in (starts, self._goals)))
-        lower, upper = float(self._values[np.isfinite(self._values)].min()), end
-        if not np.isfinite(end) or self._joined(_parts(self._values >= end), starts):
+        if not self._joined(_parts(np.isfinite(self._values)), starts):
             return None
+        if self._joined(_parts(self._values >= end), starts):
+            return None
+        lower, upper = float(self._values[np.isfinite(self._values)].min()), end
         while upper - lower > RESOLVED:
             middle = 0.5 * (lower + upper)
             if self._joined(_parts(self._values >= middle), starts):
@@ -90,7 +96,7 @@ class Ways:
         values = self._values[tuple(way.T)]
         pose = self._origin + self._step * way[values.argmin()]
         x, y, yaw = map(float, from_center(self._surface, pose[[1, 2, 0]]))
-        return Neck(float(values.min()), (x, y, yaw), *self._beside((x, y, yaw)))
+        return Neck(float(values.min()), (x, y, yaw), *self.beside((x, y, yaw)))
 
     def _nodes(self, pose: PlanarPose) -> list[Node]:
         """The eight nodes around a pose of the object's frame."""
@@ -123,7 +129,7 @@ class Ways:
             way.append(int(before[way[-1]]))
         return nodes[way]
 
-    def _beside(self, pose: PlanarPose) -> tuple[tuple[str, ...], float | None]:
+    def beside(self, pose: PlanarPose) -> tuple[tuple[str, ...], float | None]:
         """The one or two things next to the object at a pose, and how far they are apart."""
         shape = object_outline(self._scene, pose)
         table = shapely.box(*self._scene.table.lower, *self._scene.table.upper)

@@ -9,8 +9,9 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.scene import Collider
+from oimppi_warp.usd.frames import is_orthogonal, scales, transform
 from oimppi_warp.usd.meshes import approximation, triangles
-from oimppi_warp.usd.stage import FARTHEST, SceneStage, scales, transform
+from oimppi_warp.usd.stage import FARTHEST, SceneStage
 
 ALLOWED = "Cube, Sphere, Cylinder, Capsule, or a Mesh that is convex or has a convex physics:approximation"
 
@@ -47,9 +48,19 @@ def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tupl
 def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
     path, scale = str(prim.GetPath()), scales(frame)
     if scale.min() < 1e-9 or frame.GetDeterminant() <= 0.0:
-        raise scene.error("a shape with a scale that is zero or negative", prim, allowed="a positive scale")
-    if not _orthogonal(frame):
-        raise scene.error("a sheared shape", prim, allowed="turned, moved and scaled along its own axes")
+        raise scene.error(
+            "a shape with a scale that is zero or negative",
+            prim,
+            allowed="a positive scale",
+            fix="scale it by positive numbers; to mirror a mesh, mirror its points",
+        )
+    if not is_orthogonal(frame):
+        raise scene.error(
+            "a sheared shape",
+            prim,
+            allowed="turned, moved and scaled along its own axes",
+            fix="scale before turning: xformOp:scale last in xformOpOrder, and evenly in the frames above",
+        )
 
     if prim.IsA(UsdGeom.Cube):
         side = _positive(scene, prim, "size")
@@ -61,7 +72,7 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         kind = "cylinder" if prim.IsA(UsdGeom.Cylinder) else "capsule"
         axis = prim.GetAttribute("axis").Get()
         if axis not in _TO_Z:
-            raise scene.error(f"axis is {axis}", prim, allowed=", ".join(_TO_Z))
+            raise scene.error(f"axis is {axis}", prim, allowed=", ".join(_TO_Z), fix="set axis to one of them")
         frame = _TO_Z[axis] * frame
         x, y, z = scales(frame)
         across = _uniform(scene, prim, np.array([x, y, z] if kind == "capsule" else [x, y]))
@@ -69,25 +80,32 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         return Collider(path, kind, transform(frame), (radius * across, height * float(z) / 2))
     if prim.IsA(UsdGeom.Mesh):
         return Collider(path, "mesh", transform(frame), (), _mesh_points(scene, prim) * scale)
-    raise scene.error(f"a collider of type {prim.GetTypeName() or 'nothing'}", prim, allowed=ALLOWED)
+    raise scene.error(
+        f"a collider of type {prim.GetTypeName() or 'nothing'}",
+        prim,
+        allowed=ALLOWED,
+        fix="put one of them in its place, and leave it to be seen only",
+    )
 
 
 def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
     value = scene.number(prim, name, 0.0)
     if not 0.0 < value < FARTHEST:
-        raise scene.error(f"{name} is {value:g}", prim, allowed=f"more than zero and less than {FARTHEST:g} m")
+        raise scene.error(
+            f"{name} is {value:g}", prim, allowed=f"more than zero and less than {FARTHEST:g} m", fix="give its size"
+        )
     return value
 
 
 def _uniform(scene: SceneStage, prim: Usd.Prim, scale: np.ndarray) -> float:
     if np.ptp(scale) > 1e-5 * scale.max():
-        raise scene.error("a round shape that is scaled unevenly", prim, allowed="one scale for all of its radii")
+        raise scene.error(
+            "a round shape that is scaled unevenly",
+            prim,
+            allowed="one scale for all of its radii",
+            fix="scale it evenly, or use a Mesh",
+        )
     return float(scale.mean())
-
-
-def _orthogonal(frame: Gf.Matrix4d) -> bool:
-    rows = np.array([frame.GetRow3(i).GetNormalized() for i in range(3)])
-    return bool(np.allclose(rows @ rows.T, np.eye(3), atol=1e-5))
 
 
 def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
@@ -102,15 +120,26 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
     points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
     if not (np.abs(points) < FARTHEST).all():
         allowed = f"numbers below {FARTHEST:g} m"
-        raise scene.error("a mesh collider with points that are not finite, or far away", prim, allowed=allowed)
+        raise scene.error(
+            "a mesh collider with points that are not finite, or far away",
+            prim,
+            allowed=allowed,
+            fix="correct its points",
+        )
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
     if spread[-1] < 1e-6:
-        raise scene.error(f"a mesh collider without volume ({len(points)} points)", prim, allowed="a solid shape")
+        raise scene.error(
+            f"a mesh collider without volume ({len(points)} points)",
+            prim,
+            allowed="a solid shape",
+            fix="give it some thickness",
+        )
     if triangles(prim) is None:
         raise scene.error(
             "a mesh collider whose faces are missing, or name points that are not there",
             prim,
             allowed="a closed surface: faceVertexCounts of 3 or more, faceVertexIndices below the number of points",
+            fix="correct its faces",
         )
     return points
 

@@ -64,7 +64,7 @@ def _near(name: str, known: Iterable[str]) -> str:
 
 
 def _moving_in_time(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
-    if not prim.IsA(UsdGeom.Xformable):
+    if not prim.IsA(UsdGeom.Xformable) or prim.IsA(UsdGeom.Camera):
         return
     timed = [op.GetName() for op in UsdGeom.Xformable(prim).GetOrderedXformOps() if op.GetNumTimeSamples() > 0]
     if prim.IsA(UsdGeom.PointBased):

@@ -10,6 +10,7 @@ from pxr import Gf, Usd, UsdGeom
 from oimppi_warp.errors import SceneError
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.usd.frames import scales
 from oimppi_warp.usd.stage import SceneStage
 
 
@@ -30,10 +31,11 @@ def save_scene(scene: Scene, file: str | Path, *, moves: Mapping[str, PlanarPose
     if file.suffix not in (".usda", ".usdc"):
         raise SceneError(f"{file.name}: not the name of a scene", file=file, allowed="a name with .usda or .usdc")
     # A flattened copy: the layers of the file itself are shared by all in this process that have it open.
-    flat = SceneStage(scene.file).stage.Flatten(addSourceFileComment=False)
+    opened = SceneStage(scene.file)
+    flat = opened.stage.Flatten(addSourceFileComment=False)
     stage = Usd.Stage.Open(flat)
-    root = stage.GetDefaultPrim()
-    root.GetAttribute("oimppi:goal").Set(Gf.Vec3d(*scene.goal))
+    task = stage.GetPrimAtPath(opened.the("OimppiTaskAPI", "task", "the scene's default prim").GetPath())
+    task.GetAttribute("oimppi:goal").Set(Gf.Vec3d(*scene.goal))
     _put(stage.GetPrimAtPath(scene.object.path), planar_transform(scene.start, scene.object.rest_height).tolist())
     for path, (x, y, turn) in (moves or {}).items():
         _shift(stage.GetPrimAtPath(path), x, y, turn)
@@ -51,7 +53,8 @@ def _put(prim: Usd.Prim, transform: list[float]) -> None:
     """Put a prim at a world transform [7], its scale kept."""
     x, y, z, qx, qy, qz, qw = transform
     world = Gf.Matrix4d(1.0).SetRotate(Gf.Quatd(qw, qx, qy, qz)) * Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, z))
-    _set_world(prim, world)
+    stood = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+    _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * world)
 
 
 def _shift(prim: Usd.Prim, x: float, y: float, turn: float) -> None:

@@ -9,7 +9,8 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 
 from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
 from oimppi_warp.usd.colliders import read_colliders
-from oimppi_warp.usd.stage import FARTHEST, SceneStage, matrix, scales, transform
+from oimppi_warp.usd.frames import matrix, scales, transform
+from oimppi_warp.usd.stage import FARTHEST, SceneStage
 
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
 _EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
@@ -26,7 +27,14 @@ def read_robot(scene: SceneStage) -> Robot:
     """
     root = scene.the("OimppiRobotAPI", "robot", "the root prim of the articulation")
     if not any(prim.HasAPI(UsdPhysics.ArticulationRootAPI) for prim in scene.prims(root)):
-        scene.keep(scene.error("a robot without an articulation", root, fix="apply PhysicsArticulationRootAPI to it"))
+        scene.keep(
+            scene.error(
+                "a robot without an articulation",
+                root,
+                fix="apply PhysicsArticulationRootAPI to it",
+                allowed="PhysicsArticulationRootAPI at the robot or below it",
+            )
+        )
     tip_prim = scene.attempt(None, _tip, scene, root)
     radius = math.nan if tip_prim is None else scene.attempt(math.nan, _radius, scene, tip_prim)
     chain = _Chain(scene, root)
@@ -46,14 +54,21 @@ def read_robot(scene: SceneStage) -> Robot:
 def _radius(scene: SceneStage, tip: Usd.Prim) -> float:
     radius = float(scene.numbers(tip, "oimppi:radius", (), "the stick's radius [m]"))
     if not 0.0 < radius < math.inf:
-        raise scene.error(f"oimppi:radius is {radius:g}", tip, allowed="more than zero [m]")
+        raise scene.error(
+            f"oimppi:radius is {radius:g}", tip, allowed="more than zero [m]", fix="give the radius of the stick"
+        )
     return radius
 
 
 def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
     tip = scene.the("OimppiToolAPI", "tool", "the Xform at the tip of the robot's stick")
     if not tip.GetPath().HasPrefix(root.GetPath()):
-        raise scene.error("a tool that is not part of the robot", tip, allowed=f"a prim below <{root.GetPath()}>")
+        raise scene.error(
+            "a tool that is not part of the robot",
+            tip,
+            allowed=f"a prim below <{root.GetPath()}>",
+            fix="put the Xform at the tip below the link that carries the stick",
+        )
     return tip
 
 
@@ -66,7 +81,7 @@ def _start(scene: SceneStage, root: Usd.Prim, joints: tuple[Joint, ...]) -> np.n
             unit = _UNITS[joint.kind]
             limits = f"{joint.lower:.4g} to {joint.upper:.4g} {unit}"
             what = f"oimppi:startJoints puts <{joint.path}> at {position:.4g} {unit}, beyond its limits"
-            scene.keep(scene.error(what, root, allowed=limits))
+            scene.keep(scene.error(what, root, allowed=limits, fix="correct oimppi:startJoints"))
     return start
 
 
@@ -81,7 +96,10 @@ class _Chain:
         mounts = [joint for joint in self.joints if self.ends(joint)[0] is None]
         if len(mounts) != 1 or not mounts[0].GetPrim().IsA(UsdPhysics.FixedJoint):
             raise scene.error(
-                "the robot's base is not fixed to the world", root, fix="one PhysicsFixedJoint with only physics:body1"
+                "the robot's base is not fixed to the world",
+                root,
+                fix="one PhysicsFixedJoint with only physics:body1",
+                allowed="one joint to the world, a PhysicsFixedJoint",
             )
         base = self.ends(mounts[0])[1]
         assert base is not None
@@ -94,7 +112,10 @@ class _Chain:
         if not np.allclose(np.array(at.GetInverse() * held), np.array(frame), atol=1e-5):
             fix = "make its physics:localPos0 and localRot0 the base's frame in the world, or place the base there"
             raise scene.error(
-                "a joint that holds the base elsewhere than where it stands", mounts[0].GetPrim(), fix=fix
+                "a joint that holds the base elsewhere than where it stands",
+                mounts[0].GetPrim(),
+                fix=fix,
+                allowed="the frame in which the base stands",
             )
         self.base_frame = frame
         self.base = self.link([(base, frame)])  # what is fixed has its shapes in the world's frame
@@ -109,10 +130,20 @@ class _Chain:
             targets = relation.GetTargets()
             if targets and targets[0] not in self.bodies:
                 what = f"a joint to <{targets[0]}>, which is no rigid body of the robot"
-                raise self.scene.error(what, joint.GetPrim(), allowed=", ".join(f"<{path}>" for path in self.bodies))
+                raise self.scene.error(
+                    what,
+                    joint.GetPrim(),
+                    allowed=", ".join(f"<{path}>" for path in self.bodies),
+                    fix="set physics:body0 and physics:body1 to links of the robot",
+                )
             found.append(self.bodies[targets[0]] if targets else None)
         if found[1] is None:
-            raise self.scene.error("a joint that moves nothing", joint.GetPrim(), allowed="physics:body1 names a link")
+            raise self.scene.error(
+                "a joint that moves nothing",
+                joint.GetPrim(),
+                allowed="physics:body1 names a link",
+                fix="set physics:body1, or remove the joint",
+            )
         return found[0], found[1]
 
     def frames(self, joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
@@ -122,7 +153,9 @@ class _Chain:
         if not (np.abs([np.array(before), np.array(after)]) < FARTHEST).all():
             allowed = f"numbers, and lengths below {FARTHEST:g} m"
             what = "a joint whose frames are not finite, or far away"
-            raise self.scene.error(what, joint.GetPrim(), allowed=allowed)
+            raise self.scene.error(
+                what, joint.GetPrim(), allowed=allowed, fix="correct physics:localPos0 and physics:localPos1"
+            )
         return before, after
 
     def walk(self) -> tuple[tuple[Joint, ...], tuple[Link, ...]]:
@@ -134,21 +167,41 @@ class _Chain:
             if joints:
                 links.append(self.link(group))
             elif len(group) > 1:
-                raise self.scene.error("something is welded to the robot's base", group[1][0], allowed="a base alone")
+                raise self.scene.error(
+                    "something is welded to the robot's base",
+                    group[1][0],
+                    allowed="a base alone",
+                    fix="make its shapes part of the base",
+                )
             if len(moving) > 1:
                 names = " and ".join(f"<{joint.GetPath()}>" for joint in moving)
-                raise self.scene.error(f"the arm branches: {names}", body, allowed="a serial arm")
+                raise self.scene.error(
+                    f"the arm branches: {names}",
+                    body,
+                    allowed="a serial arm",
+                    fix="remove the joints of all branches but one",
+                )
             self.welded = group
             body = None
             if moving:
                 if self.ends(moving[0])[0] != group[0][0]:
                     prim = moving[0].GetPrim()
-                    raise self.scene.error("a joint on a welded part", prim, allowed="only the tool is welded")
+                    raise self.scene.error(
+                        "a joint on a welded part",
+                        prim,
+                        allowed="only the tool is welded",
+                        fix="make the joint start at the link that the part is welded to",
+                    )
                 unread = Joint(str(moving[0].GetPath()), _UNREAD, -math.inf, math.inf, math.inf, math.inf)
                 joints.append(self.scene.attempt(unread, self.joint, moving[0]))
                 body = self.ends(moving[0])[1]
         if not joints:
-            raise self.scene.error("a robot without moving joints", self.base_prim, allowed="a joint that moves a link")
+            raise self.scene.error(
+                "a robot without moving joints",
+                self.base_prim,
+                allowed="a joint that moves a link",
+                fix="give its joints physics:body0 and physics:body1, from the base outwards",
+            )
         return tuple(joints), tuple(links)
 
     def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:
@@ -171,7 +224,9 @@ class _Chain:
     def reach(self, body: Usd.Prim) -> None:
         """Come to a body of the chain, for the first time."""
         if body.GetPath() in self.reached:
-            raise self.scene.error("a link with two joints before it", body, allowed="a serial arm")
+            raise self.scene.error(
+                "a link with two joints before it", body, allowed="a serial arm", fix="remove one of the joints"
+            )
         self.reached.add(body.GetPath())
 
     def link(self, group: list[tuple[Usd.Prim, Gf.Matrix4d]]) -> Link:
@@ -190,11 +245,19 @@ class _Chain:
         turns, slides = UsdPhysics.RevoluteJoint(prim), UsdPhysics.PrismaticJoint(prim)
         if not (turns or slides):
             allowed = "PhysicsRevoluteJoint or PhysicsPrismaticJoint"
-            raise scene.error(f"a joint of type {prim.GetTypeName()}", prim, allowed=allowed)
+            raise scene.error(
+                f"a joint of type {prim.GetTypeName()}",
+                prim,
+                allowed=allowed,
+                fix="change its type; a PhysicsFixedJoint welds the tool on",
+            )
         axis = (turns or slides).GetAxisAttr().Get()
         if axis != UsdPhysics.Tokens.z:
             raise scene.error(
-                f"a joint {'about' if turns else 'along'} its {axis} axis", prim, allowed="physics:axis = Z"
+                f"a joint {'about' if turns else 'along'} its {axis} axis",
+                prim,
+                allowed="physics:axis = Z",
+                fix="turn the frames of the joint and of the links until z is its axis",
             )
         before, after = self.frames(joint)
         if self.ends(joint)[0] == self.base_prim:
@@ -204,13 +267,19 @@ class _Chain:
                 "a joint whose frame is not that of the link it moves",
                 prim,
                 allowed="physics:localPos1 = 0 and physics:localRot1 = 1",
+                fix="put the frame of the link at the joint; shapes and mass stay where they are in the world",
             )
         kind, drive, inward = ("revolute", "angular", math.radians) if turns else ("prismatic", "linear", float)
         unit = _UNITS[kind]
         lower = inward(scene.number(prim, "physics:lowerLimit", -math.inf))
         upper = inward(scene.number(prim, "physics:upperLimit", math.inf))
         if not lower < upper:
-            raise scene.error(f"limits of {lower:.4g} and {upper:.4g} {unit}", prim, allowed="lower below upper")
+            raise scene.error(
+                f"limits of {lower:.4g} and {upper:.4g} {unit}",
+                prim,
+                allowed="lower below upper",
+                fix="set physics:lowerLimit and physics:upperLimit",
+            )
         if slides and not max(abs(lower), abs(upper)) < FARTHEST:
             fix = "give physics:lowerLimit and physics:upperLimit in metres"
             raise scene.error("a joint that slides without end", prim, allowed="finite limits", fix=fix)
@@ -219,7 +288,9 @@ class _Chain:
         velocity = inward(scene.number(prim, "newton:velocityLimit", math.inf))
         if effort <= 0.0 or velocity <= 0.0:
             what = f"limits of {effort:g} {_EFFORTS[kind]} and {velocity:g} {unit}/s"
-            raise scene.error(what, prim, allowed="more than zero")
+            raise scene.error(
+                what, prim, allowed="more than zero", fix="give what the joint can do, or leave the limit out"
+            )
         return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind)
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
@@ -231,7 +302,10 @@ class _Chain:
                     break
                 return transform(local * placed)
         raise self.scene.error(
-            "a tool that is not on the robot's last link", prim, allowed=f"on {self.welded[0][0].GetPath()}, unscaled"
+            "a tool that is not on the robot's last link",
+            prim,
+            allowed=f"on {self.welded[0][0].GetPath()}, unscaled",
+            fix="put the Xform at the tip below that link, or below a body welded to it",
         )
 
 

@@ -13,23 +13,25 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom
 
 @dataclass(frozen=True)
 class Unsound:
-    """A property that cannot be read: where, what was found, what is allowed."""
+    """A property that cannot be read: where, what was found, what is allowed, what to do."""
 
     prim: Usd.Prim
     what: str
     allowed: str
+    fix: str = "write it as its schema says, or take it out"
 
 
 def unsound_properties(stage: Usd.Stage) -> Iterator[Unsound]:
     """Properties that are not what their schemas say, and places that USD cannot compute."""
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
-        definition = prim.GetPrimDefinition()
+        definition, found = prim.GetPrimDefinition(), list[Unsound]()
         for name in prim.GetAuthoredPropertyNames():
             wanted = definition.GetSchemaPropertySpec(name)
             if wanted is not None and not name.startswith("oimppi:"):  # whose readers say more
-                yield from _other_than(prim, name, wanted)
-        if prim.IsA(UsdGeom.Xformable):
-            yield from _misplaced(prim)
+                found += _other_than(prim, name, wanted)
+        if prim.IsA(UsdGeom.Xformable) and not found:
+            found += _misplaced(prim)
+        yield from found
 
 
 def usd_reason(error: BaseException) -> str:
@@ -65,7 +67,9 @@ def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
     value = type_name.scalarType.defaultValue
     if isinstance(value, bool):
         kind = "bool"
-    elif isinstance(value, int | float):
+    elif isinstance(value, int):
+        kind = "whole number"
+    elif isinstance(value, float):
         kind = "number"
     elif isinstance(value, str):
         kind = "words"
@@ -81,12 +85,13 @@ def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
 def _misplaced(prim: Usd.Prim) -> Iterator[Unsound]:
     """A place that USD would compute without the operations that it cannot follow."""
     allowed = "names of xformOp attributes of this prim, each of the type of its operation"
+    fix = "correct xformOpOrder"
     order = UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or []
     for name in (word.removeprefix("!invert!") for word in order if word != "!resetXformStack!"):
         if not name.startswith("xformOp:") or not prim.HasAttribute(name):
-            yield Unsound(prim, f"xformOpOrder names {name}, which is no operation here", allowed)
+            yield Unsound(prim, f"xformOpOrder names {name}, which is no operation here", allowed, fix)
             return
     try:
         UsdGeom.Xformable(prim).GetOrderedXformOps()
     except Tf.ErrorException as error:
-        yield Unsound(prim, f"xformOpOrder cannot be followed ({usd_reason(error)})", allowed)
+        yield Unsound(prim, f"xformOpOrder cannot be followed ({usd_reason(error)})", allowed, fix)

@@ -11,6 +11,7 @@ import numpy as np
 from pxr import Ar, Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
 from oimppi_warp.errors import Problem, SceneError
+from oimppi_warp.usd.frames import is_rigid, readable, scales, single
 from oimppi_warp.usd.meshes import simplify_meshes
 from oimppi_warp.usd.sound import unsound_properties, usd_reason
 from oimppi_warp.usd.units import to_si, to_z_up
@@ -37,14 +38,14 @@ class SceneStage:
     opened (``units.py``, ``upright.py``, ``meshes.py``). Whoever reads a scene's file reads this stage, so that all
     read the same numbers.
 
+    Args:
+        file: The USD file.
+        mistakes: Where mistakes are collected; without it, the first one is raised.
+
     Attributes:
         file: The USD file.
         stage: The stage; what is set on it goes to its session layer, and leaves the file as it is.
         layers: The files that it is composed of.
-
-    Args:
-        file: The USD file.
-        mistakes: Where mistakes are collected; without it, the first one is raised.
 
     Raises:
         SceneError: There is no such file, it is not USD, something that it refers to is missing, or its units are not
@@ -55,13 +56,15 @@ class SceneStage:
         self.file = file
         self._mistakes = mistakes
         if not file.is_file():
-            raise self.error("there is no such file")
+            raise self.error("there is no such file", allowed="a USD file", fix="correct the path")
         silenced = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
         try:
             self.stage = self._open()
             self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
             self._check_units()
             self._convert()
+        except Tf.ErrorException as error:
+            raise self._unreadable(error) from None
         finally:
             del silenced
 
@@ -71,11 +74,17 @@ class SceneStage:
             stage = Usd.Stage.Open(str(self.file))
         except Tf.ErrorException as error:
             formats = ".usda, .usd, .usdc, .usdz"
-            raise self.error(f"not a USD file that can be read ({usd_reason(error)})", allowed=formats) from None
+            raise self.error(
+                f"not a USD file that can be read ({usd_reason(error)})",
+                allowed=formats,
+                fix="export it again, or correct it where USD says",
+            ) from None
+        allowed = "a file that is there, and a prim in it"
         fix = "correct it; the paths of references count from the file that they stand in"
-        self._give_up_on([self.error(str(each), fix=fix) for each in stage.GetCompositionErrors()])
+        broken = stage.GetCompositionErrors()
+        self._give_up_on([self.error(str(each), allowed=allowed, fix=fix) for each in broken])
         unsound = unsound_properties(stage)
-        self._give_up_on([self.error(each.what, each.prim, allowed=each.allowed) for each in unsound])
+        self._give_up_on([self.error(each.what, each.prim, allowed=each.allowed, fix=each.fix) for each in unsound])
         return stage
 
     def _convert(self) -> None:
@@ -110,8 +119,13 @@ class SceneStage:
         except SceneError as mistake:
             self.keep(mistake)
         except Tf.ErrorException as error:
-            self.keep(self.error(f"OpenUSD cannot read it ({usd_reason(error)})", allowed="sound USD"))
+            self.keep(self._unreadable(error))
         return otherwise
+
+    def _unreadable(self, error: BaseException) -> SceneError:
+        """What USD itself says about something that it cannot read."""
+        what = f"OpenUSD cannot read it ({usd_reason(error)})"
+        return self.error(what, allowed="sound USD", fix="correct what it names")
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
         """A :class:`SceneError` at a prim of this file."""
@@ -134,7 +148,11 @@ class SceneStage:
             raise self.error(what, allowed='upAxis "Y" or "Z"', fix='give it at the head of the file: "Z" for z')
         for name, unit in (("metersPerUnit", lengths), ("kilogramsPerUnit", masses)):
             if not (np.isfinite(unit) and unit > 0.0):
-                raise self.error(f"{name} is {unit:g}", allowed="a number above zero")
+                raise self.error(
+                    f"{name} is {unit:g}",
+                    allowed="a number above zero",
+                    fix="give the unit that the numbers in the file are in: 1 for metres, or kilograms",
+                )
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
         """All active prims below ``root`` (itself included), those in instances too, in the order of the file."""
@@ -197,7 +215,7 @@ class SceneStage:
         if value is None:
             return fallback
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(f"{name} is {value!r}", prim, allowed="a number")
+            raise self.error(f"{name} is {value!r}", prim, allowed="a number", fix="give a number")
         return single(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
@@ -205,7 +223,12 @@ class SceneStage:
         frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
         if not (np.abs(np.array(frame)) < FARTHEST).all():
             allowed = f"numbers, and lengths below {FARTHEST:g} m"
-            raise self.error("a place that is not finite, or far away", prim, allowed=allowed)
+            raise self.error(
+                "a place that is not finite, or far away",
+                prim,
+                allowed=allowed,
+                fix="correct its xformOps, or those of the prims above",
+            )
         return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
@@ -214,7 +237,7 @@ class SceneStage:
         if not is_rigid(frame):
             self.keep(
                 self.error(
-                    f"a body with a scale {_readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
+                    f"a body with a scale {readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
                 )
             )
         return frame.GetOrthonormalized()
@@ -226,7 +249,12 @@ class SceneStage:
             return None
         value = self.number(material.GetPrim(), "physics:dynamicFriction", 0.0)
         if not (np.isfinite(value) and value >= 0.0):
-            raise self.error(f"physics:dynamicFriction is {value:g}", material.GetPrim(), allowed="zero or more")
+            raise self.error(
+                f"physics:dynamicFriction is {value:g}",
+                material.GetPrim(),
+                allowed="zero or more",
+                fix="give the coefficient of Coulomb friction",
+            )
         return value
 
 
@@ -253,34 +281,3 @@ def schema_default(name: str) -> Any:
 def schema_attributes() -> dict[str, tuple[str, ...]]:
     """Our API schemas with the names of their attributes."""
     return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}
-
-
-def scales(frame: Gf.Matrix4d) -> np.ndarray:
-    """Lengths of a frame's axes, shape [3]."""
-    return np.array([frame.GetRow3(i).GetLength() for i in range(3)])
-
-
-def is_rigid(frame: Gf.Matrix4d) -> bool:
-    """Whether a frame is turned and moved only, neither scaled nor mirrored."""
-    return bool(np.allclose(scales(frame), 1.0, atol=1e-5)) and frame.GetDeterminant() > 0
-
-
-def transform(frame: Gf.Matrix4d) -> np.ndarray:
-    """A frame without its scale, as (position, quaternion xyzw), shape [7]."""
-    q = frame.GetOrthonormalized().ExtractRotationQuat().GetNormalized()
-    return np.array([*frame.ExtractTranslation(), *q.GetImaginary(), q.GetReal()])
-
-
-def matrix(position: Any, orientation: Any) -> Gf.Matrix4d:
-    """The frame at a position with an orientation (quaternion of any precision)."""
-    q = Gf.Quatd(float(orientation.GetReal()), Gf.Vec3d(orientation.GetImaginary())).GetNormalized()
-    return Gf.Matrix4d().SetTransform(Gf.Rotation(q), Gf.Vec3d(*map(single, position)))
-
-
-def single(value: float) -> float:
-    """The decimal that was written where USD keeps single precision: 0.4 and not 0.4000000059604645."""
-    return float(str(np.float32(value)))
-
-
-def _readable(values: np.ndarray) -> str:
-    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

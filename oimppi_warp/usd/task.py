@@ -56,7 +56,9 @@ def read_task(stage: SceneStage) -> TaskWords:
 def _goal(stage: SceneStage, world: Usd.Prim) -> PlanarPose:
     x, y, yaw = map(float, stage.numbers(world, "oimppi:goal", (3,), f"{_POSE} of the object's goal"))
     if not all(map(math.isfinite, (x, y, yaw))):
-        raise stage.error(f"oimppi:goal is not finite: ({x:g}, {y:g}, {yaw:g})", world, allowed=_POSE)
+        raise stage.error(
+            f"oimppi:goal is not finite: ({x:g}, {y:g}, {yaw:g})", world, allowed=_POSE, fix="give numbers"
+        )
     return x, y, yaw
 
 
@@ -64,7 +66,7 @@ def _starts(stage: SceneStage, world: Usd.Prim) -> np.ndarray:
     starts = stage.numbers(world, "oimppi:starts", (-1, 3), f"a list of {_POSE}")
     for number in np.flatnonzero(~np.isfinite(starts).all(axis=1)):
         what = f"oimppi:starts[{number}] is not finite: {tuple(starts[number].tolist())}"
-        stage.keep(stage.error(what, world, allowed=_POSE))
+        stage.keep(stage.error(what, world, allowed=_POSE, fix="give numbers"))
     return starts
 
 
@@ -72,12 +74,22 @@ def _spread(stage: SceneStage, world: Usd.Prim) -> tuple[float, float]:
     meaning = "half widths (position [m], yaw [rad]), zero or more"
     position, yaw = map(float, stage.numbers(world, "oimppi:spread", (2,), meaning))
     if not (0.0 <= position < math.inf and 0.0 <= yaw < math.inf):
-        raise stage.error(f"oimppi:spread is ({position:g}, {yaw:g})", world, allowed="finite numbers, zero or more")
+        raise stage.error(
+            f"oimppi:spread is ({position:g}, {yaw:g})",
+            world,
+            allowed="finite numbers, zero or more",
+            fix="give half widths of the box of starts, or leave it out",
+        )
     return position, yaw
 
 
 def _tolerance(stage: SceneStage, world: Usd.Prim, name: str) -> Tolerance:
     position, yaw = map(float, stage.numbers(world, name, (2,), "(position [m], yaw [rad]), each more than zero"))
     if not (position > 0.0 and yaw > 0.0):
-        raise stage.error(f"{name} is ({position:g}, {yaw:g})", world, allowed="numbers above zero")
+        raise stage.error(
+            f"{name} is ({position:g}, {yaw:g})",
+            world,
+            allowed="numbers above zero",
+            fix="give them, or leave it out; inf for a yaw that does not matter",
+        )
     return Tolerance(position, yaw)

@@ -10,8 +10,9 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 from oimppi_warp.footprint import height_range, rotation_matrix
 from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
+from oimppi_warp.usd.frames import is_orthogonal, scales, single, transform
 from oimppi_warp.usd.robot import read_mass
-from oimppi_warp.usd.stage import SceneStage, is_rigid, single, transform
+from oimppi_warp.usd.stage import SceneStage
 
 FLOATING = 1e-3
 """How far an object may stand above or in the table in the file [m]."""
@@ -41,7 +42,12 @@ def read_table(stage: SceneStage) -> Table:
     if moving or len(colliders) < len(list(collider_prims(prim))):
         return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are known
     found = f"; what is flat has its top at {', '.join(tops)}" if tops else ""
-    raise stage.error(f"a table without a flat top at z = 0{found}", prim, allowed=allowed)
+    raise stage.error(
+        f"a table without a flat top at z = 0{found}",
+        prim,
+        allowed=allowed,
+        fix="use a box that is not tilted, and move it until its top is at z = 0",
+    )
 
 
 def _level_half(collider: Collider) -> np.ndarray | None:
@@ -61,9 +67,16 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
     """
     prim = stage.the("OimppiObjectAPI", "object", "the rigid body that is to be pushed")
     if not prim.HasAPI(UsdPhysics.RigidBodyAPI) or not UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
-        stage.keep(stage.error("an object that cannot move", prim, fix="apply PhysicsRigidBodyAPI to it"))
+        stage.keep(
+            stage.error(
+                "an object that cannot move",
+                prim,
+                fix="apply PhysicsRigidBodyAPI to it",
+                allowed="a rigid body that is enabled",
+            )
+        )
     mass = stage.attempt(math.nan, read_mass, stage, prim)
-    frame = stage.body_frame(prim)
+    frame = _object_frame(stage, prim)
     colliders = read_colliders(stage, prim, frame)
     center, rest_height, friction, tool_friction = np.zeros(3), 0.0, math.nan, math.nan
     if not any(collider_prims(prim)):
@@ -71,8 +84,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
         stage.keep(stage.error("an object without a collider", prim, allowed=ALLOWED, fix=fix))
     elif len(colliders) == len(list(collider_prims(prim))):
         rest_height = round(-float(height_range(colliders)[0]), 6)
-        if is_rigid(stage.frame(prim)):
-            _check_lies(stage, prim, transform(frame), rest_height)
+        _check_lies(stage, prim, transform(frame), rest_height)
         center = _center_of_mass(stage, prim, colliders)
     if colliders:
         friction, tool_friction = _frictions(stage, prim)
@@ -97,7 +109,12 @@ def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
         SceneError: It has no collider.
     """
     if not _moving_parts(stage, prim, "obstacle") and not any(collider_prims(prim)):
-        raise stage.error("an obstacle without a collider", prim, allowed=ALLOWED)
+        raise stage.error(
+            "an obstacle without a collider",
+            prim,
+            allowed=ALLOWED,
+            fix="apply PhysicsCollisionAPI to a shape at it or below it",
+        )
     return Obstacle(str(prim.GetPath()), read_colliders(stage, prim, _WORLD))
 
 
@@ -126,6 +143,19 @@ def check_roles(stage: SceneStage) -> None:
             stage.keep(mistake)
 
 
+def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
+    """The object's frame in the world without its scale, which is that of its shapes: a scaled Cube may be a body."""
+    frame = stage.frame(prim)
+    if not is_orthogonal(frame) or scales(frame).min() < 1e-9 or frame.GetDeterminant() <= 0.0:
+        raise stage.error(
+            "an object that is mirrored, sheared, or scaled to nothing",
+            prim,
+            allowed="moved, turned, and scaled along its own axes",
+            fix="scale its shapes instead",
+        )
+    return frame.GetOrthonormalized()
+
+
 def _check_lies(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:
     """An object lies flat, and neither above nor in the table."""
     if abs(pose[3]) > 1e-4 or abs(pose[4]) > 1e-4:
@@ -144,7 +174,7 @@ def _center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider
     given = UsdPhysics.MassAPI(prim).GetCenterOfMassAttr().Get()
     center = np.array([single(c) for c in given or [math.nan]])
     if np.isfinite(center).all():
-        return center
+        return center * scales(stage.frame(prim))
     parts = [volume_and_center(stage, collider) for collider in colliders]
     return np.average([c for _, c in parts], axis=0, weights=[volume for volume, _ in parts])
 
@@ -172,5 +202,9 @@ def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:
     moving = [part for part in stage.prims(prim) if part.HasAPI(UsdPhysics.RigidBodyAPI)]
     for part in moving:
         allowed = "static shapes: CollisionAPI without RigidBodyAPI"
-        stage.keep(stage.error(f"a rigid body in the {noun}", part, allowed=allowed))
+        stage.keep(
+            stage.error(
+                f"a rigid body in the {noun}", part, allowed=allowed, fix="remove PhysicsRigidBodyAPI, or the role"
+            )
+        )
     return bool(moving)

@@ -103,18 +103,16 @@ def _powers(prim: Usd.Prim, attribute: Usd.Attribute) -> tuple[int, int]:
 
 
 def _scale(attribute: Usd.Attribute, factor: float) -> None:
-    times = attribute.GetTimeSamples()
-    values = [(time, attribute.Get(time)) for time in (Usd.TimeCode.Default(), *times)]
-    for time, value in values:
+    """Multiplies an attribute's numbers, at all times; what are no numbers is left to its reader."""
+    for time in (Usd.TimeCode.Default(), *attribute.GetTimeSamples()):
+        value = attribute.Get(time)
         if isinstance(value, Gf.Matrix4d):
             attribute.Set(Gf.Matrix4d(value).SetTranslateOnly(value.ExtractTranslation() * factor), time)
-        elif isinstance(value, float | int):
+        elif isinstance(value, float) or hasattr(value, "GetLength"):  # a number, a vector
             attribute.Set(value * factor, time)
-        elif value is not None and hasattr(type(value), "FromNumpy"):
-            scaled = np.asarray(value) * factor
-            attribute.Set(type(value).FromNumpy(scaled.astype(np.asarray(value).dtype)), time)
-        elif value is not None:
-            attribute.Set(type(value)(*(part * factor for part in value)), time)
+        elif hasattr(type(value), "FromNumpy") and np.asarray(value).dtype.kind == "f":
+            numbers = np.asarray(value)
+            attribute.Set(type(value).FromNumpy((numbers * factor).astype(numbers.dtype)), time)
 
 
 def _stands_in_world(prim: Usd.Prim) -> bool:

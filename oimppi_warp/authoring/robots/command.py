@@ -59,11 +59,11 @@ class AddRobot:
 
         device.start_warp()
         wp.set_logger(device.CompileNotice(Console(stderr=True, highlight=False).print))
-        from oimppi_warp.authoring import arm
-        from oimppi_warp.authoring.start import with_start
-        from oimppi_warp.authoring.trial import write_trial
-        from oimppi_warp.authoring.urdf import read_urdf
-        from oimppi_warp.authoring.usd_robot import read_usd
+        from oimppi_warp.authoring.robots import arm_usd
+        from oimppi_warp.authoring.robots.from_urdf import read_urdf
+        from oimppi_warp.authoring.robots.from_usd import read_usd
+        from oimppi_warp.authoring.robots.start import with_start
+        from oimppi_warp.authoring.robots.trial import write_trial
         from oimppi_warp.reach import reach_of
 
         console = Console(highlight=False, soft_wrap=True)
@@ -81,7 +81,9 @@ class AddRobot:
             made = with_start(made, file=self.file)
             robot = made.robot()
             with tempfile.TemporaryDirectory() as folder:  # what is not good is not kept
-                arm.write(made, Path(folder) / "robots" / f"{name}.usda")
+                skin = f"{name}_skin.usdc"
+                drawn = arm_usd.write_visuals(made, Path(folder) / "robots" / skin)
+                arm_usd.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
                 scene = write_trial(robot, name, Path(folder))
                 self._keep(Path(folder))
         bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
@@ -113,7 +115,7 @@ class AddRobot:
 
     def _keep(self, folder: Path) -> None:
         """Copy what was written to where it belongs; an object that is there already stays as it is."""
-        for file in folder.rglob("*.usda"):
+        for file in folder.rglob("*.usd*"):
             target = self.out / file.relative_to(folder)
             if target.exists() and target.parent.name == "objects":
                 continue

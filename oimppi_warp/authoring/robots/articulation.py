@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from oimppi_warp.authoring.arm import Arm, ArmJoint, ArmLink, Stick
-from oimppi_warp.authoring.chain import Chain
-from oimppi_warp.authoring.fitting import fitted
 from oimppi_warp.authoring.prims import Look, matrix_quat, z_to
+from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, Visual
+from oimppi_warp.authoring.robots.chain import Chain
+from oimppi_warp.authoring.robots.fitting import fitted
 from oimppi_warp.errors import SceneError
-from oimppi_warp.footprint import rotation_matrix
+from oimppi_warp.footprint import rotation_matrix, transform_points
 from oimppi_warp.scene import Collider
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class Articulation:
         self._names = {index: name for name, index in bodies.items()}
 
     def arm(self, chain: Chain, *, name: str, doc: str, length: float, radius: float, axis: ToolAxis) -> Arm:
-        """The arm that a chain makes, its start still all zeros (:func:`oimppi_warp.authoring.start.with_start`).
+        """The arm that a chain makes, its start still all zeros (see :func:`.start.with_start`).
 
         Args:
             chain: Which links and joints.
@@ -122,7 +122,9 @@ class Articulation:
 
     def _link(self, placed: dict[str, np.ndarray], turn: np.ndarray) -> ArmLink:
         """Parts that are fixed to each other as one link, their frames seen from one that is turned."""
-        mass, first, second, shapes = 0.0, np.zeros(3), np.zeros((3, 3)), []
+        mass, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+        shapes: list[Collider] = []
+        visuals: list[Visual] = []
         for name, frame in placed.items():
             frame, body = turn @ frame, self._bodies[name]
             m = float(self._builder.body_mass[body])
@@ -133,15 +135,42 @@ class Articulation:
             for shape in self._builder.body_shapes[body]:
                 if self._builder.shape_flags[shape] & self._collides:
                     shapes.append(self._collider(shape, frame, f"collider{len(shapes)}", name))
+                else:
+                    visuals += self._visual(shape, frame, f"part{len(visuals)}")
         center = first / max(mass, 1e-12)
         inertia = second - mass * _shifted(center)
         if mass > 0.0 and np.linalg.eigvalsh(inertia)[0] <= 0.0:
             what = f"link {next(iter(placed))} has an inertia that no body has"
             raise SceneError(what, file=self._file, allowed="moments above zero", fix="correct its inertia")
-        return ArmLink(mass, center, inertia, tuple(shapes))
+        return ArmLink(mass, center, inertia, tuple(shapes), tuple(visuals))
 
     def _collider(self, shape: int, frame: np.ndarray, name: str, link: str) -> Collider:
         """A collision shape on a frame."""
+        found = self._shape(shape, frame, name)
+        if found is None:
+            what = f"link {link} has a collision shape of a kind that is not known"
+            allowed = "boxes, spheres, cylinders, capsules and meshes"
+            raise SceneError(what, file=self._file, allowed=allowed)
+        if found.vertices is None:
+            return found
+        try:
+            return fitted(name, transform_points(found.transform, found.vertices))
+        except ValueError as error:
+            raise SceneError(f"link {link}: {error}", file=self._file, allowed="solid collision meshes") from None
+
+    def _visual(self, shape: int, frame: np.ndarray, name: str) -> list[Visual]:
+        """What is only looked at on a frame; nothing where it is of a kind that is not known."""
+        found = self._shape(shape, frame, name)
+        if found is None:
+            return []
+        r, g, b = (_linear(float(value)) for value in self._builder.shape_color[shape])
+        faces = []
+        if found.vertices is not None:
+            faces = np.asarray(self._builder.shape_source[shape].indices).reshape(-1, 3).tolist()
+        return [Visual(found, (r, g, b), faces)]
+
+    def _shape(self, shape: int, frame: np.ndarray, name: str) -> Collider | None:
+        """A shape on a frame, a mesh with all its vertices; ``None`` where it is of a kind that is not known."""
         builder, geo = self._builder, self._geo
         frame = frame @ matrix_of(builder.shape_transform[shape])
         size = [float(value) for value in builder.shape_scale[shape]]
@@ -154,14 +183,9 @@ class Articulation:
         if kind in (geo.CYLINDER, geo.CAPSULE):
             return Collider(name, "cylinder" if kind == geo.CYLINDER else "capsule", at, (size[0], size[1]))
         if builder.shape_source[shape] is None:
-            what = f"link {link} has a collision shape of a kind that is not known"
-            allowed = "boxes, spheres, cylinders, capsules and meshes"
-            raise SceneError(what, file=self._file, allowed=allowed)
+            return None
         points = np.asarray(builder.shape_source[shape].vertices, dtype=float) * size
-        try:
-            return fitted(name, points @ frame[:3, :3].T + frame[:3, 3])
-        except ValueError as error:
-            raise SceneError(f"link {link}: {error}", file=self._file, allowed="solid collision meshes") from None
+        return Collider(name, "mesh", at, vertices=points)
 
 
 def matrix_of(transform: object) -> np.ndarray:
@@ -171,6 +195,11 @@ def matrix_of(transform: object) -> np.ndarray:
     frame[:3, :3] = rotation_matrix(values[3:] / np.linalg.norm(values[3:]))
     frame[:3, 3] = values[:3]
     return frame
+
+
+def _linear(value: float) -> float:
+    """A colour value of sRGB, as Newton keeps them, in linear light, as USD does."""
+    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
 
 
 def _shifted(center: np.ndarray) -> np.ndarray:

@@ -1,12 +1,8 @@
-"""A robot as data, a chain of links and joints with a stick at its end, and how it is written as a USD articulation.
-
-Metres, radians, kilograms; joints turn about or slide along their local +z.
-"""
+"""A robot written as a USD articulation, and what it looks like as a layer beside it."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +12,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from oimppi_warp.authoring.prims import (
     COLLIDER,
     Look,
-    Vector,
     apply_api,
     attribute,
     bind_physics,
@@ -32,140 +27,15 @@ from oimppi_warp.authoring.prims import (
     quat,
     sphere,
     vec3,
-    z_to,
 )
+from oimppi_warp.authoring.robots.arm import NOT_TURNED, Arm, ArmJoint
 from oimppi_warp.footprint import rotation_matrix, transform_points
 from oimppi_warp.kinematics import link_frames
 from oimppi_warp.newton_model import DRIVE_GAIN, SLIDE_GAIN
-from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
+from oimppi_warp.scene import Collider
 
 FRICTION = 0.3
 """Coulomb coefficient of an arm and of its stick."""
-
-NOT_TURNED = (0.0, 0.0, 0.0, 1.0)
-"""The quaternion of no rotation."""
-
-
-@dataclass(frozen=True, eq=False)
-class ArmLink:
-    """A rigid link.
-
-    Attributes:
-        mass: [kg].
-        center: Centre of mass in the link's frame [m].
-        inertia: About it, in the link's axes, shape [3, 3] [kg m^2].
-        colliders: Shapes in the link's frame; a collider's path is the name of its prim.
-    """
-
-    mass: float
-    center: Vector
-    inertia: np.ndarray
-    colliders: tuple[Collider, ...] = ()
-
-
-@dataclass(frozen=True)
-class ArmJoint:
-    """A joint: its frame in the frame of the link before it, and what it can do.
-
-    Attributes:
-        position: [m].
-        turn: Quaternion xyzw.
-        lower, upper: Position limits [rad; m where it slides].
-        effort: [N m; N].
-        velocity: [rad/s; m/s].
-        kind: Whether it turns or slides.
-    """
-
-    position: Vector
-    turn: Vector
-    lower: float
-    upper: float
-    effort: float
-    velocity: float
-    kind: JointKind = "revolute"
-
-
-@dataclass(frozen=True)
-class Stick:
-    """The tool: a round stick that points along z of the frame that it is mounted in.
-
-    Attributes:
-        length, radius: [m].
-        mass: [kg].
-        position: Where it begins, in the last link's frame [m].
-        turn: Quaternion xyzw.
-    """
-
-    length: float
-    radius: float = 0.008
-    mass: float = 0.05
-    position: Vector = (0.0, 0.0, 0.0)
-    turn: Vector = NOT_TURNED
-
-    @property
-    def mount(self) -> np.ndarray:
-        """Where it begins, in the last link's frame, shape [7]."""
-        return np.array([*self.position, *self.turn])
-
-
-@dataclass(frozen=True)
-class Arm:
-    """A serial robot with a stick.
-
-    Attributes:
-        name: Name of its root prim.
-        doc: What it is.
-        base: The link that stands fast at the world's origin.
-        joints: From base to flange.
-        links: The link that each joint moves.
-        stick: The tool.
-        start: Joint positions at the start of an episode.
-        look: How its colliders show; as they are drawn by a skin, not at all.
-    """
-
-    name: str
-    doc: str
-    base: ArmLink
-    joints: tuple[ArmJoint, ...]
-    links: tuple[ArmLink, ...]
-    stick: Stick
-    start: tuple[float, ...]
-    look: Look = COLLIDER
-
-    def robot(self) -> Robot:
-        """The same as planners know it."""
-        root = f"/{self.name}"
-        tip = transform_points(self.stick.mount, np.array([0.0, 0.0, self.stick.length]))[0]
-        return Robot(
-            path=root,
-            base=Link(f"{root}/base", self.base.mass, self.base.colliders),
-            joints=tuple(
-                Joint(
-                    f"{root}/joints/joint{number}",
-                    np.array([*joint.position, *joint.turn]),
-                    joint.lower,
-                    joint.upper,
-                    joint.velocity,
-                    joint.effort,
-                    joint.kind,
-                )
-                for number, joint in enumerate(self.joints, start=1)
-            ),
-            links=tuple(
-                Link(f"{root}/link{number}", link.mass, link.colliders)
-                for number, link in enumerate(self.links, start=1)
-            ),
-            tip=np.array([*tip, *self.stick.turn]),
-            tool_path=f"{root}/tool/tip",
-            tool_radius=self.stick.radius,
-            start=np.array(self.start, dtype=float),
-        )
-
-
-def capsule_between(name: str, a: Vector, b: Vector, radius: float) -> Collider:
-    """A capsule by the ends of its axis [m]."""
-    a, b = np.asarray(a, float), np.asarray(b, float)
-    return Collider(name, "capsule", np.array([*(a + b) / 2, *z_to(b - a)]), (radius, float(np.linalg.norm(b - a)) / 2))
 
 
 def write(arm: Arm, file: Path, *, skin: str = "") -> None:
@@ -186,7 +56,8 @@ def write(arm: Arm, file: Path, *, skin: str = "") -> None:
         UsdPhysics.RigidBodyAPI.Apply(prim)
         mass_properties(prim, link.mass, link.center, link.inertia)
         for collider in link.colliders:
-            _write_collider(stage, f"{prim.GetPath()}/{collider.path}", collider, arm.look)
+            look = COLLIDER if link.visuals else arm.look
+            _write_collider(stage, f"{prim.GetPath()}/{collider.path}", collider, look)
     bind_physics(root, material)
     _write_tool(stage, arm)
     _write_joints(stage, arm)
@@ -195,6 +66,25 @@ def write(arm: Arm, file: Path, *, skin: str = "") -> None:
     if skin:
         stage.GetRootLayer().subLayerPaths.append(f"./{skin}")
     stage.Save()
+
+
+def write_visuals(arm: Arm, file: Path) -> bool:
+    """Write what the links look like as a layer of its own, the skin of :func:`write`; whether there is anything."""
+    links = dict(zip(_link_names(arm), (arm.base, *arm.links), strict=True))
+    if not any(link.visuals for link in links.values()):
+        return False
+    stage = new_stage(file, arm.name, f"Looks of {arm.name}")
+    for name, link in links.items():
+        for visual in link.visuals:
+            path, look = f"/{arm.name}/{name}/skin/{visual.shape.path}", Look(visual.color)
+            UsdGeom.Scope.Define(stage, f"/{arm.name}/{name}/skin")
+            if visual.faces:
+                points = transform_points(visual.shape.transform, np.asarray(visual.shape.vertices))
+                mesh(stage, path, points, visual.faces, look)
+            else:
+                _write_collider(stage, path, visual.shape, look)
+    stage.Save()
+    return True
 
 
 def _link_names(arm: Arm) -> list[str]:

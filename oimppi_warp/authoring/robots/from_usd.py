@@ -10,8 +10,8 @@ import networkx as nx
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.authoring.articulation import Articulation, matrix_of
-from oimppi_warp.authoring.chain import Chain, Kind, Limits, TreeJoint, serial_chain
+from oimppi_warp.authoring.robots.articulation import Articulation, matrix_of
+from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.errors import SceneError
 from oimppi_warp.newton_model import collector_paused
 
@@ -38,7 +38,7 @@ def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
         import newton
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
-        found = builder.add_usd(str(file), load_visual_shapes=False, enable_self_collisions=False)
+        found = builder.add_usd(str(file), load_visual_shapes=True, enable_self_collisions=False)
     except Exception as error:  # whatever Newton's importer raises
         raise SceneError(f"it cannot be read ({error})", file=file, allowed="a USD articulation") from error
     bodies, joints = found["path_body_map"], found["path_joint_map"]

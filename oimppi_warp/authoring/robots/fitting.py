@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
-from oimppi_warp.authoring.arm import capsule_between
+from oimppi_warp.authoring.robots.arm import capsule_between
 from oimppi_warp.scene import Collider
 
 POINTS = 64

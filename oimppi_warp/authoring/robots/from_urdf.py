@@ -8,8 +8,8 @@ from pathlib import Path
 
 import networkx as nx
 
-from oimppi_warp.authoring.articulation import Articulation
-from oimppi_warp.authoring.chain import Chain, Kind, Limits, TreeJoint, serial_chain
+from oimppi_warp.authoring.robots.articulation import Articulation
+from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.errors import SceneError
 from oimppi_warp.newton_model import collector_paused
 
@@ -19,6 +19,8 @@ _KINDS: dict[str, Kind] = {
     "prismatic": "slides",
     "fixed": "fixed",
 }
+_GREY = '<material name=""><color rgba="0.855 0.86 0.871 1"/></material>'
+"""For looks that have no colour of their own."""
 
 
 def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
@@ -40,9 +42,15 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
         builder.add_urdf(ET.tostring(root, encoding="unicode"))
-    except Exception as error:  # whatever the reader of a mesh raises
-        fix = "meshes may be STL, OBJ or PLY"
-        raise SceneError(f"it cannot be read ({error})", file=file, allowed="a URDF", fix=fix) from error
+    except Exception:  # whatever the reader of a mesh raises
+        for link in root.findall("link"):
+            _remove(link, link.findall("visual"))  # looks may be in formats that nobody here reads
+        builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+        try:
+            builder.add_urdf(ET.tostring(root, encoding="unicode"))
+        except Exception as error:
+            fix = "meshes may be STL, OBJ or PLY"
+            raise SceneError(f"it cannot be read ({error})", file=file, allowed="a URDF", fix=fix) from error
     bodies, joints = (
         {label.rpartition("/")[2]: index for index, label in enumerate(labels)}
         for labels in (builder.body_label, builder.joint_label)
@@ -107,26 +115,40 @@ def _limits(file: Path, joint: ET.Element) -> Limits | None:
 
 
 def _resolve(file: Path, root: ET.Element, members: set[str]) -> None:
-    """Leave out what is only looked at and the shapes of other links, and give the meshes their whole paths."""
+    """Give the meshes their whole paths; leave out the shapes of other links, and looks that are not there."""
     for link in root.findall("link"):
-        gone = [] if link.get("name") in members else link.findall("collision")
-        for element in (*link.findall("visual"), *gone):
-            link.remove(element)
+        if link.get("name") not in members:
+            _remove(link, [*link.findall("visual"), *link.findall("collision")])
         for mesh in link.findall("collision/geometry/mesh"):
-            mesh.set("filename", str(_mesh(file, mesh.get("filename", ""))))
+            name = mesh.get("filename", "")
+            found = _mesh(file, name)
+            if found is None:
+                raise SceneError(
+                    f"the mesh {name!r} is not there",
+                    file=file,
+                    allowed="a path beside it, or package://NAME/ for a folder NAME beside it or above it",
+                    fix="put it there, or take its <collision> out",
+                )
+            mesh.set("filename", str(found))
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            found = None if mesh is None else _mesh(file, mesh.get("filename", ""))
+            if mesh is not None and found is None:
+                link.remove(visual)
+            elif mesh is not None:
+                mesh.set("filename", str(found))
+            if visual.find("material") is None and (found is None or found.suffix.lower() == ".stl"):
+                visual.append(ET.fromstring(_GREY))
 
 
-def _mesh(file: Path, name: str) -> Path:
+def _remove(link: ET.Element, elements: list[ET.Element]) -> None:
+    for element in elements:
+        link.remove(element)
+
+
+def _mesh(file: Path, name: str) -> Path | None:
     """The file of a mesh: a path beside the URDF, or package://NAME/ for a folder NAME beside it or above it."""
     folder = file.resolve().parent
     place = name.removeprefix("package://").removeprefix("file://")
     folders = (folder, *folder.parents) if name.startswith("package://") else (folder,)
-    found = next((above / place for above in folders if name and (above / place).is_file()), None)
-    if found is None:
-        raise SceneError(
-            f"the mesh {name!r} is not there",
-            file=file,
-            allowed="a path beside it, or package://NAME/ for a folder NAME beside it or above it",
-            fix="put it there, or take its <collision> out",
-        )
-    return found
+    return next((above / place for above in folders if name and (above / place).is_file()), None)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from oimppi_warp.authoring.arm import Arm
+from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.errors import SceneError
 from oimppi_warp.kinematics import collider_spheres, link_frames, tip_frame, turning
 from oimppi_warp.reach import joints_for

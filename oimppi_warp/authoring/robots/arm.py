@@ -1,0 +1,157 @@
+"""A robot as data: a chain of links and joints with a stick at its end.
+
+Metres, radians, kilograms; joints turn about or slide along their local +z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oimppi_warp.authoring.prims import COLLIDER, Color, Look, Vector, z_to
+from oimppi_warp.footprint import transform_points
+from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
+
+NOT_TURNED = (0.0, 0.0, 0.0, 1.0)
+"""The quaternion of no rotation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Visual:
+    """Something that is only looked at.
+
+    Attributes:
+        shape: In the link's frame; its path is the name of its prim.
+        color: Linear RGB.
+        faces: Corners of each face, where the shape is a mesh.
+    """
+
+    shape: Collider
+    color: Color
+    faces: Sequence[Sequence[int]] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ArmLink:
+    """A rigid link.
+
+    Attributes:
+        mass: [kg].
+        center: Centre of mass in the link's frame [m].
+        inertia: About it, in the link's axes, shape [3, 3] [kg m^2].
+        colliders: Shapes in the link's frame; a collider's path is the name of its prim.
+        visuals: What it looks like; nothing: as it collides, or as a skin has it.
+    """
+
+    mass: float
+    center: Vector
+    inertia: np.ndarray
+    colliders: tuple[Collider, ...] = ()
+    visuals: tuple[Visual, ...] = ()
+
+
+@dataclass(frozen=True)
+class ArmJoint:
+    """A joint: its frame in the frame of the link before it, and what it can do.
+
+    Attributes:
+        position: [m].
+        turn: Quaternion xyzw.
+        lower, upper: Position limits [rad; m where it slides].
+        effort: [N m; N].
+        velocity: [rad/s; m/s].
+        kind: Whether it turns or slides.
+    """
+
+    position: Vector
+    turn: Vector
+    lower: float
+    upper: float
+    effort: float
+    velocity: float
+    kind: JointKind = "revolute"
+
+
+@dataclass(frozen=True)
+class Stick:
+    """The tool: a round stick that points along z of the frame that it is mounted in.
+
+    Attributes:
+        length, radius: [m].
+        mass: [kg].
+        position: Where it begins, in the last link's frame [m].
+        turn: Quaternion xyzw.
+    """
+
+    length: float
+    radius: float = 0.008
+    mass: float = 0.05
+    position: Vector = (0.0, 0.0, 0.0)
+    turn: Vector = NOT_TURNED
+
+    @property
+    def mount(self) -> np.ndarray:
+        """Where it begins, in the last link's frame, shape [7]."""
+        return np.array([*self.position, *self.turn])
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A serial robot with a stick.
+
+    Attributes:
+        name: Name of its root prim.
+        doc: What it is.
+        base: The link that stands fast at the world's origin.
+        joints: From base to flange.
+        links: The link that each joint moves.
+        stick: The tool.
+        start: Joint positions at the start of an episode.
+        look: How its colliders show; as they are drawn by a skin, not at all.
+    """
+
+    name: str
+    doc: str
+    base: ArmLink
+    joints: tuple[ArmJoint, ...]
+    links: tuple[ArmLink, ...]
+    stick: Stick
+    start: tuple[float, ...]
+    look: Look = COLLIDER
+
+    def robot(self) -> Robot:
+        """The same as planners know it."""
+        root = f"/{self.name}"
+        tip = transform_points(self.stick.mount, np.array([0.0, 0.0, self.stick.length]))[0]
+        return Robot(
+            path=root,
+            base=Link(f"{root}/base", self.base.mass, self.base.colliders),
+            joints=tuple(
+                Joint(
+                    f"{root}/joints/joint{number}",
+                    np.array([*joint.position, *joint.turn]),
+                    joint.lower,
+                    joint.upper,
+                    joint.velocity,
+                    joint.effort,
+                    joint.kind,
+                )
+                for number, joint in enumerate(self.joints, start=1)
+            ),
+            links=tuple(
+                Link(f"{root}/link{number}", link.mass, link.colliders)
+                for number, link in enumerate(self.links, start=1)
+            ),
+            tip=np.array([*tip, *self.stick.turn]),
+            tool_path=f"{root}/tool/tip",
+            tool_radius=self.stick.radius,
+            start=np.array(self.start, dtype=float),
+        )
+
+
+def capsule_between(name: str, a: Vector, b: Vector, radius: float) -> Collider:
+    """A capsule by the ends of its axis [m]."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    return Collider(name, "capsule", np.array([*(a + b) / 2, *z_to(b - a)]), (radius, float(np.linalg.norm(b - a)) / 2))
