@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import shutil
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -184,6 +186,22 @@ def test_it_is_standard_usd(tmp_path):
     context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
     errors = [e for e in context.Validate(stage) if e.GetType() == UsdValidation.ValidationErrorType.Error]
     assert [e.GetErrorAsString() for e in errors] == []
+
+
+def test_usd_without_our_schemas_opens_it_and_finds_all_of_it(tmp_path):
+    """As usdview, Blender and Omniverse do: in a process that knows nothing of us."""
+    new(tmp_path, "--object", "letter:S", "--obstacle", "box:0.1,0.1,0.1@0.5,0.05")
+    code = f"""
+from pxr import Usd, UsdGeom, UsdPhysics
+stage = Usd.Stage.Open({str(tmp_path / "mine.usda")!r})
+assert not stage.GetCompositionErrors()
+box = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"])
+size = box.ComputeWorldBound(stage.GetPrimAtPath("/World/Object")).ComputeAlignedRange().GetSize()
+assert abs(size[1] - 0.103) < 1e-4 and abs(size[2] - 0.05) < 1e-4, size
+assert stage.GetPrimAtPath("/World/Object").HasAPI(UsdPhysics.RigidBodyAPI)
+assert [prim.GetName() for prim in stage.GetPrimAtPath("/World/Obstacles").GetChildren()] == ["Box"]
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path)
 
 
 def test_nothing_is_overwritten_without_force(tmp_path, capsys):
