@@ -107,6 +107,16 @@ def test_two_obstacles_of_a_kind_have_different_names(tmp_path):
     assert len({obstacle.path for obstacle in scene.obstacles}) == 2
 
 
+def test_obstacles_are_called_what_they_are(tmp_path):
+    file = saved(bracket(), tmp_path, "3d part.stl")
+    places = ["0.5,0", "0.3,0.45", "0.7,0.4", "0.15,0.4", "0.75,-0.3"]
+    things = ["soup-can", "soup-can", f"mesh:{file}", "text:AB", "letter:&"]
+    words = [part for thing, at in zip(things, places, strict=True) for part in ("--obstacle", f"{thing}@{at}")]
+    scene = new(tmp_path, "--goal", "0.45,0.2,0", "--font", "DejaVu Sans", *words)
+    names = [obstacle.path.rsplit("/", 1)[1] for obstacle in scene.obstacles]
+    assert names == ["SoupCan", "SoupCan2", "Obstacle3DPart", "TextAb", "Letter"]
+
+
 def test_a_mesh_can_be_pushed_at_once(tmp_path):
     file = saved(bracket(), tmp_path, "l.stl", scale=1000)
     scene = new(

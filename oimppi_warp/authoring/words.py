@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 
 from oimppi_warp.authoring import catalog, letters, shapes
@@ -120,14 +121,21 @@ def parse_obstacles(words: Iterable[str], manner: Manner = Manner(), *, folder: 
     found: list[Obstacle] = []
     taken: set[str] = set()
     for word in words:
-        base = re.sub(r"\W", "", word.rpartition("@")[0].partition("@")[0].split(":")[0].title()) or "Obstacle"
-        kind, _, rest = word.partition(":")
-        if kind in ("letter", "text"):
-            base = f"{base}{re.sub(r'[^A-Za-z0-9]', '', rest.partition('@')[0]).title()}"
-        name = next(n for n in (base, *(f"{base}{i}" for i in range(2, 1000))) if n not in taken)
+        plain = _prim_name(word.rpartition("@")[0])
+        name = next(n for n in chain([plain], (f"{plain}{i}" for i in count(2))) if n not in taken)
         taken.add(name)
         found.append(parse_obstacle(word, manner, name=name, folder=folder))
     return tuple(found)
+
+
+def _prim_name(word: str) -> str:
+    """A prim's name that says what it is: Box, LetterO, TextHi, SoupCan, Bracket."""
+    kind, colon, rest = word.partition(":")
+    if colon and kind.lower() in ("box", "cylinder"):
+        return kind.title()
+    said = f"{kind} {rest}" if colon and kind.lower() in ("letter", "text") else Path(rest or kind).stem
+    name = "".join(part.title() for part in re.split(r"[^A-Za-z0-9]+", said))
+    return name if name[:1].isalpha() else f"Obstacle{name}"
 
 
 def check_used(manner: Manner, words: Iterable[str]) -> None:
