@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import arg, subcommand
 
-from oimppi_warp.authoring.check_command import Check
+from oimppi_warp.authoring.checks.command import Check
 from oimppi_warp.authoring.commands import Import, New
 from oimppi_warp.authoring.robots.command import AddRobot
 from oimppi_warp.bench.commands import Bench, Compare, Report

@@ -180,7 +180,7 @@ def read(file: Path, *, whole: bool) -> str:
         file: The stage.
         whole: Whether to look for ways to the goal too, which takes most of a second.
     """
-    from oimppi_warp.authoring.check import check_scene
+    from oimppi_warp.authoring.checks.check import check_scene
     from oimppi_warp.feasibility import task_mistakes
     from oimppi_warp.usd import inspect_scene
     from oimppi_warp.usd.doubts import stage_doubts

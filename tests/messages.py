@@ -16,7 +16,7 @@ from doubtful import DOUBTFUL
 from test_bad_scenes import IMPOSSIBLE, MISTAKES, walls
 from variants import variant
 
-from oimppi_warp.authoring.check import check_scene
+from oimppi_warp.authoring.checks.check import check_scene
 
 MANUAL = Path(__file__).resolve().parent.parent / "docs" / "scene-check.md"
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from matplotlib import font_manager
 
 from oimppi_warp.authoring import flat, letter, word
-from oimppi_warp.authoring.alphabet import CAP, outline_of
-from oimppi_warp.authoring.polygons import convex_pieces
-from oimppi_warp.authoring.thing import Box, Thing
+from oimppi_warp.authoring.objects.alphabet import CAP, outline_of
+from oimppi_warp.authoring.objects.polygons import convex_pieces
+from oimppi_warp.authoring.objects.thing import Box, Thing
 from oimppi_warp.errors import ConfigError
 
 FONT = "DejaVu Sans"  # comes with matplotlib

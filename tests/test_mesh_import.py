@@ -15,10 +15,10 @@ from meshes import L_SHAPE, bracket, prism, saved
 from pxr import Usd, UsdValidation
 
 from oimppi_warp.authoring import import_mesh, write_object
-from oimppi_warp.authoring.convex import compare
-from oimppi_warp.authoring.moments import moments
-from oimppi_warp.authoring.portrait import draw_portrait
-from oimppi_warp.authoring.stored import read_body, read_object
+from oimppi_warp.authoring.objects.convex import compare
+from oimppi_warp.authoring.objects.moments import moments
+from oimppi_warp.authoring.objects.portrait import draw_portrait
+from oimppi_warp.authoring.objects.stored import read_body, read_object
 from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import ConfigError, OimppiError, SceneError

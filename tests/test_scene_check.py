@@ -13,7 +13,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 from test_bad_scenes import START, TIP, add, drop, goal_to, object_to, prim, put, walls, without
 from variants import variant
 
-from oimppi_warp.authoring.check import check_scene
+from oimppi_warp.authoring.checks.check import check_scene
 from oimppi_warp.cli import main
 from oimppi_warp.errors import Problem, SceneError
 from oimppi_warp.usd import inspect_scene, load_scene, shipped_scenes

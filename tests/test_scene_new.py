@@ -18,7 +18,7 @@ from pxr import Usd, UsdGeom, UsdValidation
 
 from oimppi_warp.authoring import Block, Pillar, Standing, Task, box, letter, read_object, write_object, write_task
 from oimppi_warp.authoring.arm_start import joints_at
-from oimppi_warp.authoring.check import check_scene
+from oimppi_warp.authoring.checks.check import check_scene
 from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import ConfigError, SceneError

@@ -12,7 +12,7 @@ from elsewhere import differences, flat, measured_in, reframed, with_y_up, writt
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 from test_world import assert_shapes_agree
 
-from oimppi_warp.authoring.check import check_scene
+from oimppi_warp.authoring.checks.check import check_scene
 from oimppi_warp.clearance import to_center
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import object_outline

@@ -21,8 +21,8 @@ import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from PIL import Image  # noqa: E402
 
-from oimppi_warp.authoring.letters import letter  # noqa: E402
-from oimppi_warp.authoring.thing import Box  # noqa: E402
+from oimppi_warp.authoring.objects.letters import letter  # noqa: E402
+from oimppi_warp.authoring.objects.thing import Box  # noqa: E402
 from oimppi_warp.cli import main as oimppi  # noqa: E402
 from oimppi_warp.drawing import STYLE, add_rings, rendered  # noqa: E402
 

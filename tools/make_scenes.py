@@ -18,7 +18,8 @@ import scene_point  # noqa: E402
 import scene_robot  # noqa: E402
 import scene_tasks  # noqa: E402
 
-from oimppi_warp.authoring import catalog, schema, task  # noqa: E402
+from oimppi_warp.authoring import schema, task  # noqa: E402
+from oimppi_warp.authoring.objects import catalog  # noqa: E402
 
 NOTE = "Written by tools/make_scenes.py; do not edit by hand."
 

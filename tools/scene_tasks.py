@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from oimppi_warp.authoring.catalog import LETTER_I, LETTER_O, LETTER_R, LETTER_S, SOUP_CAN, T_BLOCK
+from oimppi_warp.authoring.objects.catalog import LETTER_I, LETTER_O, LETTER_R, LETTER_S, SOUP_CAN, T_BLOCK
 from oimppi_warp.authoring.task import Block, Standing, Task
 
 YELLOW, CREAM, NAVY = (0.75, 0.55, 0.08), (0.72, 0.66, 0.5), (0.08, 0.12, 0.3)

@@ -9,33 +9,33 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from oimppi_warp.authoring.check import check_scene
-    from oimppi_warp.authoring.letters import letter, word
+    from oimppi_warp.authoring.checks.check import check_scene
+    from oimppi_warp.authoring.objects.letters import letter, word
+    from oimppi_warp.authoring.objects.shapes import box, cylinder, flat
+    from oimppi_warp.authoring.objects.solid import Solid, import_mesh
+    from oimppi_warp.authoring.objects.stored import read_object
+    from oimppi_warp.authoring.objects.thing import Box, Disc, Thing
     from oimppi_warp.authoring.project import Written, write_object, write_task
-    from oimppi_warp.authoring.shapes import box, cylinder, flat
-    from oimppi_warp.authoring.solid import Solid, import_mesh
-    from oimppi_warp.authoring.stored import read_object
     from oimppi_warp.authoring.task import Block, Pillar, Standing, Task
-    from oimppi_warp.authoring.thing import Box, Disc, Thing
 
 _MODULES = {
     "Block": "task",
-    "Box": "thing",
-    "Disc": "thing",
+    "Box": "objects.thing",
+    "Disc": "objects.thing",
     "Pillar": "task",
-    "Solid": "solid",
+    "Solid": "objects.solid",
     "Standing": "task",
     "Task": "task",
-    "Thing": "thing",
+    "Thing": "objects.thing",
     "Written": "project",
-    "box": "shapes",
-    "check_scene": "check",
-    "cylinder": "shapes",
-    "flat": "shapes",
-    "import_mesh": "solid",
-    "letter": "letters",
-    "read_object": "stored",
-    "word": "letters",
+    "box": "objects.shapes",
+    "check_scene": "checks.check",
+    "cylinder": "objects.shapes",
+    "flat": "objects.shapes",
+    "import_mesh": "objects.solid",
+    "letter": "objects.letters",
+    "read_object": "objects.stored",
+    "word": "objects.letters",
     "write_object": "project",
     "write_task": "project",
 }

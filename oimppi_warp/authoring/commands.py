@@ -162,10 +162,10 @@ class Import(ObjectOptions):
         """Write it; returns the exit status."""
         from dataclasses import replace
 
-        from oimppi_warp.authoring.portrait import draw_portrait
+        from oimppi_warp.authoring.objects.portrait import draw_portrait
+        from oimppi_warp.authoring.objects.solid import Solid, plain_name
+        from oimppi_warp.authoring.objects.stored import read_body
         from oimppi_warp.authoring.project import write_object
-        from oimppi_warp.authoring.solid import Solid, plain_name
-        from oimppi_warp.authoring.stored import read_body
         from oimppi_warp.authoring.words import check_used, parse_object
 
         check_used(self.manner(), (self.source,))

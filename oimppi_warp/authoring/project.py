@@ -15,9 +15,9 @@ from pxr import Usd
 from oimppi_warp.authoring.arm_start import clear_start
 from oimppi_warp.authoring.bundle import copy_bundle
 from oimppi_warp.authoring.guide import explain
-from oimppi_warp.authoring.stored import Stored, is_object_file
+from oimppi_warp.authoring.objects.stored import Stored, is_object_file
+from oimppi_warp.authoring.objects.thing import Pushable
 from oimppi_warp.authoring.task import Standing, Task, write
-from oimppi_warp.authoring.thing import Pushable
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task
 from oimppi_warp.scene import Scene

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 
+from oimppi_warp.authoring.objects.thing import Pushable
 from oimppi_warp.authoring.prims import (
     Color,
     Look,
@@ -24,7 +25,6 @@ from oimppi_warp.authoring.prims import (
     rounded,
 )
 from oimppi_warp.authoring.robots.posed import pose_robot
-from oimppi_warp.authoring.thing import Pushable
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task, draw_start
 from oimppi_warp.scene import Scene

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 from itertools import chain, count
 from pathlib import Path
 
-from oimppi_warp.authoring import catalog, letters, shapes
-from oimppi_warp.authoring.alphabet import CAP
-from oimppi_warp.authoring.meshes import FORMATS
-from oimppi_warp.authoring.pose import Lay
-from oimppi_warp.authoring.solid import import_mesh
-from oimppi_warp.authoring.stored import is_object_file, read_object
+from oimppi_warp.authoring.objects import catalog, letters, shapes
+from oimppi_warp.authoring.objects.alphabet import CAP
+from oimppi_warp.authoring.objects.meshes import FORMATS
+from oimppi_warp.authoring.objects.pose import Lay
+from oimppi_warp.authoring.objects.solid import import_mesh
+from oimppi_warp.authoring.objects.stored import is_object_file, read_object
+from oimppi_warp.authoring.objects.thing import Pushable, Thing
 from oimppi_warp.authoring.task import Block, Obstacle, Pillar, Pose, Standing
-from oimppi_warp.authoring.thing import Pushable, Thing
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.task import parse_pose
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from oimppi_warp.authoring.catalog import T_BLOCK
+from oimppi_warp.authoring.objects.catalog import T_BLOCK
+from oimppi_warp.authoring.objects.thing import Box, Thing
 from oimppi_warp.authoring.task import Pose, Task, write
-from oimppi_warp.authoring.thing import Box, Thing
 from oimppi_warp.reach import Reach, reach_of
 from oimppi_warp.scene import Robot
 

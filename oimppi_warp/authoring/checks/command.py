@@ -44,7 +44,7 @@ class Check:
         from rich.console import Console
 
         from oimppi_warp import device
-        from oimppi_warp.authoring.check import check_scene
+        from oimppi_warp.authoring.checks.check import check_scene
 
         wp.set_logger(device.CompileNotice(partial(print, file=sys.stderr)))
         device.start_warp()

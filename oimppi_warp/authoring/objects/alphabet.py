@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from oimppi_warp.authoring.thing import Box, Point, stroke
+from oimppi_warp.authoring.objects.thing import Box, Point, stroke
 
 PEN, CAP = 0.022, 0.103
 """Width of the pen and height of the letters [m]."""

@@ -9,10 +9,10 @@ import shapely
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from oimppi_warp.authoring.alphabet import CAP, SIMPLE, outline_of
+from oimppi_warp.authoring.objects.alphabet import CAP, SIMPLE, outline_of
+from oimppi_warp.authoring.objects.shapes import FRICTION, checked_friction, checked_mass, flat
+from oimppi_warp.authoring.objects.thing import Thing
 from oimppi_warp.authoring.prims import Color
-from oimppi_warp.authoring.shapes import FRICTION, checked_friction, checked_mass, flat
-from oimppi_warp.authoring.thing import Thing
 from oimppi_warp.errors import ConfigError
 
 BLUE: Color = (0.1, 0.22, 0.55)
@@ -126,7 +126,7 @@ def _letter_outline(letter: str, size: float, font: str | None) -> BaseGeometry:
 def _glyph(letter: str, font: str | None) -> BaseGeometry:
     """What a letter of height :data:`CAP` covers, its foot at ``-CAP / 2``."""
     if font is not None:
-        from oimppi_warp.authoring.fonts import glyph_outline
+        from oimppi_warp.authoring.objects.fonts import glyph_outline
 
         return affinity.translate(glyph_outline(letter, font, CAP), 0.0, -CAP / 2)
     capital = letter.upper()

@@ -7,9 +7,9 @@ import math
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from oimppi_warp.authoring.polygons import convex_pieces
+from oimppi_warp.authoring.objects.polygons import convex_pieces
+from oimppi_warp.authoring.objects.thing import Box, Disc, Thing
 from oimppi_warp.authoring.prims import Color
-from oimppi_warp.authoring.thing import Box, Disc, Thing
 from oimppi_warp.errors import ConfigError
 
 DENSITY = 650.0

@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial import KDTree
 from shapely.geometry.base import BaseGeometry
 
-from oimppi_warp.authoring.moments import moments, points_in_box
+from oimppi_warp.authoring.objects.moments import moments, points_in_box
 
 Hull = tuple[np.ndarray, np.ndarray]
 """Corners [n, 3] [m] and triangles [m, 3] of a convex piece."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from oimppi_warp.authoring.letters import GREEN, letter
+from oimppi_warp.authoring.objects.letters import GREEN, letter
+from oimppi_warp.authoring.objects.shapes import WOOD
+from oimppi_warp.authoring.objects.thing import Box, Disc, Thing
 from oimppi_warp.authoring.prims import Color
-from oimppi_warp.authoring.shapes import WOOD
-from oimppi_warp.authoring.thing import Box, Disc, Thing
 
 RED: Color = (0.62, 0.09, 0.08)
 

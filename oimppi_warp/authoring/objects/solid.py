@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from oimppi_warp.authoring.convex import Fit, Hull, decompose
-from oimppi_warp.authoring.meshes import read_surface
-from oimppi_warp.authoring.moments import moments
-from oimppi_warp.authoring.pose import Lay, lay
+from oimppi_warp.authoring.objects.convex import Fit, Hull, decompose
+from oimppi_warp.authoring.objects.meshes import read_surface
+from oimppi_warp.authoring.objects.moments import moments
+from oimppi_warp.authoring.objects.pose import Lay, lay
+from oimppi_warp.authoring.objects.shapes import FRICTION, checked_friction, checked_mass
 from oimppi_warp.authoring.prims import (
     COLLIDER,
     Color,
@@ -22,7 +23,6 @@ from oimppi_warp.authoring.prims import (
     new_stage,
     physics_material,
 )
-from oimppi_warp.authoring.shapes import FRICTION, checked_friction, checked_mass
 from oimppi_warp.errors import SceneError
 
 STEEL: Color = (0.45, 0.47, 0.5)

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 from matplotlib.patches import Polygon as Patch
 
-from oimppi_warp.authoring.convex import shadow_of
-from oimppi_warp.authoring.solid import Solid
-from oimppi_warp.authoring.thing import Pushable
+from oimppi_warp.authoring.objects.convex import shadow_of
+from oimppi_warp.authoring.objects.solid import Solid
+from oimppi_warp.authoring.objects.thing import Pushable
 from oimppi_warp.drawing import FAINT, GOAL, INK, START, STYLE, add_rings, rendered
 from oimppi_warp.footprint import core_points, footprint, limit_surface
 from oimppi_warp.log import write_whole

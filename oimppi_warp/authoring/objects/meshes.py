@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from oimppi_warp.authoring.parts import tidied
+from oimppi_warp.authoring.objects.parts import tidied
 from oimppi_warp.errors import ConfigError, SceneError
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}

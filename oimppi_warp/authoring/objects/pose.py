@@ -11,7 +11,7 @@ import trimesh
 from shapely.geometry import MultiPoint
 from trimesh.poses import compute_stable_poses
 
-from oimppi_warp.authoring.moments import moments
+from oimppi_warp.authoring.objects.moments import moments
 from oimppi_warp.authoring.prims import z_to
 from oimppi_warp.errors import SceneError
 from oimppi_warp.footprint import rotation_matrix

@@ -18,7 +18,7 @@ from oimppi_warp.usd import Inspection, inspect_scene
 from oimppi_warp.usd.doubts import given_inertia, stage_doubts
 
 if TYPE_CHECKING:
-    from oimppi_warp.authoring.way import Neck, Ways
+    from oimppi_warp.authoring.checks.way import Neck, Ways
 
 TIGHT = 0.005
 """Room on either side of the object below which a way is called narrow [m]."""
@@ -107,7 +107,7 @@ def _task_warnings(scene: Scene) -> Iterator[Problem]:
 
 
 def _weight_warnings(found: Inspection) -> Iterator[Problem]:
-    from oimppi_warp.authoring.weight import weight_oddities
+    from oimppi_warp.authoring.checks.weight import weight_oddities
 
     scene, stage = found.scene, found.stage
     assert scene is not None and stage is not None
@@ -129,7 +129,7 @@ def _mistakes(scene: Scene, number: int, start: PlanarPose) -> Iterator[SceneErr
 
 def _way_warnings(scene: Scene) -> Iterator[Problem]:
     """Poses without room, starts from which no way is free, ways that are narrow; start and goal overlap nothing."""
-    from oimppi_warp.authoring.way import Ways
+    from oimppi_warp.authoring.checks.way import Ways
     from oimppi_warp.clearance import build_geometry
 
     ways = Ways(scene, build_geometry(scene, "cpu"))

@@ -1,0 +1,1 @@
+"""All that would stop or spoil a run of a scene, found before it is run."""

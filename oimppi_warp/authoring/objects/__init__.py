@@ -1,0 +1,1 @@
+"""Objects to be pushed: flat shapes, letters and words, and meshes made fit for it."""
