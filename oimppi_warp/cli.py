@@ -24,7 +24,7 @@ from oimppi_warp.authoring.commands import Import, New
 from oimppi_warp.authoring.robots.command import AddRobot
 from oimppi_warp.bench.commands import Bench, Compare, Report
 from oimppi_warp.errors import ConfigError, OimppiError
-from oimppi_warp.options import TaskOptions, notices
+from oimppi_warp.options import TaskOptions
 from oimppi_warp.upkeep import Doctor, Warmup
 from oimppi_warp.view.commands import Export, View
 
@@ -54,8 +54,7 @@ class Run(TaskOptions):
     def execute(self) -> int:
         """Run the episode; returns the exit status."""
         _check_outputs(self.record, self.json)
-        setup = self.setup()
-        console = notices()
+        setup, console = self.prepare()
 
         from oimppi_warp.log import write_whole
         from oimppi_warp.metrics import summarize

@@ -90,8 +90,8 @@ class TaskOptions:
             randomize=self.randomize,
         )
 
-    def setup(self) -> Setup:
-        """All that makes the episode: the scene read and checked, the device there.
+    def prepare(self) -> tuple[Setup, Console]:
+        """All that makes the episode, the scene read and checked and the device there; and the console for notices.
 
         Raises:
             ConfigError: An option is wrong; this is known before anything heavy is imported.
@@ -115,7 +115,7 @@ class TaskOptions:
         with console.status("loading kernels"):
             from oimppi_warp.episode import Setup
 
-        return Setup(
+        setup = Setup(
             scene=scene,
             config=config,
             method=self.method,
@@ -126,6 +126,7 @@ class TaskOptions:
             plant=self.plant,
             mode=self.mode,
         )
+        return setup, console
 
 
 def notices() -> Console:

@@ -251,10 +251,18 @@ def test_the_exported_page_works_from_disk(record, page):
 
 
 def test_two_browsers_see_the_same_and_closing_one_ends_nothing(live, browser, page):
-    other = browser.new_page()
-    for one in (page, other):
-        one.goto(live.url)
-    until(lambda: len(live.viewer.server.get_clients()) == 2)
+    opened(page, live)
+    other = browser.new_page(viewport={"width": 1000, "height": 700})
+    other.goto(live.url)
+
+    def difference():
+        both = [picture_of(one, f"browser_{number}")[160:600, :600] for number, one in enumerate((page, other))]
+        return np.mean(np.abs(both[0] - both[1]).sum(axis=-1) > 30)
+
+    until(lambda: difference() < 0.002)
+    before = live.session.latest.time
+    other.get_by_label("Pause", exact=True).uncheck()
+    until(lambda: live.session.latest.time > before + 0.5)
     other.close()
     until(lambda: len(live.viewer.server.get_clients()) == 1)
     now = live.session.latest.time

@@ -49,12 +49,12 @@ class View(TaskOptions):
             replay = Replay(self.replay)
             viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
             return _serve(viewer, ReplayView(viewer, replay).run, None)
-        setup = self.setup()
+        setup, console = self.prepare()
         from oimppi_warp.view.browser import open_viewer
         from oimppi_warp.view.live import LiveView
         from oimppi_warp.view.session import Session
 
-        with notices().status("loading kernels"):
+        with console.status("loading kernels"):
             session = Session(setup)
         with tempfile.TemporaryDirectory(prefix="oimppi-") as folder:
             viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
