@@ -19,7 +19,7 @@ install: $(LOCK_ENV) ## make the environment in .venv
 
 $(LOCK_ENV): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, $(PYTHON) is older: make PYTHON=python3.x")'
-	@echo "Installing into $(VENV): about 1.5 GB, a minute or more"
+	@echo "Installing into $(VENV): about 2 GB, a minute or more"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .

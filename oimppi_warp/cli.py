@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from oimppi_warp.log import EpisodeLog
     from oimppi_warp.metrics import Metrics
+    from oimppi_warp.scene import Scene
 
 
 _PACES = {"lockstep": "lock step", "realtime": "real time"}
@@ -75,7 +76,7 @@ class Run(TaskOptions):
                 from oimppi_warp.report import draw
 
                 draw(log, setup.scene, self.record)
-        _print_summary(metrics, self.record)
+        _print_summary(metrics, setup.scene, self.record)
         if metrics.ended == "interrupted":
             return 130
         return 0 if metrics.success else 1
@@ -175,27 +176,33 @@ def _progress(seconds: float, console: Console) -> Iterator[Callable[[EpisodeLog
         yield on_step
 
 
-def _print_summary(metrics: Metrics, record: Path | None) -> None:
+def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
     """What came out, for a person."""
     from rich.console import Console
     from rich.table import Table
 
-    good, bad = "[bold green]", "[bold red]"
-    result = f"{good}reached its goal" if metrics.success else f"{bad}did not reach its goal"
-    tight = "also within the tight tolerance" if metrics.success_tight else "not within the tight tolerance"
+    from oimppi_warp.clearance import FURTHEST
+
+    result, total = "[bold red]did not reach its goal[/]", "with planning"
+    if metrics.success:
+        tight = "also within the tight tolerance" if metrics.success_tight else "not within the tight tolerance"
+        result, total = f"[bold green]reached its goal[/], {tight}", "to the goal with planning (the paper's T)"
+    yaw = f", {metrics.yaw_error_rad:.3f} rad" if math.isfinite(scene.tolerance.yaw) else " (any yaw will do)"
+    clearance = f"{1000 * metrics.min_clearance_m:.1f} mm at the least"
+    if metrics.min_clearance_m > FURTHEST - 1e-6:
+        clearance = f"more than {1000 * FURTHEST:.0f} mm"  # it is not measured any further
     rows = {
         "task": f"{metrics.scene}, {metrics.method.upper()}, preset {metrics.preset}, seed {metrics.seed}, "
         f"{metrics.plant} plant in {_PACES[metrics.mode]}, "
         f"{metrics.engine} on {metrics.device}",
-        "result": f"{result}[/], {tight} ({metrics.ended})",
-        "errors": f"{metrics.position_error_m:.3f} m, {metrics.yaw_error_rad:.3f} rad at the end; "
-        f"{metrics.mean_position_error_m:.3f} m on average",
+        "result": f"{result} ({metrics.ended})",
+        "errors": f"{metrics.position_error_m:.3f} m{yaw} at the end; {metrics.mean_position_error_m:.3f} m on average",
         "time": f"{metrics.sim_time_s:.2f} s simulated in {metrics.steps} steps; "
-        f"{metrics.total_time_s:.1f} s to the goal with planning (the paper's T), of it "
+        f"{metrics.total_time_s:.1f} s {total}, of it "
         f"{metrics.preplan_time_s:.2f} s before the first step",
         "plans": f"median {metrics.plan_ms_median:.1f} ms, p95 {metrics.plan_ms_p95:.1f} ms, "
         f"{metrics.control_hz:.0f} Hz; {metrics.mean_effective_samples:.1f} effective samples",
-        "clearance": f"{1000 * metrics.min_clearance_m:.1f} mm at the least",
+        "clearance": clearance,
         "forces": f"tool {metrics.max_contact_tool_object_n:.1f} N, object on obstacles "
         f"{metrics.max_contact_object_obstacle_n:.1f} N, robot on obstacles or table "
         f"{metrics.max_contact_robot_obstacle_n:.1f} N at the most",
@@ -216,4 +223,4 @@ def _print_summary(metrics: Metrics, record: Path | None) -> None:
     table = Table.grid(padding=(0, 2))
     for name, text in rows.items():
         table.add_row(f"[dim]{name}", text)
-    Console(highlight=False).print(table)
+    Console(highlight=False, width=None if sys.stdout.isatty() else 160).print(table)

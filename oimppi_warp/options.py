@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
@@ -107,6 +108,11 @@ class TaskOptions:
         where = device.pick_device(self.device)
         with console.status("reading the scene"):
             scene = make_task(self.scene, start=start, goal=goal, seed=self.seed)
+            if (doubts := _doubts(self.scene)) > 0:
+                warnings = f"{doubts} warning{'s' if doubts > 1 else ''}"
+                console.print(
+                    f"{self.scene}: {warnings}, which `oimppi scene check {self.scene}` tells", soft_wrap=True
+                )
         if not device.kernels_are_cached():
             console.print(
                 "First run on this machine: compiling kernels, which takes about half a minute and is done once.",
@@ -140,3 +146,14 @@ def notices() -> Console:
     wp.set_logger(device.CompileNotice(partial(console.print, soft_wrap=True)))
     device.start_warp()
     return console
+
+
+def _doubts(scene: str) -> int:
+    """How many things in a file of one's own may not be meant as they stand, a misspelt attribute for one."""
+    if not Path(scene).is_file():
+        return 0
+    from oimppi_warp.usd import inspect_scene
+    from oimppi_warp.usd.doubts import stage_doubts
+
+    stage = inspect_scene(scene).stage
+    return 0 if stage is None else len(list(stage_doubts(stage)))

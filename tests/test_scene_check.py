@@ -9,7 +9,7 @@ import pytest
 from doubtful import CUBE, DOUBTFUL, OBJECT, ROBOT, several
 from elsewhere import flat
 from messages import MANUAL, manual
-from pxr import Gf, Usd, UsdGeom, UsdPhysics
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from test_bad_scenes import START, TIP, add, drop, goal_to, object_to, prim, put, walls, without
 from variants import variant
 
@@ -321,3 +321,21 @@ def test_warnings_help_where_a_scene_cannot_be_read(tmp_path):
         ("error", "no table"),
         ("warning", "an API schema that does not exist: OimppiTabelAPI"),
     ]
+
+
+def test_a_run_says_that_something_in_its_file_may_not_be_meant(tmp_path, capsys):
+    misspelt = "oimppi:tolerence", Sdf.ValueTypeNames.Double2
+    file = variant(tmp_path, lambda stage: prim(stage, "/World").CreateAttribute(*misspelt).Set(Gf.Vec2d(0.01, 0.02)))
+    options = [
+        "--device",
+        "cpu",
+        "--max-sim-seconds",
+        "0.05",
+        "--set",
+        "robot.mppi.samples=16",
+        "object.mppi.samples=16",
+    ]
+    assert main(["run", str(file), *options]) == 1
+    assert f"1 warning, which `oimppi scene check {file}` tells" in capsys.readouterr().err
+    assert main(["run", "task02", *options]) == 1
+    assert "warning" not in capsys.readouterr().err

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import logging
+from contextlib import redirect_stdout
 from typing import Any
 
 from oimppi_warp.newton_model import collector_paused
@@ -23,7 +25,8 @@ def open_viewer(*, host: str = "127.0.0.1", port: int = 8080, paused: bool = Fal
         from newton.viewer import ViewerViser
 
     logging.getLogger("websockets").setLevel(logging.WARNING)
-    viewer = ViewerViser(host=host, port=port, paused=paused, label="oimppi", verbose=False)
+    with redirect_stdout(io.StringIO()):  # viser's banner: who opens a viewer says where it is, if anybody should know
+        viewer = ViewerViser(host=host, port=port, paused=paused, label="oimppi", verbose=False)
     viewer.picking_enabled = False  # its springs pull at Newton's state; here the plant moves things
     camera = viewer.server.initial_camera
     camera.position, camera.look_at, camera.up = EYE, TARGET, (0.0, 0.0, 1.0)

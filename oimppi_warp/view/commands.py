@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -48,7 +50,7 @@ class View(TaskOptions):
 
             replay = Replay(self.replay)
             viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
-            return _serve(viewer, ReplayView(viewer, replay).run, None)
+            return _serve(viewer, self.port, ReplayView(viewer, replay).run, None)
         setup, console = self.prepare()
         from oimppi_warp.view.browser import open_viewer
         from oimppi_warp.view.live import LiveView
@@ -59,7 +61,7 @@ class View(TaskOptions):
         with tempfile.TemporaryDirectory(prefix="oimppi-") as folder:
             viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
             view = LiveView(viewer, session, Path(folder))
-            return _serve(viewer, view.run, session.close)
+            return _serve(viewer, self.port, view.run, session.close)
 
 
 @dataclass(frozen=True)
@@ -80,12 +82,16 @@ class Export:
         notices()
         from oimppi_warp.view.export import export
 
-        print(export(self.folder, self.to, self.output))
+        with redirect_stdout(io.StringIO()):  # what viewers print of ports and temporary files
+            file = export(self.folder, self.to, self.output)
+        print(file)
         return 0
 
 
-def _serve(viewer: Any, run: Callable[[], None], close: Callable[[], None] | None) -> int:
+def _serve(viewer: Any, port: int, run: Callable[[], None], close: Callable[[], None] | None) -> int:
     """Say where, serve until Ctrl-C, and clean up."""
+    if viewer.server.get_port() != port:
+        print(f"port {port} is taken", file=sys.stderr)
     print(f"Open http://{viewer.server.get_host()}:{viewer.server.get_port()} in a browser; Ctrl-C ends.", flush=True)
     try:
         with suppress(KeyboardInterrupt):
