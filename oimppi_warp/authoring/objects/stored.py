@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from pxr import Usd
 
 from oimppi_warp.authoring.bundle import write_flat
 from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
-from oimppi_warp.footprint import core_points, height_range
+from oimppi_warp.clearance import collider_mesh
+from oimppi_warp.footprint import height_range
 from oimppi_warp.scene import Collider, PushedObject
 from oimppi_warp.usd.colliders import ALLOWED, read_colliders
 from oimppi_warp.usd.robot import read_mass
@@ -58,12 +58,8 @@ class Stored:
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
         """Write the hulls of its shapes below ``root``."""
-        ball = trimesh.creation.icosphere(2)
         for number, collider in enumerate(self.colliders):
-            points, radius = core_points(collider)
-            if radius:
-                points = (points[:, None] + radius * ball.vertices).reshape(-1, 3)
-            hull = trimesh.convex.convex_hull(points)
+            hull = collider_mesh(collider)
             mesh(stage, f"{root}/piece{number}", np.asarray(hull.vertices), hull.faces.tolist(), look)
 
     @property
