@@ -94,6 +94,15 @@ def test_an_object_drawn_with_y_up_stands_as_it_was_drawn(tmp_path):
     assert [read_body(file).rest_height] == pytest.approx([body.rest_height])
 
 
+@pytest.mark.parametrize(("kind", "turned"), [("Cylinder", 90.0), ("Xform", 30.0)])
+def test_an_object_that_would_be_laid_down_otherwise_is_refused(tmp_path, kind, turned):
+    moved = f'float xformOp:rotateX = {turned}\n    uniform token[] xformOpOrder = ["xformOp:rotateX"]'
+    file = thing(tmp_path / "thing.usda", moved=moved)
+    file.write_text(file.read_text().replace('Xform "Thing"', f'{kind} "Thing"'))
+    with pytest.raises(SceneError, match="does not lie flat"):
+        read_object(file)
+
+
 @pytest.mark.parametrize("packed", [as_binary, as_package])
 def test_a_binary_file_and_a_package_are_objects_as_well(tmp_path, packed):
     file = packed(thing(tmp_path / "a" / "thing.usda"))

@@ -89,7 +89,11 @@ def read_object(file: str | Path) -> Stored:
     stage = _open(Path(file).expanduser().resolve())
     root = stage.stage.GetDefaultPrim()
     read_mass(stage, root)
-    colliders = read_colliders(stage, root, stage.body_frame(root))
+    frame = stage.body_frame(root)
+    if frame.GetRow3(2)[2] < 1.0 - 1e-6:
+        fix = "put the shapes below an Xform that is the default prim, and turn them there"
+        raise stage.error("an object that does not lie flat", root, allowed="turned about z only", fix=fix)
+    colliders = read_colliders(stage, root, frame)
     if not colliders:
         fix = "apply PhysicsCollisionAPI to a shape at it or below it"
         raise stage.error("an object without a collider", root, allowed=ALLOWED, fix=fix)
