@@ -103,6 +103,14 @@ def test_an_object_that_would_be_laid_down_otherwise_is_refused(tmp_path, kind, 
         read_object(file)
 
 
+def test_a_material_that_a_reference_would_leave_behind_is_refused(tmp_path):
+    file = thing(tmp_path / "thing.usda")
+    text = file.read_text().replace("</Thing/Material>", "</Material>")
+    file.write_text(text + 'def Material "Material" (\n    prepend apiSchemas = ["PhysicsMaterialAPI"]\n)\n{\n}\n')
+    with pytest.raises(SceneError, match="not below the default prim"):
+        read_object(file)
+
+
 @pytest.mark.parametrize("packed", [as_binary, as_package])
 def test_a_binary_file_and_a_package_are_objects_as_well(tmp_path, packed):
     file = packed(thing(tmp_path / "a" / "thing.usda"))

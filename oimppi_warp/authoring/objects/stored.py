@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd
+from pxr import Usd, UsdShade
 
 from oimppi_warp.authoring.bundle import write_flat
 from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
 from oimppi_warp.clearance import collider_mesh
 from oimppi_warp.footprint import height_range
 from oimppi_warp.scene import Collider, PushedObject
-from oimppi_warp.usd.colliders import ALLOWED, read_colliders
+from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders
 from oimppi_warp.usd.robot import read_mass
 from oimppi_warp.usd.stage import SceneStage
 from oimppi_warp.usd.things import center_of_mass, largest_friction
@@ -97,6 +97,11 @@ def read_object(file: str | Path) -> Stored:
     if not colliders:
         fix = "apply PhysicsCollisionAPI to a shape at it or below it"
         raise stage.error("an object without a collider", root, allowed=ALLOWED, fix=fix)
+    for prim in collider_prims(root):
+        material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+        if material and not material.GetPath().HasPrefix(root.GetPath()):
+            what = f"its material <{material.GetPath()}> is not below the default prim, and would be left behind"
+            raise stage.error(what, prim, allowed=f"a prim below <{root.GetPath()}>", fix="move it there")
     doc = str(stage.stage.GetRootLayer().documentation).partition(". ")[0] or f"the object {stage.file.stem}"
     return Stored(stage.file, stage.file.stem, doc, colliders)
 
