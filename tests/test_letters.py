@@ -108,6 +108,7 @@ def test_a_letter_of_a_font_is_as_high_as_ours():
         (lambda: letter("AB"), "text:AB"),
         (lambda: letter("A", size=0.01), "too small for the stick"),
         (lambda: letter("A", height=2.0), "no size for it"),
+        (lambda: letter("S", height=5.0), "no size for it"),
         (lambda: letter("A", mass=0.0), "--mass 0"),
         (lambda: word(" "), "no word"),
         (lambda: word("PNEUMONOULTRAMICROSCOPIC"), "too long"),

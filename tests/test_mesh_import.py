@@ -15,8 +15,8 @@ from meshes import L_SHAPE, bracket, prism, saved
 from pxr import Usd, UsdValidation
 
 from oimppi_warp.authoring import import_mesh, write_object
-from oimppi_warp.authoring.objects.convex import compare
-from oimppi_warp.authoring.objects.moments import moments
+from oimppi_warp.authoring.objects.convex import PIECES, compare, decompose, signed_depths
+from oimppi_warp.authoring.objects.moments import moments, winding
 from oimppi_warp.authoring.objects.portrait import draw_portrait
 from oimppi_warp.authoring.objects.stored import read_body, read_object
 from oimppi_warp.cli import main
@@ -173,6 +173,25 @@ def test_moments_of_parts_apart_are_exact_and_of_parts_that_overlap_close():
     same = moments(trimesh.util.concatenate([trimesh.creation.box((0.1, 0.06, 0.04)).subdivide() for _ in range(2)]))
     assert same.volume == pytest.approx(0.1 * 0.06 * 0.04, rel=1e-3)
     assert np.diag(same.inertia) == pytest.approx(np.array([0.0052, 0.0116, 0.0136]) / 12, rel=0.01)
+
+
+def test_points_beside_sharp_edges_are_on_their_own_side():
+    """Above a blade's edge a point is below the plane of one of its flanks; inside is what the surface goes round."""
+    blade = prism(shapely.Polygon([(-0.05, 0.0), (0.05, -0.004), (0.05, 0.004)]), 0.04)
+    points = np.random.default_rng(0).uniform((-0.06, -0.01, -0.01), (-0.03, 0.01, 0.05), (4000, 3))
+    depths = signed_depths(blade, points)
+    assert ((depths > 0.0) == (winding(blade, points) > 0.5)).all()
+
+
+@pytest.mark.parametrize("hollow", [20, 3])
+def test_many_parts_are_no_more_pieces_than_one(hollow):
+    parts = []
+    for number in range(20):
+        part = bracket() if number < hollow else trimesh.creation.box((0.03, 0.03, 0.03))
+        parts.append(part.apply_translation((0.3 * (number % 5), 0.3 * (number // 5), 0.0)))
+    hulls, fit = decompose(trimesh.util.concatenate(parts))
+    assert len(hulls) == min(PIECES, 20 + hollow)
+    assert fit.close == (hollow == 3)
 
 
 def test_the_three_errors_are_those_of_a_hull_in_place_of_an_l():

@@ -1,14 +1,19 @@
-"""A USD file with the files that it needs, copied beside a scene."""
+"""A USD file with the files that it needs, brought beside a scene."""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
 import shutil
 from pathlib import Path
 
-from pxr import UsdUtils
+from pxr import Ar, Sdf, UsdUtils
 
 from oimppi_warp.errors import SceneError
+from oimppi_warp.usd.stage import file_of
+
+_ASSETS = "textures"
 
 
 def parts_of(file: Path) -> list[Path]:
@@ -19,19 +24,13 @@ def parts_of(file: Path) -> list[Path]:
     """
     layers, assets, missing = UsdUtils.ComputeAllDependencies(str(file))
     if missing:
-        fix = "correct it; the paths of references count from the file that they stand in"
-        raise SceneError(f"it needs {missing[0]}, which is not there", file=file, fix=fix)
-    found = [Path(layer.realPath) for layer in layers] + [Path(asset) for asset in assets]
-    return sorted({path.resolve() for path in found})
+        raise _missing(missing[0], file)
+    inside = [Ar.SplitPackageRelativePathOuter(asset)[0] for asset in assets]
+    return sorted({path.resolve() for path in (*map(file_of, layers), *map(Path, inside))})
 
 
-def copy_bundle(file: Path, folder: Path, name: str = "") -> Path:
-    """Copy a USD file and what it needs into a folder.
-
-    Args:
-        file: The USD file.
-        folder: Where to; what the file needs lies there as it does beside the file.
-        name: What the file is called there; its own name, if not given.
+def copy_bundle(file: Path, folder: Path) -> Path:
+    """Copy a USD file and what it needs into a folder, where it lies as it does beside the file.
 
     Raises:
         SceneError: It needs something that is missing, or that lies outside its folder.
@@ -45,7 +44,42 @@ def copy_bundle(file: Path, folder: Path, name: str = "") -> Path:
                 allowed="files in its own folder or below it, which can be copied with it",
                 fix="move them there, or make it one file: usdcat --flatten",
             )
-        target = folder / (name or file.name) if part == file else folder / part.relative_to(file.parent)
+        target = folder / part.relative_to(file.parent)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(part, target)
-    return folder / (name or file.name)
+    return folder / file.name
+
+
+def write_flat(layer: Sdf.Layer, file: Path, source: Path) -> None:
+    """Write a flattened stage, with its textures in a folder beside it.
+
+    Their names there tell by a part of their hash what they hold, so that no two files' textures are mixed up.
+
+    Args:
+        layer: The flattened stage, which is changed.
+        file: Where to.
+        source: The file that it was made of, for errors.
+
+    Raises:
+        SceneError: A texture is missing.
+    """
+
+    def copied(path: str) -> str:
+        asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
+        if asset is None:
+            raise _missing(os.path.relpath(path, source.parent), source)
+        content = asset.GetBuffer()
+        inner = Path(Ar.SplitPackageRelativePathInner(path)[1] or path)
+        digest = hashlib.sha256(content).hexdigest()[:8]
+        name = f"{re.sub(r'_[0-9a-f]{8}$', '', inner.stem)}_{digest}{inner.suffix}"
+        (file.parent / _ASSETS).mkdir(parents=True, exist_ok=True)
+        (file.parent / _ASSETS / name).write_bytes(content)
+        return f"./{_ASSETS}/{name}"
+
+    UsdUtils.ModifyAssetPaths(layer, copied)
+    layer.Export(str(file))
+
+
+def _missing(path: str, file: Path) -> SceneError:
+    fix = "correct it; the paths of references count from the file that they stand in"
+    return SceneError(f"it needs {path}, which is not there", file=file, fix=fix)

@@ -162,7 +162,6 @@ class Import(ObjectOptions):
         """Write it; returns the exit status."""
         from dataclasses import replace
 
-        from oimppi_warp.authoring.objects.portrait import draw_portrait
         from oimppi_warp.authoring.objects.solid import Solid, plain_name
         from oimppi_warp.authoring.objects.stored import read_body
         from oimppi_warp.authoring.project import write_object
@@ -173,12 +172,10 @@ class Import(ObjectOptions):
             thing = parse_object(self.source, self.manner())
         if self.name is not None:
             thing = replace(thing, name=plain_name(self.name))  # pyright: ignore[reportArgumentType]
-        file = write_object(thing, self.out, force=self.force)
-        body = read_body(file)
-        picture = draw_portrait(thing, body, file.with_suffix(".png"))
+        file = write_object(thing, self.out, force=self.force, picture=True)
         print(f"wrote {file}")
-        print(f"wrote {picture}")
-        print(_summary(thing.doc, body))
+        print(f"wrote {file.with_suffix('.png')}")
+        print(_summary(thing.doc, read_body(file)))
         for note in thing.notes if isinstance(thing, Solid) else ():
             print(f"  {note}")
         out = [] if self.out == Path(".") else ["--out", str(self.out)]

@@ -7,19 +7,21 @@ import os
 import re
 import shutil
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pxr import Usd
+from pxr import Sdf, Tf, Usd
 
 from oimppi_warp.authoring.arm_start import clear_start
 from oimppi_warp.authoring.bundle import copy_bundle
 from oimppi_warp.authoring.guide import explain
-from oimppi_warp.authoring.objects.stored import Stored, is_object_file
+from oimppi_warp.authoring.objects.stored import ENDINGS, Stored, is_object_file, read_body
 from oimppi_warp.authoring.objects.thing import Pushable
 from oimppi_warp.authoring.task import Standing, Task, write
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task
+from oimppi_warp.log import write_whole
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.stage import SCENES
@@ -49,9 +51,9 @@ class Written:
 def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> Written:
     """Write a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
 
-    The files are made elsewhere, read and checked, and moved only then. A robot that is in the folder already is used
-    as it is. An object whose name is taken there by another is written under a name with the task's in it. If the arm
-    would start in the object or in an obstacle, it starts elsewhere.
+    The files are made elsewhere, read and checked, and moved only then. A robot or an object that is in the folder
+    already is used as it is. An object whose name is taken there by another is written under a name with the task's in
+    it. If the arm would start in the object or in an obstacle, it starts elsewhere.
 
     Args:
         task: The task; its robot is the name of one that is shipped or lies in the folder's ``robots/``, or a USD file.
@@ -64,28 +66,48 @@ def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> 
     folder = Path(folder).expanduser()
     target = folder / f"{task.name}.usda"
     _check_target(task.name, target, force)
+    own = _own_objects(target, task.name) if target.exists() else frozenset()
     with tempfile.TemporaryDirectory(prefix="oimppi-") as place:
         draft = Path(place)
         try:
-            _draft(task, draft, folder)
+            _draft(task, draft, folder, own)
             scene = load_scene(draft / target.name)
             check_task(scene)
         except SceneError as error:
             raise _moved(error, draft, folder) from None
-        files = _install(draft, folder, target.name)
+        files = _install(draft, folder, Path(target.name), own)
     return Written(target, replace(scene, file=target.resolve()), files)
 
 
-def write_object(thing: Pushable, folder: str | Path = ".", *, force: bool = False) -> Path:
+def write_object(thing: Pushable, folder: str | Path = ".", *, force: bool = False, picture: bool = False) -> Path:
     """Write an object to ``objects/`` in a folder, with what its attributes mean.
 
+    Args:
+        thing: The object.
+        folder: Where to; it is made if need be.
+        force: Whether an object of this name that is there may be overwritten.
+        picture: Whether to draw it beside it, with the same name.
+
     Raises:
-        SceneError: One of this name is there already.
+        SceneError: One of this name is there already, or it cannot be an object; nothing was written.
     """
-    file = Path(folder).expanduser() / "objects" / f"{thing.name}.usda"
-    _check_target(thing.name, file, force)
-    _write_object(thing, file)
-    return file
+    folder = Path(folder).expanduser()
+    files = [Path("objects") / f"{thing.name}{ending}" for ending in (".usda", *([".png"] if picture else []))]
+    for file in files:
+        _check_target(thing.name, folder / file, force)
+    with tempfile.TemporaryDirectory(prefix="oimppi-") as place:
+        draft = Path(place)
+        try:
+            _write_object(thing, draft / files[0])
+            body = read_body(draft / files[0])
+        except SceneError as error:
+            raise _moved(error, draft, folder) from None
+        if picture:
+            from oimppi_warp.authoring.objects.portrait import draw_portrait
+
+            draw_portrait(thing, body, draft / files[1])
+        _install(draft, folder, files[0], frozenset(files))
+    return folder / files[0]
 
 
 def find_robot(robot: str, folder: Path) -> Path:
@@ -95,7 +117,8 @@ def find_robot(robot: str, folder: Path) -> Path:
         SceneError: There is no such robot.
     """
     file = Path(robot).expanduser()
-    for found in (folder / "robots" / f"{robot}.usda", SCENES / "robots" / f"{robot}.usda", file):
+    own = (folder / "robots" / f"{robot}{ending}" for ending in ENDINGS)
+    for found in (*own, SCENES / "robots" / f"{robot}.usda", file):
         if found.is_file() and is_object_file(found):
             return found
     shipped = sorted(f.stem for f in (SCENES / "robots").glob("*.usda") if not f.stem.endswith("_skin"))
@@ -116,15 +139,30 @@ def _check_target(name: str, file: Path, force: bool) -> None:
         raise SceneError("no folder that can be written to", file=file.parent, fix="take another one with --out")
 
 
-def _draft(task: Task, draft: Path, folder: Path) -> None:
+def _own_objects(scene: Path, task: str) -> frozenset[Path]:
+    """The objects that only the earlier scene of a task has, under names with the task's in them; from its folder."""
+    others = set().union(*(_objects_in(other) for other in scene.parent.glob("*.usd*") if other != scene))
+    return frozenset(file for file in _objects_in(scene) - others if f"_{task}" in file.stem)
+
+
+def _objects_in(scene: Path) -> set[Path]:
+    """The files in ``objects/`` that a scene refers to."""
+    with suppress(Tf.ErrorException):
+        layer = Sdf.Layer.OpenAsAnonymous(str(scene)) if scene.is_file() else None
+        used = map(Path, layer.GetCompositionAssetDependencies() if layer else [])
+        return {file for file in used if file.parent == Path("objects")}
+    return set()
+
+
+def _draft(task: Task, draft: Path, folder: Path, own: frozenset[Path]) -> None:
     """Make the files in a folder that is empty."""
     robot = copy_bundle(find_robot(task.robot, folder), draft / "robots")
-    thing = _place_object(task.thing, task.name, draft, folder)
+    thing = _place_object(task.thing, task.name, draft, folder, own)
     standing = [
-        replace(o, thing=_place_object(o.thing, task.name, draft, folder)) if isinstance(o, Standing) else o
+        replace(o, thing=_place_object(o.thing, task.name, draft, folder, own)) if isinstance(o, Standing) else o
         for o in task.obstacles
     ]
-    task = replace(task, robot=robot.stem, thing=thing, obstacles=tuple(standing))
+    task = replace(task, robot=robot.name, thing=thing, obstacles=tuple(standing))
     note = f"Look at it: oimppi view {task.name}.usda. Run it: oimppi run {task.name}.usda. Metres, kilograms, z up"
     file = write(task, draft, note=note, settle=None if task.robot_start else clear_start)
     stage = Usd.Stage.Open(str(file))
@@ -132,20 +170,22 @@ def _draft(task: Task, draft: Path, folder: Path) -> None:
     stage.Save()
 
 
-def _place_object(thing: Pushable, task: str, draft: Path, folder: Path) -> Pushable:
+def _place_object(thing: Pushable, task: str, draft: Path, folder: Path, own: frozenset[Path]) -> Pushable:
     """Write an object into the draft, under a name that no other object has there or in the folder."""
+    objects = Path("objects")
+    if isinstance(thing, Stored) and thing.file == (folder / objects / f"{thing.name}.usda").resolve() and thing.ready:
+        copy_bundle(thing.file, draft / objects)
+        return thing
     made = draft / "new" / "object.usda"
     _write_object(thing, made)
     for name in (thing.name, *(f"{thing.name}_{task}{end}" for end in ("", *(f"_{i}" for i in range(2, 100))))):
-        drafted, there = draft / "objects" / f"{name}.usda", folder / "objects" / f"{name}.usda"
-        if drafted.exists() and not filecmp.cmp(made, drafted, shallow=False):
-            continue
-        if name == thing.name and there.exists() and not filecmp.cmp(made, there, shallow=False):
-            continue
-        shutil.copytree(made.parent, drafted.parent, dirs_exist_ok=True)
-        (drafted.parent / made.name).replace(drafted)
-        shutil.rmtree(made.parent)
-        return replace(thing, name=name)  # pyright: ignore[reportArgumentType]  # every object is a dataclass
+        file = objects / f"{name}.usda"
+        others = [draft / file] if file in own else [draft / file, folder / file]
+        if all(filecmp.cmp(made, other, shallow=False) for other in others if other.exists()):
+            shutil.copytree(made.parent, draft / objects, dirs_exist_ok=True)
+            (draft / objects / made.name).replace(draft / file)
+            shutil.rmtree(made.parent)
+            return replace(thing, name=name)  # pyright: ignore[reportArgumentType]  # every object is a dataclass
     raise SceneError(f"a hundred objects are called {thing.name}", file=folder, fix="take another folder with --out")
 
 
@@ -159,26 +199,28 @@ def _write_object(thing: Pushable, file: Path) -> None:
         stage.Save()
 
 
-def _install(draft: Path, folder: Path, scene: str) -> tuple[Path, ...]:
-    """Move the files to where they belong, the scene last; returns those that changed, the scene first."""
+def _install(draft: Path, folder: Path, main: Path, own: frozenset[Path]) -> tuple[Path, ...]:
+    """Move the files to where they belong, the main one last; returns those that changed, the main one first.
+
+    That it and those of one's own may be overwritten was asked before; no other that is there is.
+    """
     changed = []
     found = sorted(path.relative_to(draft) for path in draft.rglob("*") if path.is_file())
+    found = [path for path in found if not _same(draft / path, folder / path)]
     for path in found:
-        target = folder / path
-        own = path == Path(scene) or (path.parent.name == "objects" and f"_{Path(scene).stem}" in path.stem)
-        if target.exists() and not own and not filecmp.cmp(draft / path, target, shallow=False):
+        if (folder / path).exists() and path != main and path not in own:
             fix = "take another folder with --out, or give one of the two another name"
-            raise SceneError("another file of this name is there already", file=target, fix=fix)
-    for path in sorted(found, key=lambda path: path == Path(scene)):
+            raise SceneError("another file of this name is there already", file=folder / path, fix=fix)
+    for path in sorted(found, key=lambda path: path == main):
         target = folder / path
-        if target.exists() and filecmp.cmp(draft / path, target, shallow=False):
-            continue
         target.parent.mkdir(parents=True, exist_ok=True)
-        part = target.with_name(f".{target.name}.part")
-        shutil.copyfile(draft / path, part)
-        part.replace(target)
+        write_whole(target, (draft / path).read_bytes())
         changed.insert(0, target)
     return tuple(changed)
+
+
+def _same(made: Path, there: Path) -> bool:
+    return there.exists() and filecmp.cmp(made, there, shallow=False)
 
 
 def _moved(error: SceneError, draft: Path, folder: Path) -> SceneError:

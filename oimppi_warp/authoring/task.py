@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 
+from oimppi_warp.authoring.objects.stored import is_object_file
 from oimppi_warp.authoring.objects.thing import Pushable
 from oimppi_warp.authoring.prims import (
     Color,
@@ -87,7 +88,7 @@ class Task:
         obstacles: What stands in its way.
         tolerance, tight: Success, and a stricter measure beside it: position [m] and yaw [rad].
         robot_start: Joint positions at the start [rad]; none: the robot's own.
-        robot: Name of the robot's file in ``robots/``.
+        robot: Name of the robot's file in ``robots/``; without an ending, of one with ``.usda``.
     """
 
     name: str
@@ -134,7 +135,8 @@ def write(
     _write_view(stage)
 
     robot = stage.DefinePrim("/World/Robot")
-    robot.GetReferences().AddReference(f"./robots/{task.robot}.usda")
+    robot_file = task.robot if is_object_file(Path(task.robot)) else f"{task.robot}.usda"
+    robot.GetReferences().AddReference(f"./robots/{robot_file}")
     if task.robot_start:
         pose_robot(stage, "/World/Robot", task.robot_start)
 

@@ -15,7 +15,7 @@ from oimppi_warp.authoring.objects.alphabet import CAP
 from oimppi_warp.authoring.objects.meshes import FORMATS
 from oimppi_warp.authoring.objects.pose import Lay
 from oimppi_warp.authoring.objects.solid import import_mesh
-from oimppi_warp.authoring.objects.stored import is_object_file, read_object
+from oimppi_warp.authoring.objects.stored import ENDINGS, is_object_file, read_object
 from oimppi_warp.authoring.objects.thing import Pushable, Thing
 from oimppi_warp.authoring.task import Block, Obstacle, Pillar, Pose, Standing
 from oimppi_warp.errors import ConfigError
@@ -188,24 +188,27 @@ def _lengths(word: str, text: str, count: int) -> tuple[float, ...]:
 
 
 def _known(word: str, manner: Manner, folder: Path) -> Pushable:
-    """A shipped object, one of the folder's, or a file."""
+    """One of the folder's objects, a shipped one, or a file; what tasks left there of a shipped one is still that."""
     name = word.replace("-", "_")
-    own = folder / "objects" / f"{name}.usda"
-    shipped = {thing.name: thing for thing in catalog.THINGS}
+    shipped = next((thing for thing in catalog.THINGS if thing.name == name), None)
     file = Path(word).expanduser()
-    if name in shipped:
-        return _weighed(shipped[name], manner)
-    if file.suffix.lower() in FORMATS:
+    places = (folder / "objects" / f"{name}{ending}" for ending in ENDINGS)
+    own = next((read_object(place) for place in places if place.is_file()), None)
+    if shipped is not None and (own is None or own.doc == shipped.doc):
+        return _weighed(shipped, manner)
+    if own is None and file.suffix.lower() in FORMATS:
         return parse_object(f"mesh:{word}", manner)
-    for stored in (own, file):
-        if is_object_file(stored) and (stored == file or stored.is_file()):
-            if manner.mass is not None or manner.friction is not None:
-                raise ConfigError(
-                    f"--object {word}: its mass and friction stand in its file\n"
-                    f"  allowed: physics:mass and physics:dynamicFriction in {stored}"
-                )
-            return read_object(stored)
-    near = difflib.get_close_matches(name, [*shipped, "letter", "text", "box", "cylinder", "mesh"], n=1, cutoff=0.5)
+    stored = own or (read_object(file) if is_object_file(file) else None)
+    if stored is not None:
+        if manner.mass is not None or manner.friction is not None:
+            raise ConfigError(
+                f"--object {word}: its mass and friction stand in its file\n"
+                f"  allowed: physics:mass and physics:dynamicFriction in {stored.file}"
+            )
+        return stored
+    near = difflib.get_close_matches(
+        name, [*(thing.name for thing in catalog.THINGS), "letter", "text", "box", "cylinder", "mesh"], n=1, cutoff=0.5
+    )
     guess = f"\n  did you mean {near[0].replace('_', '-')}?" if near else ""
     raise ConfigError(f"{word}: there is no such object\n  allowed: {OBJECTS}{guess}")
 

@@ -162,12 +162,17 @@ def _elsewhere(stage: SceneStage, path: str, prim: Usd.Prim | str = "") -> Probl
 
 def _layers_in_other_units(stage: SceneStage) -> Iterator[Problem]:
     """Files that are referred to with other units than the scene's: USD composes them as they are."""
-    own = stage.stage.GetRootLayer().pseudoRoot.GetInfo("metersPerUnit")
+    own = stage.stage.GetRootLayer().pseudoRoot
     for layer in stage.stage.GetUsedLayers():
         head = layer.pseudoRoot
-        if layer.realPath and head.HasInfo("metersPerUnit") and head.GetInfo("metersPerUnit") != own:
-            yield stage.doubt(
-                f"metersPerUnit is {head.GetInfo('metersPerUnit'):g} in {layer.realPath}",
-                allowed=f"{own:g}, as in the scene",
-                fix="convert that file, or scale its shapes: USD takes its numbers as they are",
-            )
+        for name in ("metersPerUnit", "kilogramsPerUnit", "upAxis"):
+            if layer.realPath and head.HasInfo(name) and head.GetInfo(name) != own.GetInfo(name):
+                yield stage.doubt(
+                    f"{name} is {_plain(head.GetInfo(name))} in {layer.realPath}",
+                    allowed=f"{_plain(own.GetInfo(name))}, as in the scene",
+                    fix="convert that file, or scale or turn its shapes: USD takes its numbers as they are",
+                )
+
+
+def _plain(unit: float | str) -> str:
+    return unit if isinstance(unit, str) else f"{unit:g}"

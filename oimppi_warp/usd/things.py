@@ -85,7 +85,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
     elif len(colliders) == len(list(collider_prims(prim))):
         rest_height = round(-float(height_range(colliders)[0]), 6)
         _check_lies(stage, prim, transform(frame), rest_height)
-        center = _center_of_mass(stage, prim, colliders)
+        center = center_of_mass(stage, prim, colliders)
     if colliders:
         friction, tool_friction = _frictions(stage, prim)
     pushed = PushedObject(
@@ -169,7 +169,7 @@ def _check_lies(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height
         stage.keep(stage.error(f"an object {where} the table", prim, allowed="on it", fix=fix))
 
 
-def _center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
+def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
     """Where it is given, or that of the shapes, in the body's frame, shape [3] [m]."""
     given = UsdPhysics.MassAPI(prim).GetCenterOfMassAttr().Get()
     center = np.array([single(c) for c in given or [math.nan]])
@@ -182,7 +182,7 @@ def _center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider
 def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
     """Coefficients of the object with the table and with the tool."""
     tools = [tip.GetParent() for tip in stage.role("OimppiToolAPI")]
-    own, table, tool = (_friction(stage, bodies) for bodies in ([prim], stage.role("OimppiTableAPI"), tools))
+    own, table, tool = (largest_friction(stage, bodies) for bodies in ([prim], stage.role("OimppiTableAPI"), tools))
     pairs = float(np.maximum(own, table)), float(np.maximum(own, tool))
     if any(friction <= 0.0 for friction in pairs):
         fix = "bind a material with PhysicsMaterialAPI and a physics:dynamicFriction to its colliders"
@@ -190,7 +190,7 @@ def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
     return pairs
 
 
-def _friction(stage: SceneStage, bodies: list[Usd.Prim]) -> float:
+def largest_friction(stage: SceneStage, bodies: list[Usd.Prim]) -> float:
     """Largest friction of the materials of the bodies' colliders; NaN without bodies, or by mistake."""
     shapes = [shape for body in bodies for shape in collider_prims(body)]
     found = [stage.attempt(math.nan, stage.friction, shape) for shape in shapes]

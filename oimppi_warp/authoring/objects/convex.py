@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -74,10 +75,11 @@ def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
         The pieces, and how far they are from the mesh.
     """
     solids = mesh.split(only_watertight=False)
+    shares = _shares(solids)
     coacd.set_log_level("error")
     best: tuple[tuple[Hull, ...], Fit] | None = None
     for threshold in THRESHOLDS:
-        hulls = tuple(hull for solid in solids for hull in _cut(solid, threshold, PIECES // len(solids)))
+        hulls = tuple(h for solid, most in zip(solids, shares, strict=True) for h in _cut(solid, threshold, most))
         fit = compare(mesh, hulls)
         if best is None or fit.footprint + fit.distance < best[1].footprint + best[1].distance:
             best = hulls, fit
@@ -87,14 +89,23 @@ def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
     return best
 
 
+def _shares(solids: Sequence[trimesh.Trimesh]) -> list[int]:
+    """How many pieces each part may be cut into, :data:`PIECES` in all; what is left over goes to the hollowest."""
+    lacking = np.array([0.0 if each.is_convex else each.convex_hull.volume - each.volume for each in solids])
+    shares, hollow = np.ones(len(solids), dtype=int), np.argsort(-lacking, kind="stable")[: (lacking > 0.0).sum()]
+    for number in range(PIECES - len(solids) if len(hollow) else 0):
+        shares[hollow[number % len(hollow)]] += 1
+    return shares.tolist()
+
+
 def _cut(solid: trimesh.Trimesh, threshold: float, most: int) -> list[Hull]:
     """Convex pieces of one solid part."""
-    if solid.is_convex:
+    if solid.is_convex or most == 1:
         return [_hull(solid.vertices)]
     parts = coacd.run_coacd(
         coacd.Mesh(solid.vertices, solid.faces),
         threshold=threshold,
-        max_convex_hull=max(most, 2),
+        max_convex_hull=most,
         preprocess_mode="on" if len(solid.faces) > FINE else "auto",
         preprocess_resolution=COARSER,
         seed=0,
@@ -130,7 +141,11 @@ def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """How deep points [n, 3] are below a surface, negative above it, shape [n] [m]: exact to the triangles near by."""
+    """How deep points [n, 3] are below a surface, negative above it, shape [n] [m]: exact to the triangles near by.
+
+    Where an edge or a corner is nearest, its triangles are equally far, and the one that the point is farthest out of
+    the plane of tells the side.
+    """
     samples, owner = _sampled(mesh, 4 * _ON_SURFACE, 1)
     samples = np.vstack([samples, mesh.triangles_center])
     owner = np.concatenate([owner, np.arange(len(mesh.faces))])
@@ -140,9 +155,11 @@ def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     closest = trimesh.triangles.closest_point(mesh.triangles[candidates.ravel()], repeated)
     away = (repeated - closest).reshape(*candidates.shape, 3)
     far = np.linalg.norm(away, axis=-1)
-    first = np.arange(len(points)), far.argmin(axis=1)
-    above = np.einsum("ni,ni->n", away[first], mesh.face_normals[candidates[first]]) > 0.0
-    return np.where(above, -1.0, 1.0) * far[first]
+    nearest = far.min(axis=1)
+    lift = np.einsum("nki,nki->nk", away, mesh.face_normals[candidates])
+    decisive = np.where(far < nearest[:, None] + 1e-9, np.abs(lift), -1.0).argmax(axis=1)
+    above = lift[np.arange(len(points)), decisive] > 0.0
+    return np.where(above, -1.0, 1.0) * nearest
 
 
 def _sampled(mesh: trimesh.Trimesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -158,18 +175,15 @@ def _volume_of_union(hulls: tuple[Hull, ...]) -> float:
         return total
     every = np.vstack([corners for corners, _ in hulls])
     points, box = points_in_box(np.array([every.min(axis=0), every.max(axis=0)]), _POINTS)
-    times = sum((_depth((hull,), points) > 0.0).astype(int) for hull in hulls)
+    times = sum((_depth(hull, points) > 0.0).astype(int) for hull in hulls)
     return total - float(box * np.maximum(times - 1, 0).mean())
 
 
-def _depth(hulls: tuple[Hull, ...], points: np.ndarray) -> np.ndarray:
-    """How deep points are in the piece that they are deepest in [m]; negative outside."""
-    deepest = np.full(len(points), -np.inf)
-    for corners, faces in hulls:
-        shell = trimesh.Trimesh(corners, faces, process=False)
-        inward = np.einsum("fi,fi->f", shell.face_normals, shell.triangles[:, 0]) - points @ shell.face_normals.T
-        deepest = np.maximum(deepest, inward.min(axis=1))
-    return deepest
+def _depth(hull: Hull, points: np.ndarray) -> np.ndarray:
+    """How deep points are in a piece [m]; negative outside."""
+    shell = trimesh.Trimesh(*hull, process=False)
+    inward = np.einsum("fi,fi->f", shell.face_normals, shell.triangles[:, 0]) - points @ shell.face_normals.T
+    return inward.min(axis=1)
 
 
 def _hull(points: np.ndarray) -> Hull:

@@ -10,7 +10,7 @@ from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
 from oimppi_warp.authoring.objects.alphabet import CAP, SIMPLE, outline_of
-from oimppi_warp.authoring.objects.shapes import FRICTION, checked_friction, checked_mass, flat
+from oimppi_warp.authoring.objects.shapes import FRICTION, checked_friction, checked_mass, checked_sides, flat
 from oimppi_warp.authoring.objects.thing import Thing
 from oimppi_warp.authoring.prims import Color
 from oimppi_warp.errors import ConfigError
@@ -59,12 +59,12 @@ def letter(
         raise ConfigError(f"letter:{letter}: that is not one letter\n  allowed: letter:S, or a word as text:{letter}")
     outline = _letter_outline(letter, size, font)
     shown = letter if font else letter.upper()
-    name = f"letter_{_plain(shown)}"
+    name, doc = f"letter_{_plain(shown)}", f"The letter {shown}" + (f" of the font {font}" if font else "")
     if shown in SIMPLE and font is None and size == CAP:  # cut by hand, as the shipped scenes have them
+        x0, y0, x1, y1 = outline.bounds
+        checked_sides(doc, x1 - x0, y1 - y0, height)
         weight = checked_mass(mass, shapely.area(outline) * height)
-        doc = f"The letter {shown}"
         return Thing(name, f"Letter{shown}", doc, SIMPLE[shown], height, weight, checked_friction(friction), color)
-    doc = f"The letter {shown}" + (f" of the font {font}" if font else "")
     prim = f"Letter{_plain(shown).title()}"
     return flat(name, prim, doc, outline, height, mass=mass, friction=friction, color=color)
 
