@@ -125,6 +125,31 @@ def test_an_object_drawn_with_y_up_moves_as_the_same_object(tmp_path):
     np.testing.assert_allclose(pushed(scene)[1], pushed(load_scene("task05"))[1], atol=SAME)
 
 
+def test_an_instance_drawn_with_y_up_is_stood_up_with_all_that_is_in_it(tmp_path):
+    stage = flat("task05")
+    reframed(stage, "/World/Object", TURNS["y up"])
+    written(stage, tmp_path / "library.usda")
+    body = stage.GetPrimAtPath("/World/Object")
+    for part in body.GetChildren():
+        stage.RemovePrim(part.GetPath())
+    body.GetReferences().AddReference("./library.usda", "/World/Object")
+    body.SetInstanceable(True)
+    scene = load_scene(written(stage, tmp_path / "task05.usda"))
+    assert differences(load_scene("task05"), scene, tolerance=1e-6) == []
+    assert_shapes_agree(scene)
+
+
+def test_moments_of_inertia_without_axes_are_about_those_that_the_object_was_drawn_with(tmp_path):
+    stage = flat("task05")
+    reframed(stage, "/World/Object", TURNS["y up"])
+    body = stage.GetPrimAtPath("/World/Object")
+    body.RemoveProperty("physics:principalAxes")
+    UsdPhysics.MassAPI(body).GetDiagonalInertiaAttr().Set(Gf.Vec3f(0.001, 0.002, 0.0025))
+    built = World(load_scene(written(stage, tmp_path / "task05.usda"))).newton
+    inertia = built.model.body_inertia.numpy()[built.object_body]
+    np.testing.assert_allclose(inertia, np.diag([0.001, 0.0025, 0.002]), atol=1e-8)
+
+
 def test_a_robot_and_an_object_drawn_with_y_up_on_a_stage_with_y_up_are_the_same_task(tmp_path):
     stage = flat("task02")
     with_y_up(stage)
