@@ -273,6 +273,14 @@ def test_looks_are_kept_and_those_that_are_not_there_left_out(tmp_path):
     assert not any(part.visuals for part in (arm.base, arm.links[0], *arm.links[2:]))
 
 
+def test_a_base_without_a_mass_keeps_its_looks(tmp_path):
+    plate = '<visual><geometry><box size="0.2 0.2 0.02"/></geometry></visual>'
+    parts = arm_parts() | {"base": link("base", mass=0.0, shapes=plate)}
+    base = made(tmp_path, parts).base
+    assert [visual.shape.kind for visual in base.visuals] == ["box"]
+    assert base.mass > 0.0
+
+
 def test_looks_that_nobody_reads_do_not_stop_a_robot(tmp_path):
     parts = arm_parts() | {"upper": link("upper", shapes=shape('<sphere radius="0.05"/>') + LOOKS)}
     (tmp_path / "meshes").mkdir()
