@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -117,9 +118,10 @@ def _weight_warnings(found: Inspection) -> Iterator[Problem]:
 
 
 def _starts(scene: Scene) -> Iterator[tuple[int, PlanarPose]]:
-    """The listed starts with their numbers, but for the one in the file."""
+    """The listed starts with their numbers, but for the one in the file, which may be rounded in the list."""
     for number, (x, y, yaw) in enumerate(scene.starts.tolist()):
-        if (x, y, yaw) != scene.start:
+        turn = math.remainder(yaw - scene.start[2], 2.0 * math.pi)
+        if not np.allclose((x - scene.start[0], y - scene.start[1], turn), 0.0, atol=1e-6):
             yield number, (x, y, yaw)
 
 
@@ -153,7 +155,8 @@ def _narrow_warnings(scene: Scene, ways: Ways, starts: dict[str, PlanarPose]) ->
     blocked = [name for name, start in starts.items() if ways.is_blocked(start)]
     neck = ways.neck(starts[blocked[0]] if blocked else next(iter(starts.values())))
     if blocked:
-        which = f"{blocked[0]}{f' and {len(blocked) - 1} others' if blocked[1:] else ''}"
+        more = len(blocked) - 1
+        which = blocked[0] + (f" and {more} other{'s' if more > 1 else ''}" if more else "")
         yield _warning(
             scene,
             f"no way to the goal is free from the object's {which}{'' if neck is None else f': {_tight(neck)}'}",
