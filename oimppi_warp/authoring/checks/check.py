@@ -70,9 +70,10 @@ def _task_errors(scene: Scene) -> Iterator[SceneError]:
 
 def _too_large(scene: Scene) -> Iterator[SceneError]:
     """A table for whose part within reach the planner's fields would not fit into memory."""
-    from oimppi_warp.clearance import STEP, YAW_NODES, arm_reach_bound
+    from oimppi_warp.clearance import STEP, YAW_NODES
+    from oimppi_warp.reach import stretched_length
 
-    reach = arm_reach_bound(scene)
+    reach = stretched_length(scene.robot)
     size = np.minimum(scene.table.upper, reach) - np.maximum(scene.table.lower, -reach)
     if YAW_NODES * float(np.prod(np.maximum(size, 0.0) / STEP)) > LARGEST:
         yield SceneError(
@@ -113,7 +114,7 @@ def _weight_warnings(found: Inspection) -> Iterator[Problem]:
     scene, stage = found.scene, found.stage
     assert scene is not None and stage is not None
     inertia = given_inertia(stage.stage.GetPrimAtPath(scene.object.path))
-    for odd in weight_oddities(scene, inertia):
+    for odd in weight_oddities(scene, stage, inertia):
         yield _warning(scene, odd.what, prim=scene.object.path, allowed=odd.allowed, fix=odd.fix)
 
 
