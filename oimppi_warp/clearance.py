@@ -20,7 +20,7 @@ import trimesh
 import warp as wp
 
 from oimppi_warp.cache import cached, content_of
-from oimppi_warp.footprint import LimitSurface, Piece, core_points, footprint, height_range, limit_surface, outline
+from oimppi_warp.footprint import LimitSurface, Piece, collider_mesh, footprint, height_range, limit_surface, outline
 from oimppi_warp.kernels import clearance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.reach import area_of, stretched_length
@@ -153,7 +153,7 @@ def _clearance_field(
     body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str, *, edge: bool
 ) -> PoseField:
     lower, upper = np.array(scene.table.lower), np.array(scene.table.upper)
-    reach = arm_reach_bound(scene)
+    reach = stretched_length(scene.robot)
     first = np.maximum(lower, -reach)
     count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
     lower, upper = area_of(scene) if edge else (lower - 10.0, upper + 10.0)
@@ -187,11 +187,6 @@ def _clearance_field(
     return field
 
 
-def arm_reach_bound(scene: Scene) -> float:
-    """A bound on how far the tool can be from the base's axis: the stretched length of the chain [m]."""
-    return stretched_length(scene.robot)
-
-
 def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:
     shape = outline(pieces)
     margin = max(2.0 * tool_radius, 0.02)  # beyond it the field is cut off, which must not look like contact
@@ -209,15 +204,6 @@ def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarF
     return field
 
 
-def collider_mesh(collider: Collider) -> trimesh.Trimesh:
-    """The collider as a closed mesh in its body's frame (round ones with 32 sides)."""
-    points, radius = core_points(collider)
-    if radius > 0.0:
-        ball = trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices
-        points = (points[:, None, :] + ball[None, :, :]).reshape(-1, 3)
-    return trimesh.convex.convex_hull(points)
-
-
 def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[SpaceField, float]:
     field = SpaceField()
     field.inv_step = 1.0 / SPACE_STEP
@@ -228,7 +214,7 @@ def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[
         return field, -1.0
 
     mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([collider_mesh(collider) for collider in obstacles]))
-    reach = arm_reach_bound(scene)
+    reach = stretched_length(scene.robot)
     lower = np.maximum(mesh.bounds[0] - FURTHEST, [-reach, -reach, 0.0])
     upper = np.minimum(mesh.bounds[1] + FURTHEST, [reach, reach, 2.0])
     count = np.maximum(np.ceil((upper - lower) / SPACE_STEP).astype(int) + 1, 2)

@@ -12,6 +12,7 @@ from typing import Literal, cast
 
 import numpy as np
 import shapely
+import trimesh
 from shapely.geometry import MultiPoint, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
@@ -115,6 +116,15 @@ def core_points(collider: Collider) -> tuple[np.ndarray, float]:
         assert collider.vertices is not None
         points = np.asarray(collider.vertices, dtype=float)
     return transform_points(collider.transform, points), radius
+
+
+def collider_mesh(collider: Collider) -> trimesh.Trimesh:
+    """The collider as a closed mesh in its body's frame (round ones with 32 sides)."""
+    points, radius = core_points(collider)
+    if radius > 0.0:
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices
+        points = (points[:, None, :] + ball[None, :, :]).reshape(-1, 3)
+    return trimesh.convex.convex_hull(points)
 
 
 def height_range(colliders: Iterable[Collider]) -> tuple[float, float]:

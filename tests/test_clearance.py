@@ -17,14 +17,13 @@ from oimppi_warp.clearance import (
     STEP,
     YAW_NODES,
     Geometry,
-    arm_reach_bound,
     build_geometry,
-    collider_mesh,
     from_center,
     pose_field_at,
     to_center,
 )
-from oimppi_warp.footprint import footprint, outline
+from oimppi_warp.footprint import collider_mesh, footprint, outline
+from oimppi_warp.reach import stretched_length
 from oimppi_warp.scene import Collider, Scene
 
 SCENES = ("task02", "task03", "task04", "task05", "lab02")
@@ -241,7 +240,7 @@ def test_nothing_is_near_in_space_without_obstacles():
 
 def test_the_grid_of_phi_2_covers_the_part_of_the_table_that_the_arm_reaches(geometry):
     scene, grid = shipped("task02"), pose_grid(geometry("task02").clearance)
-    reach = arm_reach_bound(scene)
+    reach = stretched_length(scene.robot)
     assert grid.values.shape[2] == YAW_NODES
     np.testing.assert_allclose(grid.origin[:2], np.maximum(scene.table.lower, -reach), atol=1e-6)
     last = grid.origin[:2] + grid.step[:2] * (np.array(grid.values.shape[:2]) - 1)

@@ -8,7 +8,7 @@ import reference
 from scipy.spatial.transform import Rotation
 from tasks import joints_at, shipped, straight
 
-from oimppi_warp.clearance import collider_mesh
+from oimppi_warp.footprint import collider_mesh
 from oimppi_warp.kinematics import collider_spheres, link_frames, pack_arm, tip_frame, tip_jacobian
 from oimppi_warp.scene import Collider
 

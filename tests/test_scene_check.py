@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 
 import pytest
 from doubtful import CUBE, DOUBTFUL, OBJECT, ROBOT, several
@@ -247,7 +248,16 @@ def test_listed_starts_without_a_way_are_warned_of(tmp_path):
     starts = [Gf.Vec3d(0.5, 0.3, 0.0), Gf.Vec3d(0.3, -0.45, 0.0), Gf.Vec3d(0.3, -0.4, 0.0)]
     at_the_goal = [put(OBJECT, "xformOp:translate", Gf.Vec3d(0.5, 0.3, 0.025)), put("/World", "oimppi:starts", starts)]
     problem = check_scene(variant(tmp_path, several(barrier(0.12), *at_the_goal), "task01"))[-1]
-    assert problem.what.startswith("no way to the goal is free from the object's start 1 and 1 others: ")
+    assert problem.what.startswith("no way to the goal is free from the object's start 1 and 1 other: ")
+
+
+@pytest.mark.parametrize("yaw", [-170.0, 180.0])
+def test_the_start_in_the_file_counts_once_though_it_is_rounded_in_the_list(tmp_path, yaw):
+    starts = [Gf.Vec3d(0.3, -0.45, round(math.radians(yaw), 9) + turns * 2.0 * math.pi) for turns in (0, -1)]
+    turned = put(OBJECT, "xformOp:rotateZ", yaw)
+    file = variant(tmp_path, several(barrier(0.12), turned, put("/World", "oimppi:starts", starts)), "task01")
+    (what,) = [what for _, what in found(file) if what.startswith("no way")]
+    assert what.startswith("no way to the goal is free from the object's start: at (")
 
 
 def test_a_goal_in_a_slot_is_warned_of(tmp_path):

@@ -125,6 +125,31 @@ def test_an_object_drawn_with_y_up_moves_as_the_same_object(tmp_path):
     np.testing.assert_allclose(pushed(scene)[1], pushed(load_scene("task05"))[1], atol=SAME)
 
 
+def test_an_instance_drawn_with_y_up_is_stood_up_with_all_that_is_in_it(tmp_path):
+    stage = flat("task05")
+    reframed(stage, "/World/Object", TURNS["y up"])
+    written(stage, tmp_path / "library.usda")
+    body = stage.GetPrimAtPath("/World/Object")
+    for part in body.GetChildren():
+        stage.RemovePrim(part.GetPath())
+    body.GetReferences().AddReference("./library.usda", "/World/Object")
+    body.SetInstanceable(True)
+    scene = load_scene(written(stage, tmp_path / "task05.usda"))
+    assert differences(load_scene("task05"), scene, tolerance=1e-6) == []
+    assert_shapes_agree(scene)
+
+
+def test_moments_of_inertia_without_axes_are_about_those_that_the_object_was_drawn_with(tmp_path):
+    stage = flat("task05")
+    reframed(stage, "/World/Object", TURNS["y up"])
+    body = stage.GetPrimAtPath("/World/Object")
+    body.RemoveProperty("physics:principalAxes")
+    UsdPhysics.MassAPI(body).GetDiagonalInertiaAttr().Set(Gf.Vec3f(0.001, 0.002, 0.0025))
+    built = World(load_scene(written(stage, tmp_path / "task05.usda"))).newton
+    inertia = built.model.body_inertia.numpy()[built.object_body]
+    np.testing.assert_allclose(inertia, np.diag([0.001, 0.0025, 0.002]), atol=1e-8)
+
+
 def test_a_robot_and_an_object_drawn_with_y_up_on_a_stage_with_y_up_are_the_same_task(tmp_path):
     stage = flat("task02")
     with_y_up(stage)
@@ -361,3 +386,38 @@ def test_a_scaled_cube_may_be_the_object_itself(tmp_path):
     again = load_scene(save_scene(scene.with_start((0.3, -0.4, 0.1)), tmp_path / "saved.usda"))
     assert differences(scene.with_start((0.3, -0.4, 0.1)).object, again.object, tolerance=1e-6) == []
     assert again.start == pytest.approx((0.3, -0.4, 0.1))
+
+
+def corner_mesh(stage: Usd.Stage) -> None:
+    """An L of two bars of 0.1 x 0.03 x 0.05 m as one mesh that collides as its hull, in the place of the T."""
+    body = stage.GetPrimAtPath("/World/Object")
+    for part in Usd.PrimRange(body):
+        part.RemoveAPI(UsdPhysics.CollisionAPI)
+    for name in ("centerOfMass", "diagonalInertia", "principalAxes"):
+        body.RemoveProperty(f"physics:{name}")
+    UsdPhysics.MassAPI(body).GetMassAttr().Set(0.001)
+    corners = np.array([(0.0, 0.0), (0.1, 0.0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0.0, 0.1)])
+    points = np.concatenate([np.column_stack([corners, np.full(6, z)]) for z in (-0.025, 0.025)])
+    fans = [[0, i, i + 1] for i in range(1, 5)]
+    sides = [[i, (i + 1) % 6, (i + 1) % 6 + 6, i + 6] for i in range(6)]
+    faces = [*(fan[::-1] for fan in fans), *([i + 6 for i in fan] for fan in fans), *sides]
+    mesh = UsdGeom.Mesh.Define(stage, "/World/Object/Corner")
+    mesh.CreatePointsAttr([Gf.Vec3f(*point) for point in points.tolist()])
+    mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
+    mesh.CreateFaceVertexIndicesAttr([i for face in faces for i in face])
+    UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
+    UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+    material = next(UsdShade.Material(part) for part in Usd.PrimRange(body) if part.IsA(UsdShade.Material))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material, materialPurpose="physics")
+
+
+def test_a_mesh_with_a_hollow_weighs_what_its_faces_enclose_to_all_who_read_it(tmp_path):
+    stage = flat("task01")
+    corner_mesh(stage)
+    scene = load_scene(written(stage, tmp_path / "task01.usda"))
+    built = World(scene).newton
+    middle = (0.05 * 0.003 + 0.015 * 0.0021) / 0.0051  # of both bars, their areas as weights; the hull's is 0.041
+    assert scene.object.center_of_mass == pytest.approx((middle, middle, 0.0), abs=1e-7)
+    assert built.model.body_com.numpy()[built.object_body] == pytest.approx((middle, middle, 0.0), abs=1e-7)
+    (light,) = [problem.what for problem in check_scene(scene.file) if "litres" in problem.what]
+    assert light == "a mass of 0.001 kg in a volume of 0.255 litres is 3.92 kg/m^3"

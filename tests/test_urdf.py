@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -14,6 +15,7 @@ from made_urdf import arm_parts, joint, link, shape, write_urdf
 from pxr import Usd, UsdGeom
 from scipy.spatial import ConvexHull
 
+from oimppi_warp.authoring import box, write_object
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.authoring.robots.articulation import GREY, ToolAxis
 from oimppi_warp.authoring.robots.fitting import POINTS, fitted
@@ -23,11 +25,12 @@ from oimppi_warp.cli import main
 from oimppi_warp.episode import Episode
 from oimppi_warp.errors import SceneError
 from oimppi_warp.feasibility import check_task
-from oimppi_warp.footprint import core_points, rotation_matrix
+from oimppi_warp.footprint import core_points, footprint, outline, rotation_matrix
 from oimppi_warp.kinematics import link_frames, tip_frame
 from oimppi_warp.metrics import summarize
 from oimppi_warp.presets import best
 from oimppi_warp.reach import can_lift, reach_of
+from oimppi_warp.scene import PushedObject
 from oimppi_warp.usd import load_scene
 
 RANDOM = np.random.default_rng(4)
@@ -162,14 +165,16 @@ def test_an_arm_that_does_not_get_to_the_table_is_refused(tmp_path):
         with_start(made(tmp_path, parts))
 
 
-def sliding(height: float) -> Parts:
+def sliding(height: float, *, far: float = 0.9, aside: float = 0.7) -> Parts:
     """Two slides, the first along the world's -y, the second along x."""
     return {
         "base": link("base"),
         "bridge": link("bridge"),
         "carriage": link("carriage", shapes=shape('<box size="0.05 0.05 0.05"/>')),
-        "y": joint("y", "base", "bridge", kind="prismatic", xyz=f"0 0 {height}", axis="0 -1 0", lower=-0.7, upper=0.7),
-        "x": joint("x", "bridge", "carriage", kind="prismatic", axis="1 0 0", lower=0.05, upper=0.9),
+        "y": joint(
+            "y", "base", "bridge", kind="prismatic", xyz=f"0 0 {height}", axis="0 -1 0", lower=-aside, upper=aside
+        ),
+        "x": joint("x", "bridge", "carriage", kind="prismatic", axis="1 0 0", lower=0.05, upper=far),
     }
 
 
@@ -266,6 +271,14 @@ def test_looks_are_kept_and_those_that_are_not_there_left_out(tmp_path):
     assert mesh.color == pytest.approx(GREY, abs=2e-3)
     assert np.ptp(np.asarray(mesh.shape.vertices), axis=0).max() == pytest.approx(0.27, abs=0.01)
     assert not any(part.visuals for part in (arm.base, arm.links[0], *arm.links[2:]))
+
+
+def test_a_base_without_a_mass_keeps_its_looks(tmp_path):
+    plate = '<visual><geometry><box size="0.2 0.2 0.02"/></geometry></visual>'
+    parts = arm_parts() | {"base": link("base", mass=0.0, shapes=plate)}
+    base = made(tmp_path, parts).base
+    assert [visual.shape.kind for visual in base.visuals] == ["box"]
+    assert base.mass > 0.0
 
 
 def test_looks_that_nobody_reads_do_not_stop_a_robot(tmp_path):
@@ -402,6 +415,27 @@ def test_the_command_makes_a_robot_and_a_task_that_can_be_run(tmp_path, capsys):
     assert main(asked) == 2
     assert "already there" in capsys.readouterr().err
     assert main([*asked, "--force"]) == 0
+
+
+def test_each_robot_in_a_folder_keeps_the_object_that_was_made_for_it(tmp_path):
+    def add(name: str, *, far: float, aside: float) -> PushedObject:
+        urdf = write_urdf(tmp_path, sliding(0.182, far=far, aside=aside), name)
+        assert main(["scene", "robot", str(urdf), "--tool-axis=-z", "--out", str(tmp_path / "out")]) == 0
+        return load_scene(tmp_path / "out" / f"{name}_open.usda").object
+
+    def width(thing: PushedObject) -> float:
+        return float(np.ptp(outline(footprint(thing.colliders)).bounds[::2]))
+
+    other = replace(box(0.1, 0.06, 0.05), name="t_block_60")
+    before = write_object(other, tmp_path / "out").read_bytes()
+    sizes = {"larger": (0.5, 0.3), "small": (0.35, 0.25), "twin": (0.35, 0.24)}
+    first = {name: add(name, far=far, aside=aside) for name, (far, aside) in sizes.items()}
+    assert width(first["larger"]) == pytest.approx(0.8 * width(load_scene("task01").object), abs=1e-6)
+    assert width(first["small"]) == pytest.approx(0.6 * width(load_scene("task01").object), abs=1e-6)
+    for name, thing in first.items():
+        again = load_scene(tmp_path / "out" / f"{name}_open.usda").object
+        assert (again.mass, width(again)) == (thing.mass, width(thing))
+    assert (tmp_path / "out" / "objects" / "t_block_60.usda").read_bytes() == before
 
 
 @pytest.mark.parametrize(

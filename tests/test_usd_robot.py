@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from elsewhere import differences, measured_in, with_y_up
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.authoring.robots.arm import Arm
@@ -107,6 +108,26 @@ def test_limits_masses_and_shapes_are_kept(tmp_path):
     assert {collider.kind for link in arm.links for collider in link.colliders} == {"capsule"}
 
 
+@pytest.mark.parametrize(
+    ("metres", "kilograms", "y_up"), [(0.01, 1.0, False), (1.0, 1.0, True), (0.0254, 0.4536, True)]
+)
+def test_an_arm_in_other_units_is_the_same_arm(tmp_path, metres, kilograms, y_up):
+    def change(stage: Usd.Stage) -> None:
+        measured_in(stage, metres, kilograms)
+        if y_up:
+            with_y_up(stage)
+
+    folders = tmp_path / "converted", tmp_path / "plain"
+    for folder in folders:
+        folder.mkdir()
+    arm, expected = arm_of(foreign(folders[0], change)), arm_of(foreign(folders[1]))
+    assert differences(expected.robot(), arm.robot(), tolerance=2e-5) == []
+    for link, other in zip(arm.links, expected.links, strict=True):
+        assert link.mass == pytest.approx(other.mass, rel=1e-5)
+        np.testing.assert_allclose(link.inertia, other.inertia, atol=2e-6)
+        assert differences(other.visuals, link.visuals, tolerance=2e-5) == []
+
+
 def test_the_command_takes_it_like_a_urdf(tmp_path, capsys):
     file = foreign(tmp_path)
     asked = ["scene", "robot", str(file), "--tool-length", "0.21", "--flange", "link7", "--name", "mine"]
@@ -140,8 +161,12 @@ BAD: dict[str, tuple[Callable[[Usd.Stage], object], str, str]] = {
         "PhysicsFixedJoint",
     ),
     "two articulations": (two_articulations, "2 articulations", "one robot"),
-    "centimetres": (lambda stage: UsdGeom.SetStageMetersPerUnit(stage, 0.01), "other units", "metres, z up"),
-    "another axis up": (lambda stage: UsdGeom.SetStageUpAxis(stage, "Y"), "another axis up", "metres, z up"),
+    "no units": (
+        lambda stage: stage.ClearMetadata("metersPerUnit"),
+        "the unit of length is not given",
+        "metersPerUnit",
+    ),
+    "no axis up": (lambda stage: stage.ClearMetadata("upAxis"), "which axis is up is not given", 'upAxis "Y" or "Z"'),
     "a ball joint": (ball_joint, "type ball", "PhysicsRevoluteJoint"),
     "a branch": (branch, "the arm branches", "--flange"),
 }

@@ -52,19 +52,25 @@ def quat(q: Vector) -> Gf.Quatf:
 
 def place(prim: Usd.Prim, position: Vector, orientation: Vector | None = None) -> None:
     """Put a prim at a position [m] and, if given, an orientation (quaternion xyzw) in its parent's frame."""
-    xform = UsdGeom.Xformable(prim)
-    xform.ClearXformOpOrder()
-    xform.AddTranslateOp().Set(Gf.Vec3d(*rounded(position)))
+    UsdGeom.Xformable(prim).ClearXformOpOrder()
+    _add_operation(prim, UsdGeom.XformOp.TypeTranslate, Gf.Vec3d(*rounded(position)))
     if orientation is not None:
-        xform.AddOrientOp().Set(quat(orientation))
+        _add_operation(prim, UsdGeom.XformOp.TypeOrient, quat(orientation))
 
 
 def place_planar(prim: Usd.Prim, pose: Vector, height: float) -> None:
     """Put a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m]."""
-    xform = UsdGeom.Xformable(prim)
-    xform.ClearXformOpOrder()
-    xform.AddTranslateOp().Set(Gf.Vec3d(*rounded((pose[0], pose[1], height))))
-    xform.AddRotateZOp(UsdGeom.XformOp.PrecisionDouble).Set(round(math.degrees(pose[2]), 9))
+    place(prim, (pose[0], pose[1], height))
+    _add_operation(prim, UsdGeom.XformOp.TypeRotateZ, round(math.degrees(pose[2]), 9))
+
+
+def _add_operation(prim: Usd.Prim, kind: UsdGeom.XformOp.Type, value: Gf.Vec3d | Gf.Quatf | float) -> None:
+    """Move or turn a prim, in the precision of the value; where another file gave the attribute already, in its own."""
+    there = prim.GetAttribute(f"xformOp:{UsdGeom.XformOp.GetOpTypeToken(kind)}")
+    own = UsdGeom.XformOp.PrecisionFloat if isinstance(value, Gf.Quatf) else UsdGeom.XformOp.PrecisionDouble
+    precision = UsdGeom.XformOp(there).GetPrecision() if there else own
+    operation = UsdGeom.Xformable(prim).AddXformOp(kind, precision)
+    operation.Set(type(operation.GetTypeName().defaultValue)(value))
 
 
 def apply_api(prim: Usd.Prim, *names: str) -> None:

@@ -24,6 +24,7 @@ from oimppi_warp.feasibility import check_task
 from oimppi_warp.log import write_whole
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
+from oimppi_warp.usd.sound import usd_reason
 from oimppi_warp.usd.stage import SCENES
 
 _IN_WORDS = {
@@ -75,6 +76,9 @@ def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> 
             check_task(scene)
         except SceneError as error:
             raise _moved(error, draft, folder) from None
+        except Tf.ErrorException as error:
+            what, fix = f"OpenUSD cannot write it ({usd_reason(error)})", "correct the object's or the robot's file"
+            raise SceneError(what, file=target, allowed="sound USD", fix=fix) from None
         files = _install(draft, folder, Path(target.name), own)
     return Written(target, replace(scene, file=target.resolve()), files)
 

@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+import trimesh
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
+from oimppi_warp.footprint import collider_mesh, transform_points
 from oimppi_warp.scene import Collider
 from oimppi_warp.usd.frames import is_orthogonal, scales, transform
 from oimppi_warp.usd.meshes import approximation, triangles
@@ -155,11 +157,17 @@ def volume_and_center(scene: SceneStage, collider: Collider) -> tuple[float, np.
         radius, half = size
         ends = 4 / 3 * math.pi * radius**3 if collider.kind == "capsule" else 0.0
         return 2 * math.pi * radius**2 * half + ends, position
+    body = solid(scene, collider)
+    return float(body.volume), body.center_mass
+
+
+def solid(scene: SceneStage, collider: Collider) -> trimesh.Trimesh:
+    """The collider as Newton weighs it, in the body's frame: of a mesh its faces, which may have hollows."""
+    if collider.kind != "mesh":
+        return collider_mesh(collider)
     faces = triangles(scene.stage.GetPrimAtPath(collider.path))
-    assert collider.vertices is not None and faces is not None
-    a, b, c = np.moveaxis(collider.vertices[faces], 1, 0)
-    volumes = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6
-    center = (volumes[:, None] * (a + b + c) / 4).sum(axis=0) / volumes.sum()
-    x, y, z, w = collider.transform[3:]
-    turned = Gf.Rotation(Gf.Quatd(w, x, y, z)).TransformDir(Gf.Vec3d(*center))
-    return abs(float(volumes.sum())), position + np.array(turned)
+    assert collider.vertices is not None
+    body = trimesh.Trimesh(transform_points(collider.transform, collider.vertices), faces, process=False)
+    if body.volume < 0.0:  # its faces look inwards
+        body.invert()
+    return body

@@ -10,19 +10,26 @@ from __future__ import annotations
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.usd.units import turn
+from oimppi_warp.usd.units import editable_prims, turn
 
 _NEAR = 1e-4
 
 
 def stand_upright(stage: Usd.Stage) -> None:
     """Turns the frames of objects to be pushed, where another of their axes than z points up."""
-    for prim in stage.Traverse():
-        is_object = "OimppiObjectAPI" in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
-        if is_object and prim.IsA(UsdGeom.Xformable) and not prim.IsA(UsdGeom.Gprim):
-            up = _axis_up(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
-            if up is not None and not np.allclose(up, (0.0, 0.0, 1.0)):
+    if any(_wrong_up(prim) is not None for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
+        for prim in editable_prims(stage):
+            if (up := _wrong_up(prim)) is not None:
                 _turn_frame(prim, Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0.0, 0.0, 1.0), Gf.Vec3d(*up))))
+
+
+def _wrong_up(prim: Usd.Prim) -> np.ndarray | None:
+    """Which axis of an object's frame points up, if another than z, as :func:`_axis_up`."""
+    is_object = "OimppiObjectAPI" in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+    if not is_object or not prim.IsA(UsdGeom.Xformable) or prim.IsA(UsdGeom.Gprim):
+        return None
+    up = _axis_up(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
+    return None if up is None or np.allclose(up, (0.0, 0.0, 1.0)) else up
 
 
 def _axis_up(frame: Gf.Matrix4d) -> np.ndarray | None:
@@ -46,7 +53,9 @@ def _turn_frame(body: Usd.Prim, by: Gf.Matrix4d) -> None:
         return
     mass = UsdPhysics.MassAPI(body)
     center, axes = mass.GetCenterOfMassAttr().Get(), mass.GetPrincipalAxesAttr().Get()
+    moments = mass.GetDiagonalInertiaAttr().Get()
     if center is not None and np.isfinite(center).all():
         mass.CreateCenterOfMassAttr(Gf.Vec3f(back.Transform(Gf.Vec3d(center))))
-    if axes is not None and axes.GetLength() > 0.5:  # all zero stands for axes that the shapes decide
-        mass.CreatePrincipalAxesAttr(Gf.Quatf(back.ExtractRotationQuat() * Gf.Quatd(axes)))
+    if moments is not None and any(moments):  # without them the shapes decide; without axes, they are the frame's
+        own = axes if axes is not None and axes.GetLength() > 0.5 else Gf.Quatf(1.0)
+        mass.CreatePrincipalAxesAttr(Gf.Quatf(back.ExtractRotationQuat() * Gf.Quatd(own)))

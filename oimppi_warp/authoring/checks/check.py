@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -69,9 +70,10 @@ def _task_errors(scene: Scene) -> Iterator[SceneError]:
 
 def _too_large(scene: Scene) -> Iterator[SceneError]:
     """A table for whose part within reach the planner's fields would not fit into memory."""
-    from oimppi_warp.clearance import STEP, YAW_NODES, arm_reach_bound
+    from oimppi_warp.clearance import STEP, YAW_NODES
+    from oimppi_warp.reach import stretched_length
 
-    reach = arm_reach_bound(scene)
+    reach = stretched_length(scene.robot)
     size = np.minimum(scene.table.upper, reach) - np.maximum(scene.table.lower, -reach)
     if YAW_NODES * float(np.prod(np.maximum(size, 0.0) / STEP)) > LARGEST:
         yield SceneError(
@@ -112,14 +114,15 @@ def _weight_warnings(found: Inspection) -> Iterator[Problem]:
     scene, stage = found.scene, found.stage
     assert scene is not None and stage is not None
     inertia = given_inertia(stage.stage.GetPrimAtPath(scene.object.path))
-    for odd in weight_oddities(scene, inertia):
+    for odd in weight_oddities(scene, stage, inertia):
         yield _warning(scene, odd.what, prim=scene.object.path, allowed=odd.allowed, fix=odd.fix)
 
 
 def _starts(scene: Scene) -> Iterator[tuple[int, PlanarPose]]:
-    """The listed starts with their numbers, but for the one in the file."""
+    """The listed starts with their numbers, but for the one in the file, which may be rounded in the list."""
     for number, (x, y, yaw) in enumerate(scene.starts.tolist()):
-        if (x, y, yaw) != scene.start:
+        turn = math.remainder(yaw - scene.start[2], 2.0 * math.pi)
+        if not np.allclose((x - scene.start[0], y - scene.start[1], turn), 0.0, atol=1e-6):
             yield number, (x, y, yaw)
 
 
@@ -153,7 +156,8 @@ def _narrow_warnings(scene: Scene, ways: Ways, starts: dict[str, PlanarPose]) ->
     blocked = [name for name, start in starts.items() if ways.is_blocked(start)]
     neck = ways.neck(starts[blocked[0]] if blocked else next(iter(starts.values())))
     if blocked:
-        which = f"{blocked[0]}{f' and {len(blocked) - 1} others' if blocked[1:] else ''}"
+        more = len(blocked) - 1
+        which = blocked[0] + (f" and {more} other{'s' if more > 1 else ''}" if more else "")
         yield _warning(
             scene,
             f"no way to the goal is free from the object's {which}{'' if neck is None else f': {_tight(neck)}'}",

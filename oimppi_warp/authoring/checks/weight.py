@@ -9,10 +9,11 @@ import numpy as np
 import shapely
 import trimesh
 
-from oimppi_warp.clearance import collider_mesh
 from oimppi_warp.feasibility import object_outline
 from oimppi_warp.footprint import height_range
 from oimppi_warp.scene import Scene
+from oimppi_warp.usd.colliders import solid
+from oimppi_warp.usd.stage import SceneStage
 
 DENSITIES = (10.0, 20000.0)
 """From a light foam to gold [kg/m^3]."""
@@ -30,15 +31,16 @@ class Oddity:
     fix: str
 
 
-def weight_oddities(scene: Scene, inertia: np.ndarray | None) -> Iterator[Oddity]:
+def weight_oddities(scene: Scene, stage: SceneStage, inertia: np.ndarray | None) -> Iterator[Oddity]:
     """What is odd about the weight of the object.
 
     Args:
         scene: The task.
+        stage: What it was read from.
         inertia: Principal moments that its file gives, shape [3] [kg m^2]; ``None`` where the shapes decide.
     """
     body = scene.object
-    solids = [collider_mesh(collider) for collider in body.colliders]
+    solids = [solid(stage, collider) for collider in body.colliders]
     volume = sum(float(solid.volume) for solid in solids)
     density = body.mass / volume
     if not DENSITIES[0] <= density <= DENSITIES[1]:

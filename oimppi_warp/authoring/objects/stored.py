@@ -10,8 +10,7 @@ from pxr import Usd, UsdShade
 
 from oimppi_warp.authoring.bundle import write_flat
 from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
-from oimppi_warp.clearance import collider_mesh
-from oimppi_warp.footprint import height_range
+from oimppi_warp.footprint import collider_mesh, height_range
 from oimppi_warp.scene import Collider, PushedObject
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders
 from oimppi_warp.usd.robot import read_mass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -79,10 +80,11 @@ class Articulation:
             frame = np.linalg.inv(own[number]) @ parent @ matrix_of(self._builder.joint_X_p[joint]) @ self._to_z(joint)
             made.append(self._arm_joint(joint, frame, chain, number))
         mount = np.linalg.inv(own[-1]) @ placed[-1][chain.flange] @ _along(axis)
+        base = links[0]
         return Arm(
             name=name,
             doc=doc,
-            base=links[0] if links[0].mass > 0.0 else ArmLink(BASE_MASS, np.zeros(3), np.eye(3), links[0].colliders),
+            base=base if base.mass > 0.0 else replace(base, mass=BASE_MASS, center=np.zeros(3), inertia=np.eye(3)),
             joints=tuple(made),
             links=tuple(links[1:]),
             stick=Stick(length, radius, position=mount[:3, 3], turn=matrix_quat(mount[:3, :3])),

@@ -84,7 +84,7 @@ class AddRobot:
                 skin = f"{name}_skin.usdc"
                 drawn = arm_usd.write_visuals(made, Path(folder) / "robots" / skin)
                 arm_usd.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
-                scene = write_trial(robot, name, Path(folder))
+                scene = write_trial(robot, name, Path(folder), later=self.out)
                 self._keep(Path(folder))
         bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
         if bare:
@@ -114,10 +114,8 @@ class AddRobot:
                 raise ConfigError(f"{file} is already there\n  to do:   another --name, or --force to write over it")
 
     def _keep(self, folder: Path) -> None:
-        """Copy what was written to where it belongs; an object that is there already stays as it is."""
+        """Copy what was written to where it belongs."""
         for file in folder.rglob("*.usd*"):
             target = self.out / file.relative_to(folder)
-            if target.exists() and target.parent.name == "objects":
-                continue
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(file, target)

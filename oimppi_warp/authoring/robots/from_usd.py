@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 import networkx as nx
 import numpy as np
-from pxr import Usd, UsdGeom, UsdPhysics
+from pxr import UsdPhysics
 
 from oimppi_warp.authoring.robots.articulation import Articulation, matrix_of
 from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.errors import SceneError
 from oimppi_warp.newton_model import collector_paused
+from oimppi_warp.usd.stage import SceneStage
 
 if TYPE_CHECKING:
     import newton
@@ -31,14 +32,15 @@ def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
             only chain.
 
     Raises:
-        SceneError: It cannot be read, is not in metres with z up, floats, branches or has joints that cannot be driven.
+        SceneError: It cannot be read, does not say its units, floats, branches or has joints that cannot be driven.
     """
-    _check(file)
+    scene = SceneStage(file)
+    _check(scene)
     with collector_paused():
         import newton
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
-        found = builder.add_usd(str(file), load_visual_shapes=True, enable_self_collisions=False)
+        found = builder.add_usd(scene.stage, load_visual_shapes=True, enable_self_collisions=False)
     except Exception as error:  # whatever Newton's importer raises
         raise SceneError(f"it cannot be read ({error})", file=file, allowed="a USD articulation") from error
     bodies, joints = found["path_body_map"], found["path_joint_map"]
@@ -47,21 +49,12 @@ def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     return chain, Articulation(builder, bodies=bodies, joints=joints, file=file, base=base)
 
 
-def _check(file: Path) -> None:
-    """Raise SceneError for what Newton would read and get wrong."""
-    if not file.is_file():
-        raise SceneError("there is no such file", file=file, allowed="a USD file of a robot")
-    try:
-        stage = Usd.Stage.Open(str(file))
-    except Exception:  # Tf.ErrorException, whose text is a list of places in USD's own source
-        raise SceneError("not a USD file that can be read", file=file, allowed=".usda, .usd, .usdc, .usdz") from None
-    if abs(UsdGeom.GetStageMetersPerUnit(stage) - 1.0) > 1e-9 or UsdGeom.GetStageUpAxis(stage) != UsdGeom.Tokens.z:
-        fix = "export the robot again with these settings"
-        raise SceneError("a robot in other units, or with another axis up", file=file, allowed="metres, z up", fix=fix)
-    roots = [prim for prim in stage.Traverse() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
+def _check(scene: SceneStage) -> None:
+    """Raise SceneError where a stage has not one robot."""
+    roots = [prim for prim in scene.prims() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
     if len(roots) != 1:
-        what = f"{len(roots)} articulations"
-        raise SceneError(what, file=file, allowed="one robot", fix="apply PhysicsArticulationRootAPI to one prim")
+        fix = "apply PhysicsArticulationRootAPI to one prim"
+        raise scene.error(f"{len(roots)} articulations", allowed="one robot", fix=fix)
 
 
 def _tree(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from oimppi_warp.authoring.objects.catalog import T_BLOCK
 from oimppi_warp.authoring.objects.thing import Box, Thing
+from oimppi_warp.authoring.project import write_object
 from oimppi_warp.authoring.task import Pose, Task, write
 from oimppi_warp.reach import Reach, reach_of
 from oimppi_warp.scene import Robot
@@ -19,21 +21,25 @@ _REACH = 0.717
 _START, _GOAL = np.array([0.30, -0.45]), np.array([0.50, 0.30])
 
 
-def write_trial(robot: Robot, name: str, folder: Path) -> Path:
+def write_trial(robot: Robot, name: str, folder: Path, *, later: Path) -> Path:
     """Write the task to a folder in whose ``robots`` the robot is; it is read again and checked.
 
     Args:
         robot: The robot.
         name: Of its file.
         folder: Where to.
+        later: Where it is taken to; where another object has the T's name there, the T gets the robot's name added.
 
     Raises:
         SceneError: The robot cannot do it, or its file is not as it should be.
     """
     reach = reach_of(robot)
     thing = _thing(reach)
-    if not (folder / "objects" / f"{thing.name}.usda").exists():
-        thing.write(folder / "objects" / f"{thing.name}.usda")
+    file = write_object(thing, folder)
+    there = later / "objects" / file.name
+    if there.exists() and not filecmp.cmp(file, there, shallow=False):
+        thing = replace(thing, name=f"{thing.name}_{name}")
+        file.rename(file.with_stem(thing.name))
     start, goal = _places(reach)
     title = f"Push the T across an open table with {name}"
     return write(Task(f"{name}_open", title, thing, start, goal, robot=name), folder)
@@ -50,7 +56,8 @@ def _thing(reach: Reach) -> Thing:
         if isinstance(box, Box)
     )
     doc = f"T block, {scale:g} times as large in the plane as the shipped one"
-    return replace(T_BLOCK, name="t_block_small", doc=doc, pieces=pieces, mass=round(T_BLOCK.mass * scale**2, 3))
+    name = f"{T_BLOCK.name}_{100.0 * scale:.0f}"
+    return replace(T_BLOCK, name=name, doc=doc, pieces=pieces, mass=round(T_BLOCK.mass * scale**2, 3))
 
 
 def _places(reach: Reach) -> tuple[Pose, Pose]:
