@@ -123,7 +123,10 @@ def _table(scene: Scene) -> shapely.Geometry:
 
 
 def _move(name: str) -> str:
-    fixes = {"start": "move the object in the file, or give another start", "goal": "change oimppi:goal"}
+    fixes = {
+        "start": "move the object in the file, or give another start",
+        "goal": "change oimppi:goal, or give another goal",
+    }
     return fixes.get(name, "change it in oimppi:starts, or leave it out")
 
 

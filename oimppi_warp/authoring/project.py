@@ -28,7 +28,7 @@ from oimppi_warp.usd.sound import usd_reason
 from oimppi_warp.usd.stage import SCENES
 
 _IN_WORDS = {
-    "change oimppi:goal": "give another goal (--goal)",
+    "change oimppi:goal, or give another goal": "give another goal (--goal)",
     "move the object in the file, or give another start": "give another start (--start)",
 }
 """What to do about a file that was not written."""
