@@ -1,4 +1,4 @@
-"""From a USD file to a :class:`oimppi_warp.scene.Scene`; the only reader of USD in the package.
+"""From a USD file to a :class:`oimppi_warp.scene.Scene`: how every scene is read.
 
 Physics is read from the standard UsdPhysics schemas; what USD has no word for, from ours (`docs/schema.md`). The
 friction of a pair of shapes is the larger of their materials' coefficients, as MuJoCo combines them.
