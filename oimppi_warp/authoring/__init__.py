@@ -5,8 +5,9 @@ The public names are imported on first use, so that ``import oimppi_warp.authori
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from oimppi_warp.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from oimppi_warp.authoring.checks.check import check_scene
@@ -62,14 +63,4 @@ __all__ = [
     "write_task",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
-    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+__getattr__, __dir__ = names_on_first_use(__name__, _MODULES, globals())

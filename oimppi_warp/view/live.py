@@ -11,7 +11,6 @@ import numpy as np
 import shapely
 import warp as wp
 
-from oimppi_warp.config import Config
 from oimppi_warp.errors import OimppiError
 from oimppi_warp.feasibility import draw_start, object_outline
 from oimppi_warp.observation import planar_pose, planar_transform
@@ -117,9 +116,6 @@ class LiveView:
             )
             name = gui.add_text("Scene file", initial_value=f"my_{session.wanted.scene.name}.usda")
             gui.add_button("Save as scene").on_click(lambda event: self._save(event, name.value))
-
-    def _configure(self, config: Config) -> None:
-        self._session.change(config=config)
 
     def _choose(self, name: str, event: Any) -> None:
         if event.client_id is not None:
