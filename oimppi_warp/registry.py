@@ -1,0 +1,111 @@
+"""Registries: the places where methods, optimisers, engines, plants, cost terms and shapes are added by name.
+
+Everything that offers a choice (the command line, suites, the viewer, tables, ``oimppi doctor``) reads a registry, so a
+new entry appears in all of them. Shipped entries are imported on first use. Entries from elsewhere are registered in
+Python (:meth:`Registry.register`) or, so that the command line and worker processes know them too, declared by an
+installed package as an entry point of the registry's group. `docs/extending.md` has an example of each.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Generic, Literal, TypeVar
+
+from oimppi_warp.errors import ConfigError
+
+T = TypeVar("T")
+V = TypeVar("V")
+
+
+class Registry(Mapping[str, T], Generic[T]):
+    """Implementations of one kind by name, in the order in which they were added.
+
+    Args:
+        kind: What an entry is, in the singular, for messages: ``"method"``.
+        group: Entry point group under which installed packages add theirs: ``"oimppi_warp.methods"``.
+        shipped: Where each shipped entry is: ``"module:attribute"``.
+    """
+
+    def __init__(self, kind: str, group: str, shipped: Mapping[str, str]) -> None:
+        self.kind = kind
+        self.group = group
+        self._targets: dict[str, str] = dict(shipped)
+        self._loaded: dict[str, T] = {}
+
+    def register(self, name: str, value: V | None = None) -> Any:
+        """Adds an entry; without ``value``, a decorator that does.
+
+        Raises:
+            ConfigError: The name is taken by another entry.
+        """
+        if value is None:
+            return lambda decorated: self.register(name, decorated)
+        if name in self and self._loaded.get(name) is not value:
+            raise ConfigError(f"{self.kind} {name!r} is registered already\n  to do:   choose another name")
+        self._loaded[name] = value  # pyright: ignore[reportArgumentType]
+        return value
+
+    def unregister(self, name: str) -> None:
+        """Removes an entry that :meth:`register` added; shipped and installed entries stay."""
+        if name not in self._targets:
+            self._loaded.pop(name, None)
+
+    def get_checked(self, name: str) -> T:
+        """The entry of that name.
+
+        Raises:
+            ConfigError: There is none; the message lists those that exist.
+        """
+        self.check(name)
+        return self[name]
+
+    def check(self, name: str, *others: str) -> None:
+        """Checks that there is an entry of that name, without importing it.
+
+        Args:
+            name: The name.
+            *others: Names that are allowed besides, such as ``"auto"``.
+
+        Raises:
+            ConfigError: There is none; the message lists those that exist.
+        """
+        known = [*others, *self]
+        if name not in known:
+            near = difflib.get_close_matches(str(name), known, n=1)
+            hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
+            raise ConfigError(f"{self.kind} {name!r} does not exist\n  allowed: {', '.join(known)}{hint}")
+
+    def choice(self, *others: str) -> Any:
+        """The names as a ``Literal`` type, for command lines; ``others`` come first."""
+        return Literal.__getitem__((*others, *self))  # pyright: ignore[reportAttributeAccessIssue]
+
+    def __getitem__(self, name: str) -> T:
+        if name not in self._loaded:
+            if name in self._targets:
+                module, _, attribute = self._targets[name].partition(":")
+                self._loaded[name] = getattr(import_module(module), attribute)
+            elif name in self._installed:
+                self._loaded[name] = self._installed[name].load()
+            else:
+                raise KeyError(name)
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*self._targets, *self._installed, *self._loaded)))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._targets or name in self._loaded or name in self._installed
+
+    @cached_property
+    def _installed(self) -> dict[str, EntryPoint]:
+        """What installed packages declare; shipped names cannot be replaced."""
+        return {point.name: point for point in entry_points(group=self.group) if point.name not in self._targets}
+
+
