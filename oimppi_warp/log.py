@@ -20,6 +20,7 @@ hold_seconds       How long the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``
 preplan_time_s     Wall time of what was planned before the first step (SOI's object plan) [s]
+problems           ``[step, reason]`` wherever nothing could be planned from what was observed
 ended              Why the episode ended: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
 versions           Versions of what took part, see :func:`versions`
 ================== ==================================================================================================

@@ -7,6 +7,7 @@ from. MPPI's is the goal itself, SOI's a plan made once before the robot moves, 
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -14,9 +15,7 @@ import warp as wp
 from oimppi_warp.choice import choose, median_seconds
 from oimppi_warp.clearance import from_center, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
-from oimppi_warp.config import Config, Method
-from oimppi_warp.dynamics.engines import ENGINES
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.config import Config
 from oimppi_warp.kernels import navigation
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.object import follow_path
@@ -25,10 +24,10 @@ from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import ObjectLevel, distance
 from oimppi_warp.observation import Observation
 from oimppi_warp.planner import Planner
+from oimppi_warp.registries import METHODS
+from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.scene import Scene
 from oimppi_warp.settings import validate
-
-METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
 
 _ARRIVED = 0.01
 """Distance from the goal, turning counted, at which SOI's object plan is complete [m]."""
@@ -43,7 +42,7 @@ class SequentialPlanner(Planner):
     Where a push went astray, it leads a free way back, down a cost-to-go that is made once, with the plan.
     """
 
-    method: Method = "soi"
+    method = "soi"
 
     def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
         super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
@@ -53,9 +52,11 @@ class SequentialPlanner(Planner):
         self._object_step = alone.step(self._object.launches)
         self._path = self.goal[None]
         self._step_of_path = 0
+        if config.reference == "progress":
+            self.object_launches = self._follow_plan()
 
     @property
-    def object_plan(self) -> np.ndarray:
+    def object_plan(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The object's whole way as it was planned at the start, poses [n, 3]."""
         return from_center(self.geometry.surface, self._path)
 
@@ -90,9 +91,8 @@ class SequentialPlanner(Planner):
             self._plan.assign(plan.astype(np.float32))
         return time.perf_counter() - began + self._object.setup_seconds
 
-    def _object_launches(self, seed: int) -> list[Launch]:
-        if self.config.reference == "time":
-            return []
+    def _follow_plan(self) -> list[Launch]:
+        """Prepares reading the reference by progress: from where the object is, along the plan or back to it."""
         clearance, level = self.geometry.clearance, self.config.object
         self._to_go = PoseField()
         self._to_go.values = wp.zeros_like(clearance.values)
@@ -141,19 +141,20 @@ class SequentialPlanner(Planner):
 class ClosedLoopPlanner(Planner):
     """CLOI-MPPI (Algorithm 2): the object plan is renewed from every observation."""
 
-    method: Method = "cloi"
+    method = "cloi"
+
+    def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
+        super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
+        reference = self.dynamics.reference
+        hand_over = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
+        self._watch = Stopwatch(self.compute.device)
+        self.object_launches = [*self._object.launches, hand_over, self._watch]
 
     def start(self, observation: Observation) -> float:
         """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""
         self._object.mppi.reset()
         return super().start(observation) + self._object.setup_seconds
-
-    def _object_launches(self, seed: int) -> list[Launch]:
-        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
-        reference = self.dynamics.reference
-        hand_over = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
-        self._watch = Stopwatch(self.compute.device)
-        return [*self._object.launches, hand_over, self._watch]
 
     def _set_reference(self, pose: np.ndarray) -> None:
         self._object.set_state(pose)
@@ -171,44 +172,29 @@ class ClosedLoopPlanner(Planner):
         return self._object.to_go_from(pose)
 
 
-def make_planner(
-    scene: Scene,
-    config: Config,
-    *,
-    method: Method = "cloi",
-    engine: str = "auto",
-    device: str = "auto",
-    threads: int | None = None,
-    seed: int = 0,
-) -> Planner:
-    """A planner for a scene.
+def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **options: Any) -> Planner:
+    """Makes a planner for a scene.
 
     Args:
         scene: The task.
         config: All settings.
-        method: ``"mppi"``, ``"soi"`` or ``"cloi"``.
-        engine: Rollout engine of the robot level: ``"quasistatic"``, ``"newton"``, or ``"auto"`` for the best one that
-            keeps up with the control period on this machine (a few plans are timed).
-        device: Warp device; ``"auto"`` takes the first GPU, or the CPU where there is none.
-        threads: Threads on the CPU; default: as many as the cores that the process may use.
-        seed: Of all noise.
+        spec: Who plans, with which engine, where; of the engine ``"auto"`` a few plans are timed.
+        **options: Fields of ``spec`` to change, for example ``method="soi"``.
 
     Raises:
         ConfigError: Unknown method or engine, or a setting that cannot be used.
         DeviceError: The device is not there.
     """
+    spec = (spec or RunSpec()).changed(**options)
     validate(config)
-    planners = {kind.method: kind for kind in (Planner, SequentialPlanner, ClosedLoopPlanner)}
-    if method not in planners:
-        raise ConfigError(f"method {method!r} does not exist\n  allowed: {', '.join(METHODS)}")
-    if engine not in (*ENGINES, "auto"):
-        raise ConfigError(f"engine {engine!r} does not exist\n  allowed: auto, {', '.join(ENGINES)}")
+    kind = METHODS.get_checked(spec.method)
 
     def make(engine: str) -> Planner:
-        return planners[method](scene, config, engine=engine, compute=Compute(device, threads=threads), seed=seed)
+        compute = Compute(spec.device, threads=spec.threads)
+        return kind(scene, config, engine=engine, compute=compute, seed=spec.seed)
 
-    if engine != "auto":
-        return make(engine)
+    if spec.engine != "auto":
+        return make(spec.engine)
     made: dict[str, Planner] = {}
 
     def plan_seconds(engine: str) -> float:
@@ -216,7 +202,7 @@ def make_planner(
         made[engine].warm_up()
         return median_seconds(made[engine].rehearse)
 
-    choice = choose(method, config.control_period, plan_seconds)
+    choice = choose(spec.method, config.control_period, plan_seconds)
     planner = made[choice.engine]
     planner.engine_reason = choice.reason
     return planner

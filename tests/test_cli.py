@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from oimppi_warp.cli import main
 from oimppi_warp.device import CompileNotice, pick_device
 from oimppi_warp.errors import DeviceError, SceneError
 from oimppi_warp.log import EpisodeLog
+from oimppi_warp.run_spec import RunSpec
 
 
 class Stage:
@@ -38,9 +40,9 @@ class Stage:
         if scene.start[0] > 1.0:
             raise SceneError("the start is off the table", file="synthetic.usda")
 
-    def setup(self, **fields: Any) -> Any:
-        self.asked = fields
-        return SimpleNamespace(**fields, episode=lambda: self)
+    def setup(self, scene: Any, config: Any, spec: RunSpec) -> Any:
+        self.asked = {"scene": scene, "config": config, **asdict(spec)}
+        return SimpleNamespace(scene=scene, config=config, spec=spec, episode=lambda: self)
 
     def run(self, on_step: Any = None) -> EpisodeLog:
         if on_step is not None:
@@ -159,7 +161,7 @@ BAD_INPUT = {
     "unknown method": (["run", "t", "--method", "rrt"], "mppi"),
     "unknown preset": (["run", "t", "--preset", "bset"], "paper"),
     "seed that is no number": (["run", "t", "--seed", "x"], "--seed"),
-    "negative seed": (["run", "t", "--seed", "-1"], "0 or more"),
+    "negative seed": (["run", "t", "--seed", "-1"], "0 to 4294967295"),
     "no threads": (["run", "t", "--threads", "0"], "1 or more"),
     "unknown engine": (["run", "t", "--engine", "bullet"], "newton"),
     "unknown setting": (["run", "t", "--set", "cost.w_aling=2"], "cost.w_align"),

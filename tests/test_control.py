@@ -73,7 +73,8 @@ class Clock:
     def plan(self, observation: Observation) -> Any:
         self.asked.append(observation)
         number = len(self.asked)
-        return SimpleNamespace(command=np.full(6, 0.01 * number), takes=self._takes[min(number, len(self._takes)) - 1])
+        takes = self._takes[min(number, len(self._takes)) - 1]
+        return SimpleNamespace(command=np.full(6, 0.01 * number), problem="", takes=takes)
 
 
 def run(takes: list[int], beats: int, *, expires: float = 0.12) -> tuple[list[Beat], FakePlant, Clock]:

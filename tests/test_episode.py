@@ -9,9 +9,9 @@ from oimppi_warp.config import Method
 from oimppi_warp.episode import Episode
 from oimppi_warp.feasibility import draw_start
 from oimppi_warp.log import EpisodeLog
-from oimppi_warp.methods import METHODS
 from oimppi_warp.metrics import summarize
 from oimppi_warp.presets import best, paper
+from oimppi_warp.registries import METHODS
 from oimppi_warp.settings import set_option
 from oimppi_warp.usd import load_scene, shipped_scenes
 

@@ -14,6 +14,7 @@ from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.log import EpisodeLog, LogError
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.presets import best
+from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.settings import bounds_of, descriptions, kinds, options, set_option
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
@@ -32,8 +33,8 @@ def small(samples: int = 64) -> Config:
 
 
 def setup(**fields) -> Setup:
-    given = {"scene": load_scene("task02"), "config": small(), "engine": "quasistatic", "device": "cpu", "threads": 1}
-    return Setup(**{**given, **fields})
+    given = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device="cpu", threads=1))
+    return given.changed(**fields)
 
 
 def until(condition, seconds=30.0):

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from oimppi_warp.episode import Episode, Setup
 from oimppi_warp.presets import best
+from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.settings import set_option
 from oimppi_warp.usd import load_scene
 from oimppi_warp.view.browser import open_viewer
@@ -92,7 +93,7 @@ class Served:
 
 @pytest.fixture
 def live(tmp_path):
-    setup = Setup(load_scene("task02"), small(), engine="quasistatic", device="cpu", threads=1)
+    setup = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device="cpu", threads=1))
     session = Session(setup)
     viewer = open_viewer(port=8470)
     served = Served(viewer, LiveView(viewer, session, tmp_path))

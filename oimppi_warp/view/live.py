@@ -15,6 +15,7 @@ from oimppi_warp.errors import OimppiError
 from oimppi_warp.feasibility import draw_start, object_outline
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.presets import PRESETS
+from oimppi_warp.registries import ENGINES, METHODS
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
@@ -103,8 +104,8 @@ class LiveView:
             speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Simulated seconds a second")
             speed.on_update(lambda _event: setattr(session, "speed", _SPEEDS[speed.value]))
             gui.add_button("New seed and start").on_click(lambda _event: self._new_seed())
-            for name, choices in (("method", ("mppi", "soi", "cloi")), ("engine", ("auto", "quasistatic", "newton"))):
-                control = gui.add_dropdown(name.capitalize(), choices, initial_value=getattr(session.wanted, name))
+            for name, choices in (("method", tuple(METHODS)), ("engine", ("auto", *ENGINES))):
+                control = gui.add_dropdown(name.capitalize(), choices, initial_value=getattr(session.wanted.spec, name))
                 control.on_update(lambda event, name=name: self._choose(name, event))
             preset = gui.add_dropdown("Preset", tuple(PRESETS), initial_value=session.wanted.config.preset)
             preset.on_update(self._choose_preset)
@@ -124,18 +125,18 @@ class LiveView:
     def _choose_preset(self, event: Any) -> None:
         if event.client_id is not None:
             wanted = self._session.wanted
-            config = PRESETS[event.target.value](wanted.method)
+            config = PRESETS[event.target.value](wanted.spec.method)
             self._settings.replace(config)
             self._session.change(config=config)
 
     def _new_seed(self) -> None:
         wanted = self._session.wanted
         try:
-            start = draw_start(wanted.scene, wanted.seed + 1)
+            start = draw_start(wanted.scene, wanted.spec.seed + 1)
         except OimppiError as error:
             self._session.problem = str(error)
             return
-        self._session.change(seed=wanted.seed + 1, scene=wanted.scene.with_start(start), fresh=True)
+        self._session.change(seed=wanted.spec.seed + 1, scene=wanted.scene.with_start(start), fresh=True)
 
     def _save(self, event: Any, name: str) -> None:
         picture = self._session.latest
