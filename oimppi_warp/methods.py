@@ -11,6 +11,7 @@ import time
 import numpy as np
 import warp as wp
 
+from oimppi_warp import registries
 from oimppi_warp.choice import choose, median_seconds
 from oimppi_warp.clearance import from_center, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
@@ -198,14 +199,12 @@ def make_planner(
         DeviceError: The device is not there.
     """
     validate(config)
-    planners = {kind.method: kind for kind in (Planner, SequentialPlanner, ClosedLoopPlanner)}
-    if method not in planners:
-        raise ConfigError(f"method {method!r} does not exist\n  allowed: {', '.join(METHODS)}")
+    kind = registries.METHODS.get_checked(method)
     if engine not in (*ENGINES, "auto"):
         raise ConfigError(f"engine {engine!r} does not exist\n  allowed: auto, {', '.join(ENGINES)}")
 
     def make(engine: str) -> Planner:
-        return planners[method](scene, config, engine=engine, compute=Compute(device, threads=threads), seed=seed)
+        return kind(scene, config, engine=engine, compute=Compute(device, threads=threads), seed=seed)
 
     if engine != "auto":
         return make(engine)

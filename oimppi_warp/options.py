@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from oimppi_warp.config import Config, Method, Mode, PlantKind
-from oimppi_warp.errors import ConfigError
-from oimppi_warp.task import make_config, make_task, parse_pose, parse_start
+from oimppi_warp.run_spec import RunSpec
+from oimppi_warp.task import SettingsRequest, make_task, parse_pose, parse_start
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -78,18 +78,11 @@ class TaskOptions:
         Raises:
             ConfigError: An option is wrong.
         """
-        if self.seed < 0:
-            raise ConfigError(f"--seed {self.seed}: cannot be used\n  allowed: 0 or more")
-        if self.threads is not None and self.threads < 1:
-            raise ConfigError(f"--threads {self.threads}: cannot be used\n  allowed: 1 or more")
+        RunSpec(**{item.name: getattr(self, item.name) for item in fields(RunSpec)}).checked()
         preset = ("lab" if self.plant == "lab" else "best") if self.preset == "auto" else self.preset
-        return make_config(
-            preset,
-            self.method,
-            assignments=[assignment for group in self.assignments for assignment in group],
-            max_sim_seconds=self.max_sim_seconds,
-            randomize=self.randomize,
-        )
+        assignments = tuple(assignment for group in self.assignments for assignment in group)
+        request = SettingsRequest(preset, assignments, self.max_sim_seconds)
+        return request.config(self.method, randomize=self.randomize)
 
     def prepare(self) -> tuple[Setup, Console]:
         """All that makes the episode, the scene read and checked and the device there; and the console for notices.

@@ -72,7 +72,7 @@ def test_every_failure_is_in_both_with_its_cause_and_command(results: ResultSet,
     for result in failed:
         assert result.cause and result.command in markdown
         assert result.command in page
-        assert f"- **{result.task}, {result.method.upper()}, start {result.number}**: {result.cause}" in markdown
+        assert f"- **{result.task}, {result.run.method.upper()}, start {result.number}**: {result.cause}" in markdown
     assert page.count("<details>") == len(failed)
     assert "the &lt;sky&gt; fell" in page
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_results import make_trial
+from made_results import changed, make_trial
 
 from oimppi_warp.bench.suite import SUITES, Suite, load_suite, shipped_suites
 from oimppi_warp.bench.trial import make_trials
@@ -35,9 +34,9 @@ def test_the_shipped_suites_have_the_trials_that_they_promise():
         trials, scenes = make_trials(found[name])
         assert len(trials) == 6 * 3 * 10
         assert set(scenes) == {"task01", "task02", "task03", "task03_wide", "task04", "task05"}
-        assert {(trial.preset, trial.engine, trial.mode) for trial in trials} == {(preset, "quasistatic", "lockstep")}
+        assert {(t.settings.preset, t.run.engine, t.run.mode) for t in trials} == {(preset, "quasistatic", "lockstep")}
     lab, _ = make_trials(found["lab"])
-    assert all(trial.real_time and trial.plant == "lab" for trial in lab)
+    assert all(trial.real_time and trial.run.plant == "lab" for trial in lab)
     assert lab[0].config.preset == "lab"
 
 
@@ -47,11 +46,11 @@ def test_the_first_trials_use_the_scenes_own_starts_and_all_methods_share_them(t
     for task, scene in scenes.items():
         for number in range(13):
             found = [trial for trial in trials if (trial.task, trial.number) == (task, number)]
-            assert len({trial.start for trial in found}) == len({trial.seed for trial in found}) == 1
-            assert {trial.method for trial in found} == {"soi", "mppi"}
+            assert len({trial.start for trial in found}) == len({trial.run.seed for trial in found}) == 1
+            assert {trial.run.method for trial in found} == {"soi", "mppi"}
             if number < 10:
                 assert found[0].start == tuple(map(float, scene.starts[number]))
-    assert len({trial.seed for trial in trials}) == 13
+    assert len({trial.run.seed for trial in trials}) == 13
     starts = {trial.start for trial in trials if trial.task == "task01" and trial.number >= 10}
     assert len(starts) == 3
     again, _ = make_trials(suite_of(tmp_path, SMALL + "seed = 7\n").changed(trials=13))
@@ -65,8 +64,9 @@ def test_an_entry_has_what_stands_at_the_top_unless_it_says_otherwise(tmp_path: 
         tmp_path, SMALL + '[[entry]]\n[[entry]]\nmethods = ["cloi"]\nmode = "realtime"\nset = ["cost.w_d=3"]\n'
     )
     first, second = suite.entries
-    assert (first.methods, first.mode, first.set) == (("soi", "mppi"), "lockstep", ())
-    assert (second.methods, second.mode, second.set) == (("cloi",), "realtime", ("cost.w_d=3",))
+    assert (first.methods, first.run.mode, first.settings.assignments) == (("soi", "mppi"), "lockstep", ())
+    assert (second.methods, second.run.mode) == (("cloi",), "realtime")
+    assert second.settings.assignments == ("cost.w_d=3",)
     assert second.tasks == first.tasks
 
 
@@ -94,8 +94,8 @@ def test_a_scene_beside_the_suite_is_found(tmp_path: Path, monkeypatch: pytest.M
 
     used = tmp_path / "objects" / "t_block.usda"
     used.write_text(used.read_text() + "\n# a file that the scene refers to\n")
-    (changed,), _ = make_trials(suite)
-    assert changed.key != trial.key
+    (other,), _ = make_trials(suite)
+    assert other.key != trial.key
 
 
 @pytest.mark.parametrize(
@@ -115,17 +115,17 @@ def test_a_scene_beside_the_suite_is_found(tmp_path: Path, monkeypatch: pytest.M
     ],
 )
 def test_what_decides_the_result_changes_the_key(change: dict):
-    assert replace(make_trial(), **change).key != make_trial().key
+    assert make_trial(**change).key != make_trial().key
 
 
 def test_what_does_not_decide_the_result_leaves_the_key():
     trial = make_trial()
-    assert replace(trial, threads=8).key == trial.key
-    assert replace(trial, scene="elsewhere/task01.usda").key == trial.key
+    assert changed(trial, threads=8).key == trial.key
+    assert changed(trial, scene="elsewhere/task01.usda").key == trial.key
     same = f"robot.mppi.samples={trial.config.robot.mppi.samples}"
-    assert replace(trial, assignments=(same,)).key == trial.key
-    clock = replace(trial, mode="realtime")
-    assert replace(clock, threads=8).key != clock.key
+    assert changed(trial, assignments=(same,)).key == trial.key
+    clock = changed(trial, mode="realtime")
+    assert changed(clock, threads=8).key != clock.key
 
 
 def test_the_command_says_everything_and_mode_and_plant_only_when_they_are_special():
