@@ -11,6 +11,7 @@ import math
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -196,7 +197,7 @@ def result_row(result: Result) -> dict[str, Any]:
 def _told_by(command: str) -> dict[str, Any]:
     """Device and threads from a trial's command."""
     words = shlex.split(command)
-    told: dict[str, Any] = dict(zip(words, words[1:], strict=False))
+    told: dict[str, Any] = dict(pairwise(words))
     threads = told.get("--threads")
     return {"device": told.get("--device", "auto"), "threads": None if threads is None else int(threads)}
 

@@ -33,6 +33,9 @@ NUMBERS = 1_000_000
 RUN = RunSpec(engine="quasistatic", device="cpu", threads=1)
 """Options of a run where a suite does not say otherwise; the same on every machine."""
 
+SETTINGS = SettingsRequest()
+"""Settings where a suite does not say otherwise."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -54,7 +57,7 @@ class Entry:
     trials: int = 10
     first: int = 0
     run: RunSpec = RUN
-    settings: SettingsRequest = SettingsRequest()
+    settings: SettingsRequest = SETTINGS
     label: str = ""
 
     @property

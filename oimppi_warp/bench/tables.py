@@ -133,8 +133,8 @@ def time_table(results: ResultSet) -> Table:
     return Table(
         "Time and planning",
         "Steps and simulated time to success are medians over successful trials, T is the mean of their times with "
-        "planning (in brackets what was planned ahead, as SOI does). Plan times are medians over trials of each trial's median and "
-        "95th percentile. The effective sample sizes are means.",
+        "planning (in brackets what was planned ahead, as SOI does). Plan times are medians over trials of each "
+        "trial's median and 95th percentile. The effective sample sizes are means.",
         (
             *("task", "method", "steps", "time [s]", "T [s]", "plan [ms]", "p95 [ms]", "f [Hz]"),
             *("effective samples", "of the object level"),
