@@ -11,7 +11,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from oimppi_warp.config import Config
 from oimppi_warp.run_spec import RunSpec
-from oimppi_warp.task import make_config, make_task, parse_pose, parse_start
+from oimppi_warp.task import SettingsRequest, make_task, parse_pose, parse_start
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,13 +58,9 @@ class TaskOptions:
         """
         self.run.checked()
         preset = ("lab" if self.run.plant == "lab" else "best") if self.preset == "auto" else self.preset
-        return make_config(
-            preset,
-            self.run.method,
-            assignments=[assignment for group in self.assignments for assignment in group],
-            max_sim_seconds=self.max_sim_seconds,
-            randomize=self.randomize,
-        )
+        assignments = tuple(assignment for group in self.assignments for assignment in group)
+        request = SettingsRequest(preset, assignments, self.max_sim_seconds)
+        return request.config(self.run.method, randomize=self.randomize)
 
     def prepare(self) -> tuple[Setup, Console]:
         """All that makes the episode, the scene read and checked and the device there; and the console for notices.

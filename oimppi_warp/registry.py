@@ -79,6 +79,10 @@ class Registry(Mapping[str, T], Generic[T]):
             hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
             raise ConfigError(f"{self.kind} {name!r} does not exist\n  allowed: {', '.join(known)}{hint}")
 
+    def is_local(self, name: str) -> bool:
+        """Whether an entry was added by :meth:`register`, so that other processes do not know it."""
+        return name in self._loaded and name not in self._targets and name not in self._installed
+
     def choice(self, *others: str) -> Any:
         """The names as a ``Literal`` type, for command lines; ``others`` come first."""
         return Literal.__getitem__((*others, *self))  # pyright: ignore[reportAttributeAccessIssue]

@@ -195,7 +195,7 @@ def test_an_episode_in_the_lab_reaches_its_goal_without_the_planner_knowing_the_
     log = episode.run(lambda log: truths.append(episode.plant.truth().object_pose))
     metrics = summarize(log)
     assert metrics.success, metrics.position_error_m
-    assert metrics.plant == "lab"
+    assert metrics.run.plant == "lab"
     assert metrics.detections >= 3
     truth, told = (np.array(each) for each in zip(*asked, strict=True))
     assert (np.linalg.norm(truth[:, :2] - told[:, :2], axis=1) > 1e-5).all()

@@ -21,8 +21,8 @@ SEEDS = range(10)
 @pytest.mark.parametrize("name", ["task01", "task02", "task03", "task04", "task05"])
 def test_the_object_reaches_its_goal_from_drawn_starts(name: str, method: Method):
     found = [summarize(episode(name, method, seed=seed).run()) for seed in SEEDS]
-    assert sum(metrics.success for metrics in found) >= 9, [m.seed for m in found if not m.success]
-    assert sum(metrics.success_tight for metrics in found) >= 8, [m.seed for m in found if not m.success_tight]
+    assert sum(metrics.success for metrics in found) >= 9, [m.run.seed for m in found if not m.success]
+    assert sum(metrics.success_tight for metrics in found) >= 8, [m.run.seed for m in found if not m.success_tight]
 
 
 @pytest.mark.parametrize(("name", "method"), [("lab01", "cloi"), ("lab02", "cloi"), ("lab01", "soi"), ("lab02", "soi")])
@@ -32,4 +32,4 @@ def test_the_can_reaches_its_goal_in_the_lab(name: str, method: Method):
         scene = load_scene(name)
         scene = scene.with_start(draw_start(scene, seed))
         found.append(summarize(Episode(scene, lab(method), method=method, device="cpu", seed=seed, plant="lab").run()))
-    assert sum(metrics.success for metrics in found) >= 9, [m.seed for m in found if not m.success]
+    assert sum(metrics.success for metrics in found) >= 9, [m.run.seed for m in found if not m.success]
