@@ -35,8 +35,8 @@ def needed_on_cuda(scene: Scene, config: Config, engine: str) -> list[Variant]:
         config: All settings.
         engine: ``"quasistatic"`` or ``"newton"``.
     """
-    small = replace(config.robot.mppi, samples=2, horizon=2, knots=0, iterations=1)
-    level = replace(config.robot, mppi=small, substeps=1)
+    small = replace(config.robot.optimizer, samples=2, horizon=2, knots=0, iterations=1)
+    level = replace(config.robot, optimizer=small, substeps=1)
     with _recorded() as found:
         for method in METHODS:
             planner = make_planner(

@@ -26,7 +26,7 @@ class ObjectLevel:
         self._dynamics = ObjectDynamics(
             geometry, config.object, config.object_cost, goal=goal, dt=config.control_period, compute=compute
         )
-        self.mppi = Mppi(self._dynamics, config.object.mppi, seed=seed)
+        self.mppi = Mppi(self._dynamics, config.object.optimizer, seed=seed)
         self._level = config.object
         self._goal = goal
         self.path = self._dynamics.path

@@ -56,7 +56,7 @@ class TaskOptions:
     """Settings to begin with; auto takes lab with --plant lab, else best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
-    """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
+    """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512."""
 
     plant: PlantKind = "ideal"
     """The simulated world as it is, or as a laboratory has it: the object seen once a second, with noise, late,

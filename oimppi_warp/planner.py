@@ -105,7 +105,7 @@ class Planner:
         self.geometry = build_geometry(scene, compute.device)
         self.goal = to_center(self.geometry.surface, np.array(scene.goal))
         level = config.robot
-        draws = draw(level.uncertainty, samples=level.mppi.samples, seed=seed)
+        draws = draw(level.uncertainty, samples=level.optimizer.samples, seed=seed)
         to_go = None
         self._to_go_values = np.zeros(0)
         began = time.perf_counter()
@@ -131,7 +131,7 @@ class Planner:
             draws=draws,
             to_go=to_go,
         )
-        self.mppi = Mppi(self.dynamics, level.mppi, seed=2 * seed + 1)
+        self.mppi = Mppi(self.dynamics, level.optimizer, seed=2 * seed + 1)
         robot = [*self.mppi.improve, self.dynamics.trace(self.mppi.nominal, self.mppi.costs), self.mppi.shift]
         self._regrasping = Regrasping(
             scene,

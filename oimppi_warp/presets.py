@@ -25,7 +25,7 @@ def best(method: Method = "cloi") -> Config:
     if method == "mppi":  # nothing to track but the goal, by the shortest free way
         return replace(base, cost=replace(base.cost, w_d=0.0, w_to_go=60.0, w_reference=0.0))
     if method == "soi":
-        return replace(base, object=replace(base.object, mppi=replace(base.object.mppi, horizon=90)))
+        return replace(base, object=replace(base.object, optimizer=replace(base.object.optimizer, horizon=90)))
     return base
 
 
@@ -56,8 +56,8 @@ def paper(method: Method = "cloi") -> Config:
         preset="paper",
         reference="time",
         regrasp=Regrasp(stall_seconds=0.0),
-        robot=RobotLevel(mppi=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
-        object=ObjectLevel(mppi=replace(mppi, horizon=object_horizon), noise_range=0.0),
+        robot=RobotLevel(optimizer=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
+        object=ObjectLevel(optimizer=replace(mppi, horizon=object_horizon), noise_range=0.0),
         cost=RobotCost(
             w_d=100.0,
             w_theta=0.08,
@@ -90,9 +90,9 @@ def lab(method: Method = "cloi") -> Config:
     return replace(
         base,
         preset="lab",
-        robot=replace(base.robot, mppi=replace(base.robot.mppi, samples=512), joint_velocity_limit=0.4),
+        robot=replace(base.robot, optimizer=replace(base.robot.optimizer, samples=512), joint_velocity_limit=0.4),
         regrasp=replace(base.regrasp, stall_seconds=7.5, longest_seconds=8.0),
-        object=replace(base.object, mppi=replace(base.object.mppi, samples=512)),
+        object=replace(base.object, optimizer=replace(base.object.optimizer, samples=512)),
     )
 
 

@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 def options(config: Any) -> dict[str, Any]:
-    """Every setting by its dotted name, e.g. ``{"control_period": 0.05, "robot.mppi.samples": 1200, ...}``."""
+    """Every setting by its dotted name, e.g. ``{"control_period": 0.05, "robot.optimizer.samples": 1200, ...}``."""
     found: dict[str, Any] = {}
     for item in fields(config):
         value = getattr(config, item.name)
@@ -70,7 +70,7 @@ def bounds_of(name: str) -> tuple[float, float]:
 
 
 def set_option(config: T, assignment: str) -> T:
-    """A copy of ``config`` with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.mppi.samples=512"``.
+    """A copy of ``config`` with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.optimizer.samples=512"``.
 
     Tuples are written with commas, ``"cost.reach=0.2,0.6"``. The value is checked on its own; :func:`validate` checks
     the settings against each other, once all are set.
@@ -98,13 +98,13 @@ def validate(config: Config) -> Config:
     for name, value in known.items():
         _check_bounds(name, value)
     for level in ("robot", "object"):
-        knots, horizon = known[f"{level}.mppi.knots"], known[f"{level}.mppi.horizon"]
+        knots, horizon = known[f"{level}.optimizer.knots"], known[f"{level}.optimizer.horizon"]
         if knots == 1 or knots > horizon:
             raise ConfigError(
-                f"{level}.mppi.knots = {knots}: no such spline over a horizon of {horizon} steps\n"
+                f"{level}.optimizer.knots = {knots}: no such spline over a horizon of {horizon} steps\n"
                 f"  allowed: 0 (noise drawn for every step) or 2 to {horizon}"
             )
-    for name in ("robot.mppi.effective_samples", "object.mppi.effective_samples", "cost.reach", "object_cost.reach"):
+    for name in ("robot.optimizer.effective_samples", "object.optimizer.effective_samples", "cost.reach", "object_cost.reach"):
         low, high = known[name]
         if low > high:
             raise ConfigError(f"{name} = {low:g},{high:g}: the lower bound is above the upper one")

@@ -46,7 +46,7 @@ def test_the_object_is_brought_to_its_goal(name: str, method: Method):
 @pytest.mark.parametrize("name", SCENES)
 def test_every_scene_plans_and_runs_with_every_method(name: str, method: Method):
     scene = load_scene(name)
-    config = set_option(set_option(best(method), "robot.mppi.samples=128"), "object.plan_steps=20")
+    config = set_option(set_option(best(method), "robot.optimizer.samples=128"), "object.plan_steps=20")
     config = set_option(config, "episode.max_sim_seconds=0.5")
     log = Episode(scene, config, method=method, device="cpu").run()
     assert len(log) == 10

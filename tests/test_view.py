@@ -27,7 +27,7 @@ from oimppi_warp.view.session import SAMPLED, Session
 def small(samples: int = 64) -> Config:
     config = best("cloi")
     for level in ("robot", "object"):
-        config = set_option(config, f"{level}.mppi.samples={samples}")
+        config = set_option(config, f"{level}.optimizer.samples={samples}")
     return config
 
 
@@ -69,7 +69,7 @@ def test_sampled_paths_are_made_when_somebody_looks(session):
     session.watched = True
     until(lambda: session.latest.sampled.size)
     picture = session.latest
-    assert picture.sampled.shape == (SAMPLED, session.wanted.config.robot.mppi.horizon + 1, 3)
+    assert picture.sampled.shape == (SAMPLED, session.wanted.config.robot.optimizer.horizon + 1, 3)
     assert picture.weights[0] == pytest.approx(1.0)
     assert np.all(np.diff(picture.weights[: SAMPLED // 2]) <= 0)
     np.testing.assert_allclose(picture.sampled[:, 0], picture.sampled[:1, 0].repeat(SAMPLED, 0), atol=1e-6)
@@ -156,7 +156,7 @@ def test_every_setting_has_a_description_a_kind_and_bounds():
         about, types = descriptions(config), kinds(config)
         assert about.keys() == types.keys() == options(config).keys()
         assert not [name for name, text in about.items() if not text]
-    low, high = bounds_of("robot.mppi.samples")
+    low, high = bounds_of("robot.optimizer.samples")
     assert (low, high) == (2, 1_000_000)
 
 
