@@ -12,7 +12,7 @@ import numpy as np
 
 from oimppi_warp.clearance import to_center
 from oimppi_warp.compute import core_count
-from oimppi_warp.config import Config, Method, Mode, PlantKind
+from oimppi_warp.config import Config
 from oimppi_warp.control import Beat, lock_step, real_time
 from oimppi_warp.estimator import Estimator
 from oimppi_warp.feasibility import check_task
@@ -23,6 +23,7 @@ from oimppi_warp.methods import make_planner
 from oimppi_warp.metrics import hold_steps, pose_error
 from oimppi_warp.planner import Plan, Planner
 from oimppi_warp.plant import SimulatedPlant
+from oimppi_warp.run_spec import Mode
 from oimppi_warp.scene import Scene
 from oimppi_warp.world import World
 
@@ -40,12 +41,12 @@ class Setup:
 
     scene: Scene
     config: Config
-    method: Method = "cloi"
+    method: str = "cloi"
     engine: str = "auto"
     device: str = "auto"
     threads: int | None = None
     seed: int = 0
-    plant: PlantKind = "ideal"
+    plant: str = "ideal"
     mode: Mode = "lockstep"
 
     def episode(self) -> Episode:
@@ -72,12 +73,12 @@ class Episode:
         scene: Scene,
         config: Config,
         *,
-        method: Method = "cloi",
+        method: str = "cloi",
         engine: str = "auto",
         device: str = "auto",
         threads: int | None = None,
         seed: int = 0,
-        plant: PlantKind = "ideal",
+        plant: str = "ideal",
         mode: Mode = "lockstep",
     ) -> None:
         check_task(scene)
@@ -180,7 +181,7 @@ class Episode:
         finally:
             self._beats.close()
 
-    def _loop(self, plant: PlantKind, mode: Mode) -> Generator[Beat]:
+    def _loop(self, plant: str, mode: Mode) -> Generator[Beat]:
         """The beats of plant and planner; the truth is good enough for the ideal plant in lock step alone."""
         dof = self.scene.robot.dof
         if mode == "realtime":

@@ -14,21 +14,22 @@ import warp as wp
 from oimppi_warp.choice import choose, median_seconds
 from oimppi_warp.clearance import from_center, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
-from oimppi_warp.config import Config, Method
+from oimppi_warp.config import Config
 from oimppi_warp.dynamics.engines import ENGINES
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.kernels import navigation
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.object import follow_path
-from oimppi_warp.mppi import Update
 from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import ObjectLevel, distance
 from oimppi_warp.observation import Observation
+from oimppi_warp.optimizer import Update
 from oimppi_warp.planner import Planner
+from oimppi_warp.resolve import resolve
 from oimppi_warp.scene import Scene
 from oimppi_warp.settings import validate
 
-METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
+METHODS: tuple[str, ...] = ("mppi", "soi", "cloi")
 
 _ARRIVED = 0.01
 """Distance from the goal, turning counted, at which SOI's object plan is complete [m]."""
@@ -43,7 +44,7 @@ class SequentialPlanner(Planner):
     Where a push went astray, it leads a free way back, down a cost-to-go that is made once, with the plan.
     """
 
-    method: Method = "soi"
+    method: str = "soi"
 
     def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
         super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
@@ -141,7 +142,7 @@ class SequentialPlanner(Planner):
 class ClosedLoopPlanner(Planner):
     """CLOI-MPPI (Algorithm 2): the object plan is renewed from every observation."""
 
-    method: Method = "cloi"
+    method: str = "cloi"
 
     def start(self, observation: Observation) -> float:
         """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""
@@ -175,7 +176,7 @@ def make_planner(
     scene: Scene,
     config: Config,
     *,
-    method: Method = "cloi",
+    method: str = "cloi",
     engine: str = "auto",
     device: str = "auto",
     threads: int | None = None,
@@ -197,7 +198,7 @@ def make_planner(
         ConfigError: Unknown method or engine, or a setting that cannot be used.
         DeviceError: The device is not there.
     """
-    validate(config)
+    config = resolve(validate(config), scene).config
     planners = {kind.method: kind for kind in (Planner, SequentialPlanner, ClosedLoopPlanner)}
     if method not in planners:
         raise ConfigError(f"method {method!r} does not exist\n  allowed: {', '.join(METHODS)}")

@@ -9,14 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
-from oimppi_warp.config import Config, Method, Mode, PlantKind
+from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import METHODS, PLANTS
+from oimppi_warp.run_spec import Mode
 from oimppi_warp.task import make_config, make_task, parse_pose, parse_start
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from oimppi_warp.episode import Setup
+
+    Method = PlantKind = str
+else:
+    Method, PlantKind = METHODS.choice(), PLANTS.choice()
 
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 

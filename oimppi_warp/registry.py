@@ -107,5 +107,3 @@ class Registry(Mapping[str, T], Generic[T]):
     def _installed(self) -> dict[str, EntryPoint]:
         """What installed packages declare; shipped names cannot be replaced."""
         return {point.name: point for point in entry_points(group=self.group) if point.name not in self._targets}
-
-

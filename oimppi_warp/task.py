@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oimppi_warp.config import Config, Method
+from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.presets import PRESETS
 from oimppi_warp.settings import set_option, validate
@@ -25,7 +25,7 @@ RANDOMIZED_DRAWS = 4
 
 def make_config(
     preset: str,
-    method: Method,
+    method: str,
     *,
     assignments: Iterable[str] = (),
     max_sim_seconds: float | None = None,

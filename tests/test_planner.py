@@ -10,7 +10,7 @@ import reference
 from tasks import DT, Pushing, block, box, joints_at, object_level, observe, roll_wrenches, shipped, task, turned
 
 from oimppi_warp.clearance import from_center, pose_field_at, to_center
-from oimppi_warp.config import Config, Method, ObjectLevel, RobotLevel
+from oimppi_warp.config import Config, ObjectLevel, RobotLevel
 from oimppi_warp.config import Mppi as MppiSettings
 from oimppi_warp.errors import ConfigError, DeviceError
 from oimppi_warp.kinematics import tip_jacobian
@@ -27,7 +27,7 @@ SMALL = Config(
 """Few samples, so that a test takes a moment."""
 
 
-def make(scene: Scene, method: Method = "cloi", config: Config = SMALL, *, seed: int = 0) -> Planner:
+def make(scene: Scene, method: str = "cloi", config: Config = SMALL, *, seed: int = 0) -> Planner:
     return make_planner(scene, config, method=method, device="cpu", seed=seed)
 
 

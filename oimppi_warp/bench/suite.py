@@ -11,11 +11,11 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from oimppi_warp.config import Method
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.presets import PRESETS
+from oimppi_warp.registries import METHODS
 from oimppi_warp.task import make_config
 
 SUITES = Path(__file__).parent / "suites"
@@ -55,7 +55,7 @@ class Entry:
     """
 
     tasks: tuple[str, ...] = ()
-    methods: tuple[Method, ...] = get_args(Method)
+    methods: tuple[str, ...] = tuple(METHODS)
     trials: int = 10
     preset: str = "best"
     engine: str = "quasistatic"
@@ -211,7 +211,7 @@ def _one_of(names: Any) -> tuple[Callable[[Any], bool], str]:
 
 _JOINTS = str.maketrans("", "", "_-")
 
-_METHODS = get_args(Method)
+_METHODS = tuple(METHODS)
 _KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "tasks": (lambda value: _texts(value) and bool(value), 'a list of scenes, like ["task01", "my_task.usda"]'),
     "methods": (

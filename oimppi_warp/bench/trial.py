@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from oimppi_warp.bench.suite import MODES, MOST, PLANTS, Entry, Suite
-from oimppi_warp.config import Config, Method
+from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.log import to_json
 from oimppi_warp.task import make_config, make_task
@@ -39,7 +39,7 @@ class Trial:
     task: str
     scene: str
     content: str
-    method: Method
+    method: str
     number: int
     seed: int
     start: PlanarPose
@@ -181,7 +181,7 @@ def _start(scene: Scene, number: int, seed: int) -> PlanarPose:
 
 
 def _trial(
-    entry: Entry, task: str, path: str, content: str, method: Method, number: int, seed: int, start: PlanarPose
+    entry: Entry, task: str, path: str, content: str, method: str, number: int, seed: int, start: PlanarPose
 ) -> Trial:
     return Trial(
         task=task,
