@@ -62,14 +62,14 @@ def select_elites(
             last = tried
         bit = bit >> wp.uint32(1)
 
-    part = wp.vec2i()  # below the last, and as cheap as it
+    ends = wp.vec2i()  # below the last, and as cheap as it
     for k in range(i, count, stride):
         rank = rank_of(costs[k])
         if rank < last:
-            part = part + wp.vec2i(1, 0)
+            ends = ends + wp.vec2i(1, 0)
         elif rank == last:
-            part = part + wp.vec2i(0, 1)
-    found = wp.tile_reduce(wp.add, wp.tile(part, preserve_type=True))[0]
+            ends = ends + wp.vec2i(0, 1)
+    found = wp.tile_reduce(wp.add, wp.tile(ends, preserve_type=True))[0]
     each = float(0.0)
     shared = float(0.0)
     if wanted > 0:
@@ -201,17 +201,17 @@ def make_refit(size: int) -> wp.Kernel:
                 spread = spread + w * wp.cw_mul(apart, apart)
         spread = wp.tile_reduce(wp.add, wp.tile(spread, preserve_type=True))[0]
         if i == 0:
-            next = vec()
+            fitted = vec()
             for j in range(size):
-                next[j] = 1.0
+                fitted[j] = 1.0
             if total > 0.0:
                 nominal[h] = smoothing * nominal[h] + (1.0 - smoothing) * mean
                 for j in range(size):
                     moved = smoothing * deviation[h][j] + (1.0 - smoothing) * wp.sqrt(spread[j])
-                    next[j] = wp.clamp(moved, least, 1.0)
+                    fitted[j] = wp.clamp(moved, least, 1.0)
             else:
                 nominal[h] = vec()
-            deviation[h] = next
+            deviation[h] = fitted
 
     return refit
 

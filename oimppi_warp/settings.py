@@ -231,8 +231,8 @@ def _of_kind(kind: str, before: Sampling, name: str) -> Sampling:
             f"{name}={kind}: its Settings, {settings.__name__}, are no sampling-based optimizer's\n"
             "  to do:   derive them from oimppi_warp.config.Sampling"
         )
-    common = {item.name: getattr(before, item.name) for item in fields(Sampling)}
-    return settings(**(common | {"kind": kind}))
+    common: dict[str, Any] = {item.name: getattr(before, item.name) for item in fields(Sampling)}
+    return settings(**{**common, "kind": kind})
 
 
 def _check(setting: Setting, value: Any) -> None:

@@ -14,7 +14,7 @@ from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.log import EpisodeLog, LogError
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.presets import best
-from oimppi_warp.settings import bounds_of, descriptions, kinds, options, set_option
+from oimppi_warp.settings import set_option
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas
@@ -148,16 +148,6 @@ def test_in_lock_step_an_episode_is_the_same_whether_it_is_looked_at_or_not():
         np.testing.assert_array_equal(made._episode.log["command"], alone["command"])
     finally:
         made.close()
-
-
-def test_every_setting_has_a_description_a_kind_and_bounds():
-    for method in ("mppi", "soi", "cloi"):
-        config = best(method)
-        about, types = descriptions(config), kinds(config)
-        assert about.keys() == types.keys() == options(config).keys()
-        assert not [name for name, text in about.items() if not text]
-    low, high = bounds_of("robot.optimizer.samples")
-    assert (low, high) == (2, 1_000_000)
 
 
 def test_a_scene_is_saved_as_it_stands(tmp_path):
