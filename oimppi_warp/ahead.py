@@ -15,8 +15,8 @@ from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
 from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
 from oimppi_warp.methods import METHODS, make_planner
-from oimppi_warp.mppi import Mppi
 from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.optimizer import make_optimizer
 from oimppi_warp.scene import Scene
 
 Variant = tuple[wp.Module, int]
@@ -35,8 +35,8 @@ def needed_on_cuda(scene: Scene, config: Config, engine: str) -> list[Variant]:
         config: All settings.
         engine: ``"quasistatic"`` or ``"newton"``.
     """
-    small = replace(config.robot.mppi, samples=2, horizon=2, knots=0, iterations=1)
-    level = replace(config.robot, mppi=small, substeps=1)
+    small = replace(config.robot.optimizer, samples=2, horizon=2, knots=0, iterations=1)
+    level = replace(config.robot, optimizer=small, substeps=1)
     with _recorded() as found:
         for method in METHODS:
             planner = make_planner(
@@ -47,7 +47,7 @@ def needed_on_cuda(scene: Scene, config: Config, engine: str) -> list[Variant]:
             geometry = build_geometry(scene, "cpu")
             compute = Compute("cpu", threads=1)
             worlds = NewtonWorlds(scene, geometry, level, config.cost, dt=config.control_period, compute=compute)
-            mppi = Mppi(worlds, small, seed=0)
+            mppi = make_optimizer(worlds, small, seed=0)
             start = np.array(scene.start)
             transform = planar_transform(scene.start, scene.object.rest_height)
             joints = scene.robot.start

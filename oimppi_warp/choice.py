@@ -7,9 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from oimppi_warp.config import Method
-
-KNOWN_SUCCESS: Mapping[tuple[str, Method], float] = {
+KNOWN_SUCCESS: Mapping[tuple[str, str], float] = {
     ("quasistatic", "cloi"): 0.95,
     ("quasistatic", "soi"): 1.0,
     ("quasistatic", "mppi"): 1.0,
@@ -37,7 +35,7 @@ class Choice:
     reason: str
 
 
-def choose(method: Method, period: float, plan_seconds: Callable[[str], float]) -> Choice:
+def choose(method: str, period: float, plan_seconds: Callable[[str], float]) -> Choice:
     """The engine to plan with.
 
     Engines are tried in the order of their known success. An engine is made only if all before it are too slow.

@@ -23,8 +23,10 @@ from oimppi_warp.observation import Observation
 from oimppi_warp.planner import Plan
 from oimppi_warp.plant import ContactPlant, Plant, TruthfulPlant, has_tipped
 from oimppi_warp.registries import PLANTS
+from oimppi_warp.resolve import resolve
 from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.scene import Scene
+from oimppi_warp.settings import validate
 
 _REFERENCE_EVERY = 10
 """Object plans that are renewed at every step are logged every so many steps."""
@@ -99,7 +101,8 @@ class Episode:
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
         self.plant: Plant = plant or PLANTS.get_checked(spec.plant)(scene, config, seed=spec.seed)
-        self.config = config = replace(config, control_period=self.plant.control_period)
+        resolved = resolve(validate(config), scene, control_period=self.plant.control_period)
+        self.config = config = resolved.config
         self.planner = make_planner(scene, config, spec)
         self.planner.warm_up()
         self.spec = replace(
@@ -120,6 +123,7 @@ class Episode:
                 "engine_reason": self.planner.engine_reason,
                 "preset": config.preset,
                 "config": to_json(asdict(config)),
+                "requested": {name: [change.asked, change.reason] for name, change in resolved.changes.items()},
                 "start": list(scene.start),
                 "goal": list(scene.goal),
                 "tolerance": to_json(scene.tolerance),

@@ -19,12 +19,13 @@ from oimppi_warp.config import Config
 from oimppi_warp.kernels import navigation
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.object import follow_path
-from oimppi_warp.mppi import Update
 from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import ObjectLevel, distance
 from oimppi_warp.observation import Observation
+from oimppi_warp.optimizer import Update
 from oimppi_warp.planner import Planner
 from oimppi_warp.registries import METHODS
+from oimppi_warp.resolve import resolve
 from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.scene import Scene
 from oimppi_warp.settings import validate
@@ -186,7 +187,7 @@ def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **op
         DeviceError: The device is not there.
     """
     spec = (spec or RunSpec()).changed(**options)
-    validate(config)
+    config = resolve(validate(config), scene).config
     kind = METHODS.get_checked(spec.method)
 
     def make(engine: str) -> Planner:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from oimppi_warp.episode import Setup
 
+
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
 
@@ -41,7 +42,7 @@ class TaskOptions:
     """Settings to begin with; auto takes lab with --plant lab, else best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
-    """Change settings, e.g. --set cost.w_align=2 robot.mppi.samples=512."""
+    """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512."""
 
     randomize: FlagCreatePairsOff[bool] = False
     """Try every sample in four draws of friction, mass, perceived pose and tool; a plan takes four times as long

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,22 +15,16 @@ from oimppi_warp.config import Config
 from oimppi_warp.dynamics.engines import make_dynamics
 from oimppi_warp.errors import ObservationError
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
-from oimppi_warp.mppi import Mppi, Update
 from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import distance
 from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
-from oimppi_warp.reach import Reach, reach_of
+from oimppi_warp.optimizer import Update, make_optimizer
 from oimppi_warp.regrasp import Regrasping
 from oimppi_warp.scene import Scene
 from oimppi_warp.uncertainty import draw
 
 _DAMPING = 0.05
 """Damping of the Jacobian's pseudo-inverse: singular values below it are not inverted [m/rad]."""
-
-_USUAL_REACH = 0.717
-"""Reach of the xArm6 with its stick, for which the ring of ``cost.reach`` is given [m]."""
-_EVERYWHERE = 1e3
-"""Radius of a ring that keeps nothing out [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +80,7 @@ class Planner:
 
     Args:
         scene: The task.
-        config: All settings.
+        config: All settings, resolved for the scene (:func:`oimppi_warp.resolve.resolve`).
         engine: Rollout engine of the robot level.
         compute: Where to compute.
         seed: Of all noise; the same seed gives the same plans (on the CPU to the bit).
@@ -106,7 +100,6 @@ class Planner:
     object_plan: np.ndarray | None = None
 
     def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
-        config = _for_task(config, scene)
         self.scene = scene
         self.config = config
         self.engine = engine
@@ -115,7 +108,7 @@ class Planner:
         self.geometry = build_geometry(scene, compute.device)
         self.goal = to_center(self.geometry.surface, np.array(scene.goal))
         level = config.robot
-        draws = draw(level.uncertainty, samples=level.mppi.samples, seed=seed)
+        draws = draw(level.uncertainty, samples=level.optimizer.samples, seed=seed)
         to_go = None
         self._to_go_values = np.zeros(0)
         began = time.perf_counter()
@@ -141,7 +134,7 @@ class Planner:
             draws=draws,
             to_go=to_go,
         )
-        self.mppi = Mppi(self.dynamics, level.mppi, seed=2 * seed + 1)
+        self.mppi = make_optimizer(self.dynamics, level.optimizer, seed=2 * seed + 1)
         self.object_launches: list[Launch] = []
         self._robot_launches = [
             *self.mppi.improve,
@@ -298,32 +291,3 @@ class Planner:
         if root.shape[0] != root.shape[1]:
             root = np.linalg.cholesky(root @ root.T + 1e-8 * np.eye(len(root)))
         return root
-
-
-def _for_reach(config: Config, reach: Reach) -> Config:
-    """The settings for a robot's reach: the ring in which it pushes well is as much larger; none without a centre."""
-
-    def ring(given: tuple[float, float]) -> tuple[float, float]:
-        if reach.border is not None:
-            return (0.0, _EVERYWHERE)
-        scale = round(reach.radius / _USUAL_REACH, 2)
-        return (scale * given[0], scale * given[1])
-
-    return replace(
-        config,
-        cost=replace(config.cost, reach=ring(config.cost.reach)),
-        object_cost=replace(config.object_cost, reach=ring(config.object_cost.reach)),
-    )
-
-
-def _for_task(config: Config, scene: Scene) -> Config:
-    """The settings for a task: with the robot's reach, and where every yaw is allowed, none is asked for."""
-    config = _for_reach(config, reach_of(scene.robot))
-    if np.isfinite(scene.tolerance.yaw):
-        return config
-    return replace(
-        config,
-        object=replace(config.object, turn=False),
-        cost=replace(config.cost, w_theta=0.0),
-        object_cost=replace(config.object_cost, w_theta=0.0),
-    )

@@ -22,8 +22,9 @@ from oimppi_warp.footprint import footprint, outline, planar_points
 from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.observation import Observation
+from oimppi_warp.resolve import resolve
 from oimppi_warp.scene import Collider, Obstacle, PushedObject, Robot, Scene, Table
-from oimppi_warp.tipping import can_tip, tipping_speed
+from oimppi_warp.tipping import tipping_speed
 from oimppi_warp.usd import load_scene
 
 DT = 0.05
@@ -150,7 +151,7 @@ class Pushing:
     @classmethod
     def on(cls, scene: Scene, config: Config | None = None, **cost: Any) -> Pushing:
         config = config or Config()
-        config = replace(config, cost=replace(config.cost, **cost))
+        config = resolve(replace(config, cost=replace(config.cost, **cost)), scene).config
         geometry = build_geometry(scene, "cpu")
         dynamics = QuasistaticDynamics(scene, geometry, config.robot, config.cost, dt=DT, compute=Compute("cpu"))
         return cls(scene, geometry, config, dynamics)
@@ -158,8 +159,6 @@ class Pushing:
     def twin(self) -> reference.World:
         """The same for the engine's twin."""
         weights = self.config.cost
-        if not can_tip(self.scene.object):
-            weights = replace(weights, w_overhang=0.0, w_rush=0.0)
         return reference.World(
             robot=self.scene.robot,
             speed=self.dynamics.bound,

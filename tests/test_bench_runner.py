@@ -37,7 +37,7 @@ tasks = ["task02"]
 methods = ["cloi", "soi"]
 trials = 2
 max_sim_seconds = 0.4
-set = ["robot.mppi.samples=64", "object.mppi.samples=64", "object.plan_steps=20"]
+set = ["robot.optimizer.samples=64", "object.optimizer.samples=64", "object.plan_steps=20"]
 """
 
 

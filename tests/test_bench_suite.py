@@ -186,7 +186,7 @@ def test_what_does_not_decide_the_result_leaves_the_key():
     trial = make_trial()
     assert changed(trial, threads=8).key == trial.key
     assert changed(trial, scene="elsewhere/task01.usda").key == trial.key
-    same = f"robot.mppi.samples={trial.config.robot.mppi.samples}"
+    same = f"robot.optimizer.samples={trial.config.robot.optimizer.samples}"
     assert changed(trial, assignments=(same,)).key == trial.key
     clock = changed(trial, mode="realtime")
     assert changed(clock, threads=8).key != clock.key
@@ -218,7 +218,7 @@ BAD = {
     "unknown mode": (SMALL + 'mode = "fast"', '"lockstep" or "realtime"'),
     "unknown preset": (SMALL + 'preset = "bset"', '"best" or "paper"'),
     "unknown setting": (SMALL + 'set = ["cost.w_aling=2"]', "did you mean cost.w_align"),
-    "bad setting of one method": (SMALL + 'set = ["robot.mppi.horizon=3"]', "no such spline"),
+    "bad setting of one method": (SMALL + 'set = ["robot.optimizer.horizon=3"]', "no such spline"),
     "time that is none": (SMALL + "max_sim_seconds = 0", "above zero"),
     "entry that is a table": (SMALL + "[entry]\nseed = 1", "[[entry]]"),
     "bad key in an entry": (SMALL + "[[entry]]\n[[entry]]\nseed = -1", "entry 2: seed = -1"),

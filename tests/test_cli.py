@@ -121,7 +121,7 @@ def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[s
     status(
         *("run", "synthetic", "--method", "soi", "--seed", "4", "--device", "cpu", "--preset", "paper"),
         *("--engine", "newton", "--threads", "3", "--randomize"),
-        *("--set", "cost.w_align=3", "robot.mppi.samples=64", "--set", "reference=progress"),
+        *("--set", "cost.w_align=3", "robot.optimizer.samples=64", "--set", "reference=progress"),
         *("--goal", "-0.1,0.2,-3", "--max-sim-seconds", "12"),
     )
     config = stage.asked["config"]
@@ -129,8 +129,8 @@ def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[s
     assert (stage.asked["engine"], stage.asked["threads"]) == ("newton", 3)
     assert "engine quasistatic: a plan takes 9 ms of 50 ms" in capsys.readouterr().err
     assert config.robot.uncertainty.draws == 4
-    assert (config.preset, config.object.mppi.horizon) == ("paper", 90)
-    assert (config.cost.w_align, config.robot.mppi.samples, config.reference) == (3.0, 64, "progress")
+    assert (config.preset, config.object.optimizer.horizon) == ("paper", 90)
+    assert (config.cost.w_align, config.robot.optimizer.samples, config.reference) == (3.0, 64, "progress")
     assert config.episode.max_sim_seconds == 12.0
     assert stage.asked["scene"].goal == (-0.1, 0.2, -3.0)
 
@@ -165,8 +165,8 @@ BAD_INPUT = {
     "no threads": (["run", "t", "--threads", "0"], "1 or more"),
     "unknown engine": (["run", "t", "--engine", "bullet"], "newton"),
     "unknown setting": (["run", "t", "--set", "cost.w_aling=2"], "cost.w_align"),
-    "no samples": (["run", "t", "--set", "robot.mppi.samples=0"], "robot.mppi.samples = 0"),
-    "no horizon": (["run", "t", "--set", "object.mppi.horizon=0"], "object.mppi.horizon = 0"),
+    "no samples": (["run", "t", "--set", "robot.optimizer.samples=0"], "robot.optimizer.samples = 0"),
+    "no horizon": (["run", "t", "--set", "object.optimizer.horizon=0"], "object.optimizer.horizon = 0"),
     "no time": (["run", "t", "--max-sim-seconds", "0"], "max_sim_seconds"),
     "goal that is no pose": (["run", "t", "--goal", "1,2"], "x,y,yaw"),
     "goal that is not finite": (["run", "t", "--goal", "nan,0,0"], "x,y,yaw"),

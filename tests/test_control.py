@@ -174,7 +174,7 @@ def test_in_lock_step_every_beat_has_its_plan():
 
 def lab_episode(*options: str, seed: int = 0, mode: Any = "lockstep") -> Episode:
     scene, config = load_scene("lab01"), best("cloi")
-    for option in ("robot.mppi.samples=256", "object.mppi.samples=256", *options):
+    for option in ("robot.optimizer.samples=256", "object.optimizer.samples=256", *options):
         config = set_option(config, option)
     scene = scene.with_goal((0.38, 0.12, 0.0))
     return Episode(
@@ -215,7 +215,7 @@ def test_the_same_seed_gives_the_same_lab_episode_to_the_bit():
 @pytest.mark.parametrize("plant", ["ideal", "lab"])
 def test_real_time_keeps_to_the_wall_clock(plant: Any):
     config = best("cloi")
-    for option in ("robot.mppi.samples=64", "object.mppi.samples=64", "episode.max_sim_seconds=2.5"):
+    for option in ("robot.optimizer.samples=64", "object.optimizer.samples=64", "episode.max_sim_seconds=2.5"):
         config = set_option(config, option)
     episode = Episode(
         load_scene("lab01"), config, engine="quasistatic", device="cpu", threads=1, plant=plant, mode="realtime"

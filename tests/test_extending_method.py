@@ -24,7 +24,7 @@ methods = ["mppi", "straight"]
 trials = 1
 first = 11
 max_sim_seconds = 0.2
-set = ["robot.mppi.samples=64", "object.mppi.samples=64"]
+set = ["robot.optimizer.samples=64", "object.optimizer.samples=64"]
 """
 
 

@@ -17,7 +17,8 @@ from oimppi_warp.dynamics.base import control_type
 from oimppi_warp.kernels.cost import TERMS, CostTerms
 from oimppi_warp.kernels.stage import pick_trace
 from oimppi_warp.kernels.update import WeightStats, make_shift_nominal, make_update_nominal, weigh_samples
-from oimppi_warp.mppi import Mppi, Update, noise_basis
+from oimppi_warp.mppi import Mppi
+from oimppi_warp.optimizer import Update, noise_basis
 
 ROOT = np.array([[0.30, 0.0], [0.12, 0.05]])
 """A square root of the noise's covariance, its two entries correlated."""

@@ -54,8 +54,8 @@ def make(
     **more: int,
 ) -> NewtonDynamics:
     """An engine on a scene."""
-    mppi = replace(RobotLevel().mppi, samples=samples, horizon=steps)
-    level = RobotLevel(mppi=mppi, substeps=substeps)
+    mppi = replace(RobotLevel().optimizer, samples=samples, horizon=steps)
+    level = RobotLevel(optimizer=mppi, substeps=substeps)
     geometry = build_geometry(scene, "cpu")
     compute = Compute("cpu", threads=threads)
     return engine(scene, geometry, level, RobotCost(), dt=tasks.DT, compute=compute, draws=draws, **more)
@@ -300,10 +300,10 @@ def test_costs_are_those_of_the_quasistatic_engine_on_the_same_motion(engine):
     controls = np.tile([0.05, 0.02, 0.02, 0.0, 0.02, 0.05], (STEPS, 1))
     dynamics = make(engine, scene, 1)
     cost = roll(dynamics, seen, controls[None])[0]
-    mppi = replace(RobotLevel().mppi, samples=1, horizon=STEPS)
+    mppi = replace(RobotLevel().optimizer, samples=1, horizon=STEPS)
     geometry = build_geometry(scene, "cpu")
     twin = QuasistaticDynamics(
-        scene, geometry, RobotLevel(mppi=mppi), RobotCost(), dt=tasks.DT, compute=Compute("cpu", threads=1)
+        scene, geometry, RobotLevel(optimizer=mppi), RobotCost(), dt=tasks.DT, compute=Compute("cpu", threads=1)
     )
     costs = wp.zeros(1, dtype=float, device="cpu")
     packed = wp.array(controls[None].astype(np.float32), dtype=control_type(6), device="cpu")

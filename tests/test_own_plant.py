@@ -45,7 +45,7 @@ class Kinematic:
 
 def small(method: str = "mppi", *changes: str) -> Config:
     config = best(method)
-    for change in ("robot.mppi.samples=128", "object.mppi.samples=64", "episode.max_sim_seconds=2", *changes):
+    for change in ("robot.optimizer.samples=128", "object.optimizer.samples=64", "episode.max_sim_seconds=2", *changes):
         config = set_option(config, change)
     return config
 

@@ -39,7 +39,7 @@ def pushes() -> np.ndarray:
     """Random pushes: friction centre at first, at last in the plant, and at last in the engine; shape [n, 3, 3]."""
     scene = tasks.shipped("task01")
     geometry = build_geometry(scene, "cpu")
-    level = RobotLevel(mppi=replace(RobotLevel().mppi, horizon=STEPS))
+    level = RobotLevel(optimizer=replace(RobotLevel().optimizer, horizon=STEPS))
     engine = QuasistaticDynamics(scene, geometry, level, RobotCost(), dt=tasks.DT, compute=Compute("cpu"))
     world = World(scene)
     rng = np.random.default_rng(5)

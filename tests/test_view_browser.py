@@ -31,7 +31,7 @@ FLAGS = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftsh
 
 
 def small():
-    config = set_option(set_option(best("cloi"), "robot.mppi.samples=64"), "object.mppi.samples=64")
+    config = set_option(set_option(best("cloi"), "robot.optimizer.samples=64"), "object.optimizer.samples=64")
     return replace(config, episode=replace(config.episode, max_sim_seconds=600.0, hold_seconds=600.0))
 
 

@@ -38,8 +38,8 @@ MOST_TO_ONE_CORE = 0.6
 
 def with_mppi(config: Config, *, samples: int, horizon: int = 25, **level: Any) -> Config:
     """The settings with this K and H at the robot level, and these of ``RobotLevel``."""
-    mppi = replace(config.robot.mppi, samples=samples, horizon=horizon, iterations=1)
-    return replace(config, robot=replace(config.robot, mppi=mppi, **level))
+    mppi = replace(config.robot.optimizer, samples=samples, horizon=horizon, iterations=1)
+    return replace(config, robot=replace(config.robot, optimizer=mppi, **level))
 
 
 class Benchmark:
@@ -82,8 +82,8 @@ class Benchmark:
         from bench_loops import ObjectLoop
 
         config = with_mppi(self.config, samples=self.samples)
-        object_mppi = replace(config.object.mppi, samples=self.samples, horizon=60, iterations=1)
-        config = replace(config, object=replace(config.object, mppi=object_mppi))
+        object_mppi = replace(config.object.optimizer, samples=self.samples, horizon=60, iterations=1)
+        config = replace(config, object=replace(config.object, optimizer=object_mppi))
         makers: dict[str, Callable[[int], Callable[[], None]]] = {
             "robot level": lambda threads: self.loop(config, "quasistatic", threads),
             "object level": lambda threads: ObjectLoop(self.scene, config, device="cpu", threads=threads),

@@ -262,7 +262,7 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         "device": (lambda value: isinstance(value, str), '"cpu", "cuda:0", ... or "auto"'),
         "threads": _whole(1, 1024),
         "seed": _whole(0, LARGEST_SEED),
-        "set": (_texts, 'a list of settings, like ["robot.mppi.samples=512"]'),
+        "set": (_texts, 'a list of settings, like ["robot.optimizer.samples=512"]'),
         "max_sim_seconds": (lambda value: _number(value) and value > 0, "a number of seconds above zero"),
         "mode": _one_of(MODES),
         "plant": _one_of(PLANTS),

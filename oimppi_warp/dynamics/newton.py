@@ -89,8 +89,8 @@ class NewtonDynamics(ABC):
         self._surroundings = surroundings(scene, geometry, cost)
         self._weights = robot_weights(scene, geometry, cost)
 
-        self._horizon = level.mppi.horizon
-        self._rollouts = level.mppi.samples * draws.per_sample
+        self._horizon = level.optimizer.horizon
+        self._rollouts = level.optimizer.samples * draws.per_sample
         self._start_joints = compute.input(1, control_type(self.size))
         self._goal = compute.input(1, wp.vec3)
         self.reference = compute.input(self._horizon + 1 + cost.align_ahead, wp.vec3)

@@ -63,7 +63,7 @@ class ObjectDynamics:
         self._goal = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=device)
         self._unused = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self._trace_cost = wp.zeros(1, dtype=float, device=device)
-        self.path = compute.output((1, level.mppi.horizon + 1), wp.vec3)
+        self.path = compute.output((1, level.optimizer.horizon + 1), wp.vec3)
 
     def set_state(self, pose: np.ndarray) -> None:
         """Where the object is: pose [3] of its friction centre."""

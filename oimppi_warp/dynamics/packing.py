@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import warp as wp
 
@@ -15,7 +13,7 @@ from oimppi_warp.kernels.kinematics import Surroundings
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.reach import area_of
 from oimppi_warp.scene import Scene
-from oimppi_warp.tipping import can_tip, tipping_speed
+from oimppi_warp.tipping import tipping_speed
 
 
 def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
@@ -60,9 +58,7 @@ def table_within(scene: Scene, geometry: Geometry) -> tuple[np.ndarray, np.ndarr
 
 
 def robot_weights(scene: Scene, geometry: Geometry, cost: RobotCost) -> RobotWeights:
-    """The weights of the robot level as the kernels read them, for an object that may tip or not."""
-    if not can_tip(scene.object):
-        cost = replace(cost, w_overhang=0.0, w_rush=0.0)
+    """The weights of the robot level as the kernels read them."""
     weights = pack_weights(cost, table_within(scene, geometry))
     weights.topple_speed = cost.rush * tipping_speed(scene.object)
     weights.size = geometry.size
@@ -73,7 +69,7 @@ def pack_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> RobotW
     """The weights of the robot level, with the rectangle of :func:`table_within`, as the kernels read them."""
     weights = RobotWeights()
     for name, value in vars(cost).items():
-        if name not in ("reach", "align_ahead", "rush"):
+        if name not in ("reach", "align_ahead", "rush", "extra"):
             setattr(weights, name, value)
     weights.reach_lower, weights.reach_upper = cost.reach
     weights.edge_lower, weights.edge_upper = wp.vec2(*edge[0]), wp.vec2(*edge[1])

@@ -66,7 +66,7 @@ class QuasistaticDynamics:
         self._worlds = _pack(draws, device)
         self._nominal_world = _pack(CERTAIN, device)
 
-        horizon = level.mppi.horizon
+        horizon = level.optimizer.horizon
         self._kernel = make_robot_rollout(scene.robot.chain)
         self._joints = compute.input(1, control_type(self.size))
         self._object = compute.input(1, wp.vec3)
