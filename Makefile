@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install demo view test slow ahead lint format types bench scenes wheel ci lock clean
+.PHONY: help install demo view test nightly lint format types bench scenes wheel ci lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
@@ -34,11 +34,8 @@ view: $(LOCK_ENV) ## watch it push in the browser, and change things while it ru
 test: $(LOCK_ENV) ## the tests, under ten minutes on two cores
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
 
-slow: $(LOCK_ENV) ## the tests that take longer: whole episodes over many seeds
+nightly: $(LOCK_ENV) ## the tests that take longer: whole episodes over many seeds, kernels for a GPU that is not here
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
-
-ahead: $(LOCK_ENV) ## the slow tests of compiling ahead of time, for a GPU that is not here too (ten minutes)
-	$(BIN)/python -m pytest -m slow tests/test_upkeep.py $(PYTEST_FLAGS)
 
 lint: $(LOCK_ENV) ## ruff
 	$(BIN)/ruff check .

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import warp as wp
+from warp._src.context import user_modules
 
 from oimppi_warp.clearance import build_geometry
 from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
 from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
-from oimppi_warp.methods import METHODS, make_planner
+from oimppi_warp.kernels import clearance
+from oimppi_warp.methods import make_planner
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.optimizer import make_optimizer
+from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene
 
 Variant = tuple[wp.Module, int]
 """A module as it is compiled: with the number of threads in a block."""
 
+_USUAL_BLOCK = 256
+"""Threads in a block of a launch that does not say; on the CPU that is one."""
 
-def needed_on_cuda(scene: Scene, config: Config, engine: str) -> list[Variant]:
+
+def needed_on_cuda(scene: Scene, config: Config, engines: Iterable[str]) -> list[Variant]:
     """What planning on a GPU launches, found by planning small on the CPU.
 
     MuJoCo Warp chooses its kernels by the model. Where it asks for the device as well, it does so for the number of
@@ -33,27 +38,34 @@ def needed_on_cuda(scene: Scene, config: Config, engine: str) -> list[Variant]:
     Args:
         scene: The task.
         config: All settings.
-        engine: ``"quasistatic"`` or ``"newton"``.
+        engines: Names of the engines that are to be used there.
     """
     small = replace(config.robot.optimizer, samples=2, horizon=2, knots=0, iterations=1)
     level = replace(config.robot, optimizer=small, substeps=1)
-    with _recorded() as found:
-        for method in METHODS:
-            planner = make_planner(
-                scene, replace(config, robot=level), method=method, engine="quasistatic", device="cpu", threads=1
-            )
-            planner.warm_up()
-        if engine == "newton":
-            geometry = build_geometry(scene, "cpu")
-            compute = Compute("cpu", threads=1)
-            worlds = NewtonWorlds(scene, geometry, level, config.cost, dt=config.control_period, compute=compute)
-            mppi = make_optimizer(worlds, small, seed=0)
-            start = np.array(scene.start)
-            transform = planar_transform(scene.start, scene.object.rest_height)
-            joints = scene.robot.start
-            worlds.set_state(Observation(0.0, joints, np.zeros_like(joints), start, transform), start)
-            compute.step([*mppi.improve, worlds.trace(mppi.nominal, mppi.costs), mppi.shift])()
-    return list(found)
+    few = replace(config, robot=level)
+    with rehearsal() as found:
+        wp.load_module(clearance, device="cpu")  # fields that are in the cache here may not be there
+        for engine in engines:
+            # On the CPU the Newton engine is another one: what surrounds it is launched with the quasi-static engine.
+            around = "quasistatic" if engine == "newton" else engine
+            for method in METHODS:
+                make_planner(scene, few, method=method, engine=around, device="cpu", threads=1).warm_up()
+            if engine == "newton":
+                _plan_with_worlds(scene, few)
+    return found
+
+
+def _plan_with_worlds(scene: Scene, config: Config) -> None:
+    """One step of the Newton engine that a GPU would use: batched worlds, here on the CPU."""
+    geometry = build_geometry(scene, "cpu")
+    compute = Compute("cpu", threads=1)
+    worlds = NewtonWorlds(scene, geometry, config.robot, config.cost, dt=config.control_period, compute=compute)
+    mppi = make_optimizer(worlds, config.robot.optimizer, seed=0)
+    start = np.array(scene.start)
+    transform = planar_transform(scene.start, scene.object.rest_height)
+    joints = scene.robot.start
+    worlds.set_state(Observation(0.0, joints, np.zeros_like(joints), start, transform), start)
+    compute.step([*mppi.improve, worlds.trace(mppi.nominal, mppi.costs), mppi.shift])()
 
 
 def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Module], None]) -> int:
@@ -80,24 +92,34 @@ def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Modu
 
 
 @contextmanager
-def _recorded() -> Iterator[list[Variant]]:
-    """Notes what is launched, with the block size that a GPU would be given."""
-    found: dict[Variant, None] = {}
-    launches = {"launch": wp.launch, "launch_tiled": wp.launch_tiled}
+def rehearsal() -> Iterator[list[Variant]]:
+    """Lists, at its end, what Warp loaded for the CPU in between, with the block sizes that a GPU would be given.
 
-    def noting(launch: Callable[..., Any]) -> Callable[..., Any]:
-        def run(kernel: Any, *args: Any, **kwargs: Any) -> Any:
-            found[kernel.module, kwargs.get("block_dim", 256)] = None
-            return launch(kernel, *args, **kwargs)
-
-        return run
-
+    Warp is made to forget what it has loaded, so that what the rehearsal needs is loaded again (out of the kernel
+    cache), and nothing else is. With ``enable_cpu_blocks`` the CPU takes the block sizes that launches ask for. A
+    launch of no threads loads nothing, here as on a GPU: kernels for tendons, say, of a model that has none.
+    """
     variants: list[Variant] = []
+    usual = wp.config.enable_cpu_blocks
+    for module in _modules():
+        module.unload()
+    wp.config.enable_cpu_blocks = True
     try:
-        for name, launch in launches.items():
-            setattr(wp, name, noting(launch))
         yield variants
     finally:
-        for name, launch in launches.items():
-            setattr(wp, name, launch)
-        variants += found
+        wp.config.enable_cpu_blocks = usual
+    found = {
+        (module, block if block > 1 else _USUAL_BLOCK): None
+        for module in _modules()
+        for context, block in module.execs
+        if context is None  # the CPU's
+    }
+    variants += found
+
+
+def _modules() -> list[wp.Module]:
+    """Every module that Warp knows of, the kernels made at run time included.
+
+    Warp lists them nowhere else. The tests fail where either name is no longer there.
+    """
+    return list(user_modules.values())

@@ -20,6 +20,7 @@ import trimesh
 import warp as wp
 
 from oimppi_warp.cache import cached, content_of
+from oimppi_warp.device import start_warp
 from oimppi_warp.footprint import LimitSurface, Piece, collider_mesh, footprint, height_range, limit_surface, outline
 from oimppi_warp.kernels import clearance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
@@ -92,6 +93,7 @@ def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None 
 
 def build_geometry(scene: Scene, device: str) -> Geometry:
     """All distance fields of a scene on a device, from the cache where it has them."""
+    start_warp()
     surface = limit_surface(scene.object)
     body = [_shifted(piece, -surface.center) for piece in footprint(scene.object.colliders)]
     low, high = height_range(scene.object.colliders)

@@ -164,15 +164,15 @@ class _Prepared:
         outputs: Sequence[Any],
         device: str,
     ) -> None:
+        self._device = wp.get_device(device)
         self._arguments = {
             "dim": dim,
             "inputs": list(inputs),
             "outputs": list(outputs),
             "device": device,
-            "block_dim": _BLOCK,
+            "block_dim": 1 if self._device.is_cpu else _BLOCK,
         }
         self._kernel = kernel
-        self._device = wp.get_device(device)
         self._command = wp.launch(kernel, **self._arguments, record_cmd=True)
 
     def __call__(self) -> None:

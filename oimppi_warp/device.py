@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
-import sys
-import tempfile
 import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import warp as wp
@@ -15,27 +13,25 @@ import warp as wp
 from oimppi_warp.errors import DeviceError
 
 
+@cache
 def start_warp() -> None:
-    """Initialise Warp without its banner, and without its warning that there is no CUDA driver.
+    """Initialise Warp without its banner and its line for each module; warnings and errors are still told.
 
-    A machine without a GPU is none to warn of.
+    Only the first call does anything. To read those lines, set a logger (``wp.set_logger``) or lower
+    ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set that to ``wp.LOG_INFO`` after it. Where there is no
+    NVIDIA driver, Warp's native library says so in one line on stderr, for which it has no switch.
     """
-    level = wp.config.log_level
-    wp.config.log_level = max(level, wp.LOG_WARNING)
-    with tempfile.TemporaryFile() as caught:
-        sys.stderr.flush()
-        stderr = os.dup(2)
-        os.dup2(caught.fileno(), 2)
-        try:
-            wp.init()
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-            wp.config.log_level = level
-        caught.seek(0)
-        for line in caught.read().decode(errors="replace").splitlines():
-            if "Could not find or load the NVIDIA CUDA driver" not in line:
-                print(line, file=sys.stderr)
+    own = type(wp.get_logger()).__module__.partition(".")[0] == "warp"
+    if own and wp.config.log_level == wp.LOG_INFO:
+        wp.config.log_level = wp.LOG_WARNING
+    wp.init()
+
+
+def tell_compilation(say: Callable[[str], None]) -> None:
+    """Initialise Warp, and tell by ``say(line)`` each kernel that is compiled from now on, for the command line."""
+    wp.set_logger(CompileNotice(say))
+    start_warp()
+    wp.config.log_level = min(wp.config.log_level, wp.LOG_INFO)
 
 
 def pick_device(name: str = "auto") -> str:

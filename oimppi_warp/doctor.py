@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import warp as wp
 
 from oimppi_warp.cache import cache_folder
 from oimppi_warp.compute import core_count
 from oimppi_warp.device import kernels_are_cached, start_warp
+from oimppi_warp.registries import ENGINES, METHODS, OPTIMIZERS, PLANTS
+from oimppi_warp.registry import Registry
 
 PACKAGES = ("warp-lang", "newton", "mujoco", "mujoco-warp", "usd-core", "numpy", "trimesh", "shapely", "viser")
 """Packages whose versions matter."""
+REGISTRIES: dict[str, Registry[Any]] = {
+    "methods": METHODS,
+    "optimizers": OPTIMIZERS,
+    "engines": ENGINES,
+    "plants": PLANTS,
+}
+"""What can be chosen by name, in the order in which it is told."""
 _LEAST_MEMORY = 4e9
 """Memory that a run with room to spare needs [B]."""
 _OLDEST_DRIVER = (12, 4)
@@ -58,6 +69,9 @@ class Facts:
         scenes: Number of shipped scenes.
         device: What the planner will compute on.
         blas_threads: What limits NumPy's threads; empty where nothing does.
+        entries: For each of :data:`REGISTRIES`, the names that it has, each with the installed package that adds it;
+            empty for our own.
+        broken: Entries of installed packages that cannot be imported, each with the reason.
     """
 
     python: str
@@ -77,6 +91,8 @@ class Facts:
     scenes: int
     device: str
     blas_threads: str
+    entries: dict[str, dict[str, str]]
+    broken: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -118,6 +134,8 @@ def examine() -> Facts:
         scenes=len(shipped_scenes()),
         device="cuda:0" if devices else "cpu",
         blas_threads=os.environ.get("OMP_NUM_THREADS", ""),
+        entries={kind: {name: known.package_of(name) for name in known} for kind, known in REGISTRIES.items()},
+        broken=dict(_broken_entries()),
     )
 
 
@@ -131,6 +149,8 @@ def judge(facts: Facts) -> list[Finding]:
     if newton != batched:
         of = f"mujoco {facts.versions['mujoco']} and mujoco-warp {facts.versions['mujoco-warp']} do not go together"
         found.append(Finding(of, "pip install -r requirements.lock"))
+    for entry, reason in facts.broken.items():
+        found.append(Finding(f"{entry} cannot be imported: {reason}", "mend the package that adds it, or remove it"))
     if not facts.scenes:
         found.append(Finding("no scene was shipped with this installation", "install the package anew"))
     if facts.gpu_hardware and not facts.gpus:
@@ -162,6 +182,17 @@ def processor() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
+
+
+def _broken_entries() -> Iterator[tuple[str, str]]:
+    """Entries of installed packages that cannot be imported, and why."""
+    for known in REGISTRIES.values():
+        for name in known:
+            if package := known.package_of(name):
+                try:
+                    known[name]
+                except Exception as error:  # whatever the package does when it is imported
+                    yield f"the {known.kind} {name!r} of {package}", f"{type(error).__name__}: {error}"
 
 
 def _memory() -> int:

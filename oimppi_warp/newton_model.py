@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from oimppi_warp.device import start_warp
 from oimppi_warp.kinematics import turning
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import Scene
@@ -86,6 +87,7 @@ def import_scene(scene: Scene, *, worlds: int | None = None, device: str = "cpu"
         worlds: Number of batched worlds, all alike; ``None`` for a single one. Indices are those of the first.
         device: Warp device of the model.
     """
+    start_warp()
     with collector_paused():
         import newton
         from newton.solvers import SolverMuJoCo

@@ -99,14 +99,12 @@ class TaskOptions:
 
 def notices() -> Console:
     """The console for what is said beside a result, with a line there for each kernel that Warp compiles."""
-    import warp as wp
     from rich.console import Console
 
-    from oimppi_warp import device
+    from oimppi_warp.device import tell_compilation
 
     console = Console(stderr=True, highlight=False)
-    wp.set_logger(device.CompileNotice(partial(console.print, soft_wrap=True)))
-    device.start_warp()
+    tell_compilation(partial(console.print, soft_wrap=True))
     return console
 
 

@@ -86,6 +86,11 @@ class Registry(Mapping[str, T], Generic[T]):
         """The names as a ``Literal`` type, for command lines; ``others`` come first."""
         return Literal.__getitem__((*others, *self))  # pyright: ignore[reportAttributeAccessIssue]
 
+    def package_of(self, name: str) -> str:
+        """Name of the installed package that declares an entry; empty for a shipped or a registered one."""
+        point = self._installed.get(name)
+        return point.dist.name if point is not None and point.dist is not None else ""
+
     def __getitem__(self, name: str) -> T:
         if name not in self._loaded:
             if name in self._targets:

@@ -6,11 +6,23 @@ import json
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import ENGINES, METHODS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from rich.progress import Progress
+
+    from oimppi_warp.scene import Scene
+
+    EngineOrAll = str
+else:
+    EngineOrAll = ENGINES.choice("all")
 
 
 @dataclass(frozen=True)
@@ -25,7 +37,7 @@ class Warmup:
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
     """A USD file, or the name of a shipped scene: the Newton engine's kernels depend on its shapes."""
 
-    engine: Literal["all", "quasistatic", "newton"] = "all"
+    engine: EngineOrAll = "all"
     """Of which engine."""
 
     arch: Annotated[tuple[str, ...], arg(metavar="SM", help_behavior_hint="(default: none)")] = ()
@@ -45,19 +57,18 @@ class Warmup:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-        from oimppi_warp import device
+        from oimppi_warp.device import start_warp
         from oimppi_warp.estimator import Estimator
-        from oimppi_warp.methods import METHODS, make_planner
+        from oimppi_warp.methods import make_planner
         from oimppi_warp.plant import SimulatedPlant
         from oimppi_warp.presets import best
         from oimppi_warp.usd import load_scene
         from oimppi_warp.world import World
 
         console = Console(stderr=True, highlight=False)
-        wp.set_logger(device.CompileNotice(lambda line: None))
-        device.start_warp()
+        start_warp()
         columns = (TextColumn("{task.description:48}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        engines = ("quasistatic", "newton") if self.engine == "all" else (self.engine,)
+        engines = tuple(ENGINES) if self.engine == "all" else (self.engine,)
         with Progress(*columns, console=console) as progress:
             scene = load_scene(self.scene)
             bar = progress.add_task("for the CPU", total=len(engines) * len(METHODS) + 1)
@@ -75,13 +86,13 @@ class Warmup:
         console.print(f"kernels in {wp.config.kernel_cache_dir}", soft_wrap=True)
         return 0
 
-    def _compile_for(self, arch: int, engines: tuple[str, ...], progress, scene) -> None:
+    def _compile_for(self, arch: int, engines: Sequence[str], progress: Progress, scene: Scene) -> None:
         """Compile for a GPU's architecture."""
         from oimppi_warp.ahead import compile_for, needed_on_cuda
         from oimppi_warp.presets import best
 
         bar = progress.add_task(f"for sm_{arch}: what is needed", total=None)
-        variants = needed_on_cuda(scene, best("cloi"), "newton" if "newton" in engines else "quasistatic")
+        variants = needed_on_cuda(scene, best("cloi"), engines)
         progress.update(bar, total=len(variants))
 
         def on_module(module) -> None:
@@ -120,8 +131,9 @@ class Doctor:
             f"{facts.memory / 2**30:.0f} GiB; {facts.system}",
             "GPUs": ("; ".join(gpus) or "none that Warp can use") + driver,
             "packages": f"Python {facts.python}, " + ", ".join(f"{k} {v or '-'}" for k, v in facts.versions.items()),
-            "will use": f"device {facts.device}, {facts.usable_cores} threads on the CPU, engine auto (quasistatic, as "
-            "long as it keeps up)",
+            "will use": f"device {facts.device}, {facts.usable_cores} threads on the CPU; with --engine auto the most "
+            "successful engine that keeps up",
+            **{kind: ", ".join(_with_package(entries)) for kind, entries in facts.entries.items()},
             "kernels": f"{facts.kernel_cache} ({'compiled' if facts.compiled else 'none yet: oimppi warmup'})",
             "fields": facts.field_cache,
             "scenes": f"{facts.scenes} shipped",
@@ -136,6 +148,12 @@ class Doctor:
         if not findings:
             console.print("[bold green]nothing is wrong")
         return 1 if findings else 0
+
+
+def _with_package(entries: dict[str, str]) -> Iterator[str]:
+    """Names, those that an installed package adds with its name."""
+    for name, package in entries.items():
+        yield f"{name} (from {package})" if package else name
 
 
 def _architecture(name: str) -> int:

@@ -11,12 +11,14 @@ from pathlib import Path
 
 import pytest
 import tasks
+import warp as wp
 
-from oimppi_warp.ahead import compile_for, needed_on_cuda
+from oimppi_warp.ahead import compile_for, needed_on_cuda, rehearsal
 from oimppi_warp.cli import main
 from oimppi_warp.device import start_warp
 from oimppi_warp.doctor import PACKAGES, Facts, Gpu, examine, judge
 from oimppi_warp.presets import best
+from oimppi_warp.registries import METHODS
 from oimppi_warp.usd import shipped_scenes
 
 WELL = Facts(
@@ -37,6 +39,8 @@ WELL = Facts(
     scenes=8,
     device="cuda:0",
     blas_threads="1",
+    entries={"methods": {"cloi": ""}},
+    broken={},
 )
 
 
@@ -57,6 +61,7 @@ def test_nothing_is_wrong_with_a_machine_that_is_well():
         ({"writable": (True, False)}, "/caches/fields cannot be written"),
         ({"memory": 2_000_000_000}, "2.0 GB of memory"),
         ({"usable_cores": 2}, "only 2 of 8 cores"),
+        ({"broken": {"the method 'rrt' of oimppi-rrt": "ImportError: no"}}, "'rrt' of oimppi-rrt cannot be imported"),
     ],
 )
 def test_what_is_wrong_is_said_with_what_to_do(change, said):
@@ -79,8 +84,28 @@ def test_the_doctor_sees_this_machine(capsys):
 def test_the_doctor_speaks_to_people(capsys):
     main(["doctor"])
     out = capsys.readouterr().out
-    for word in ("machine", "GPUs", "packages", "will use", "kernels"):
+    for word in ("machine", "GPUs", "packages", "will use", "kernels", "methods", "optimizers", "engines", "plants"):
         assert word in out
+
+
+def test_the_doctor_lists_what_installed_packages_add_and_what_of_it_is_broken(tmp_path):
+    installed = tmp_path / "oimppi_extra-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: oimppi-extra\nVersion: 1.0\n")
+    (installed / "entry_points.txt").write_text(
+        "[oimppi_warp.methods]\nrrt = extra:Rrt\n\n[oimppi_warp.engines]\nrigid = extra_engine:Rigid\n"
+    )
+    (tmp_path / "extra.py").write_text("Rrt = object()\n")
+    paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [sys.executable, "-m", "oimppi_warp", "doctor", "--json"]
+    environment = os.environ | {"PYTHONPATH": paths}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    told = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert told["facts"]["entries"]["methods"] == dict.fromkeys(METHODS, "") | {"rrt": "oimppi-extra"}
+    assert told["facts"]["entries"]["engines"]["rigid"] == "oimppi-extra"
+    (finding,) = [each for each in told["findings"] if "imported" in each["what"]]
+    assert "the engine 'rigid' of oimppi-extra cannot be imported: ModuleNotFoundError" in finding["what"]
 
 
 @pytest.mark.parametrize("arch", ["sm_9", "hopper", "20"])
@@ -113,21 +138,38 @@ def test_after_a_warmup_a_run_compiles_nothing(tmp_path):
 
 
 def test_what_a_gpu_needs_of_ours_is_found():
-    names = {module.name for module, _ in needed_on_cuda(tasks.shipped("task01"), best("cloi"), "quasistatic")}
+    names = {module.name for module, _ in needed_on_cuda(tasks.shipped("task01"), best("cloi"), ["quasistatic"])}
     kernels = ("robot_rollout_RRRRRR", "object", "sample_controls_3", "sample_controls_6", "update", "update_nominal_6")
     assert {f"oimppi_warp.kernels.{name}" for name in kernels} <= names
     assert "oimppi_warp.kernels.navigation" in names, "SOI follows its cost-to-go there"
+    assert "oimppi_warp.kernels.clearance" in names, "it may not find the fields there"
+
+
+@wp.kernel(module="unique")
+def count_up(numbers: wp.array[int]):
+    numbers[wp.tid()] += 1
+
+
+def test_a_rehearsal_lists_what_is_launched_in_it_with_the_blocks_that_are_asked_for():
+    numbers = wp.zeros(64, dtype=int, device="cpu")
+    wp.launch(count_up, dim=64, inputs=[numbers], device="cpu", block_dim=64)
+    for block, dim in ((64, 64), (None, 64), (None, 0)):
+        with rehearsal() as found:
+            wp.launch(count_up, dim=dim, inputs=[numbers], device="cpu", block_dim=block)
+        assert found == ([(count_up.module, block or 256)] if dim else [])
+    assert not wp.config.enable_cpu_blocks
+    wp.launch(count_up, dim=64, inputs=[numbers], device="cpu", block_dim=64)
+    assert set(numbers.numpy()) == {4}
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_all_that_a_newton_plan_needs_compiles_for_a_hopper_gpu(tmp_path, monkeypatch):
-    import warp as wp
-
     start_warp()  # it fills in the folder that is put back in the end
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    variants = needed_on_cuda(tasks.shipped("task02"), best("cloi"), "newton")
+    variants = needed_on_cuda(tasks.shipped("task02"), best("cloi"), ["newton"])
     names = {module.name for module, _ in variants}
+    assert {block for _, block in variants} >= {32, 64, 128, 256}, "as MuJoCo Warp asks for them"
     assert {"mujoco_warp._src.solver", "mujoco_warp._src.smooth", "oimppi_warp.kernels.worlds"} <= names
     assert len(variants) > 60
     assert compile_for(variants, 90, lambda module: None) == len(variants)

@@ -285,16 +285,14 @@ def main() -> int:
     if arguments.repeats < 2:
         parser.error("--repeats: at least 2")
 
-    import warp as wp
     from bench_start import start_seconds
     from bench_tables import print_tables
 
-    from oimppi_warp.device import CompileNotice, start_warp
+    from oimppi_warp.device import tell_compilation
     from oimppi_warp.log import versions
     from oimppi_warp.usd import load_scene
 
-    wp.set_logger(CompileNotice(lambda line: print(line, file=sys.stderr)))
-    start_warp()
+    tell_compilation(lambda line: print(line, file=sys.stderr))
     scene = load_scene(arguments.scene)
     brief = arguments.quick or arguments.brief
     bench = Benchmark(scene, repeats=4 if arguments.quick else arguments.repeats, quick=arguments.quick)

@@ -40,14 +40,12 @@ class Check:
         """Print what was found; returns the exit status."""
         if not self.files:
             raise ConfigError("no file to check\n  allowed: one or more USD files, or names of shipped scenes")
-        import warp as wp
         from rich.console import Console
 
-        from oimppi_warp import device
         from oimppi_warp.authoring.checks.check import check_scene
+        from oimppi_warp.device import tell_compilation
 
-        wp.set_logger(device.CompileNotice(partial(print, file=sys.stderr)))
-        device.start_warp()
+        tell_compilation(partial(print, file=sys.stderr))
         console = Console(highlight=False, emoji=False, markup=False)
         problems: list[Problem] = []
         missing = False

@@ -52,13 +52,11 @@ class AddRobot:
         """Write the robot and its task; returns the exit status."""
         name = self.name or self.file.name.partition(".")[0]
         self._check(name)
-        import warp as wp
         from rich.console import Console
 
-        from oimppi_warp import device
+        from oimppi_warp.device import tell_compilation
 
-        device.start_warp()
-        wp.set_logger(device.CompileNotice(Console(stderr=True, highlight=False).print))
+        tell_compilation(Console(stderr=True, highlight=False).print)
         from oimppi_warp.authoring.robots import arm_usd
         from oimppi_warp.authoring.robots.from_urdf import read_urdf
         from oimppi_warp.authoring.robots.from_usd import read_usd
