@@ -13,6 +13,7 @@ import warp as wp
 from oimppi_warp.clearance import build_geometry
 from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
+from oimppi_warp.dynamics.base import RolloutTask
 from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
 from oimppi_warp.methods import METHODS, make_planner
 from oimppi_warp.mppi import Mppi
@@ -46,7 +47,16 @@ def needed_on_cuda(scene: Scene, config: Config, engine: str) -> list[Variant]:
         if engine == "newton":
             geometry = build_geometry(scene, "cpu")
             compute = Compute("cpu", threads=1)
-            worlds = NewtonWorlds(scene, geometry, level, config.cost, dt=config.control_period, compute=compute)
+            worlds = NewtonWorlds(
+                RolloutTask(
+                    scene=scene,
+                    geometry=geometry,
+                    level=level,
+                    cost=config.cost,
+                    dt=config.control_period,
+                    compute=compute,
+                )
+            )
             mppi = Mppi(worlds, small, seed=0)
             start = np.array(scene.start)
             transform = planar_transform(scene.start, scene.object.rest_height)

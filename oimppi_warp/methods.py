@@ -11,11 +11,10 @@ import time
 import numpy as np
 import warp as wp
 
-from oimppi_warp.choice import choose, median_seconds
+from oimppi_warp.choice import choose
 from oimppi_warp.clearance import from_center, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
 from oimppi_warp.config import Config, Method
-from oimppi_warp.dynamics.engines import ENGINES
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.kernels import navigation
 from oimppi_warp.kernels.geometry import PoseField
@@ -25,6 +24,7 @@ from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import ObjectLevel, distance
 from oimppi_warp.observation import Observation
 from oimppi_warp.planner import Planner
+from oimppi_warp.registries import ENGINES
 from oimppi_warp.scene import Scene
 from oimppi_warp.settings import validate
 
@@ -209,14 +209,6 @@ def make_planner(
 
     if engine != "auto":
         return make(engine)
-    made: dict[str, Planner] = {}
-
-    def plan_seconds(engine: str) -> float:
-        made[engine] = make(engine)
-        made[engine].warm_up()
-        return median_seconds(made[engine].rehearse)
-
-    choice = choose(method, config.control_period, plan_seconds)
-    planner = made[choice.engine]
-    planner.engine_reason = choice.reason
-    return planner
+    choice = choose(method, config.control_period, make)
+    choice.planner.engine_reason = choice.reason
+    return choice.planner
