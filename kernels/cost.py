@@ -225,7 +225,7 @@ def terms_vector(extra: int = 0) -> type:
 
 
 @lru_cache
-def make_robot_cost(extra: ExtraTerms = ()) -> wp.Function:
+def make_robot_cost(extra: ExtraTerms) -> wp.Function:
     """The stage cost ``(w: RobotWeights, s: Stage)`` of the robot level: a vector of all terms, weighted.
 
     Args:

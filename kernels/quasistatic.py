@@ -19,7 +19,7 @@ GIVE = wp.constant(5.0e-4)
 
 
 @lru_cache
-def make_robot_rollout(chain: str, extra: ExtraTerms = ()) -> wp.Kernel:
+def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
     """The rollout kernel.
 
     Args:

@@ -27,7 +27,7 @@ class Felt:
 
 
 @lru_cache
-def make_stage_costs(chain: str, precision: type, extra: ExtraTerms = ()) -> wp.Kernel:
+def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kernel:
     """The kernel for the trajectories of an engine.
 
     Args:

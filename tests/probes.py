@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 CostTerms = terms_vector()
-robot_cost = make_robot_cost()
+robot_cost = make_robot_cost(())
 
 
 @wp.struct
