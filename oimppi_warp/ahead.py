@@ -13,6 +13,7 @@ from warp._src.context import user_modules
 from oimppi_warp.clearance import build_geometry
 from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
+from oimppi_warp.dynamics.base import RolloutTask
 from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
 from oimppi_warp.kernels import clearance
 from oimppi_warp.methods import make_planner
@@ -59,7 +60,16 @@ def _plan_with_worlds(scene: Scene, config: Config) -> None:
     """One step of the Newton engine that a GPU would use: batched worlds, here on the CPU."""
     geometry = build_geometry(scene, "cpu")
     compute = Compute("cpu", threads=1)
-    worlds = NewtonWorlds(scene, geometry, config.robot, config.cost, dt=config.control_period, compute=compute)
+    worlds = NewtonWorlds(
+        RolloutTask(
+            scene=scene,
+            geometry=geometry,
+            level=config.robot,
+            cost=config.cost,
+            dt=config.control_period,
+            compute=compute,
+        )
+    )
     mppi = make_optimizer(worlds, config.robot.optimizer, seed=0)
     start = np.array(scene.start)
     transform = planar_transform(scene.start, scene.object.rest_height)

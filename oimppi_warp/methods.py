@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.choice import choose, median_seconds
+from oimppi_warp.choice import choose
 from oimppi_warp.clearance import from_center, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
 from oimppi_warp.config import Config
@@ -196,14 +196,6 @@ def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **op
 
     if spec.engine != "auto":
         return make(spec.engine)
-    made: dict[str, Planner] = {}
-
-    def plan_seconds(engine: str) -> float:
-        made[engine] = make(engine)
-        made[engine].warm_up()
-        return median_seconds(made[engine].rehearse)
-
-    choice = choose(spec.method, config.control_period, plan_seconds)
-    planner = made[choice.engine]
-    planner.engine_reason = choice.reason
-    return planner
+    choice = choose(spec.method, config.control_period, make)
+    choice.planner.engine_reason = choice.reason
+    return choice.planner

@@ -12,6 +12,7 @@ import numpy as np
 from oimppi_warp.clearance import build_geometry, from_center, pose_field_at, to_center
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import Config
+from oimppi_warp.dynamics.base import RolloutTask
 from oimppi_warp.dynamics.engines import make_dynamics
 from oimppi_warp.errors import ObservationError
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
@@ -125,14 +126,16 @@ class Planner:
         self._setup_seconds = time.perf_counter() - began
         self.dynamics = make_dynamics(
             engine,
-            scene,
-            self.geometry,
-            level,
-            config.cost,
-            dt=config.control_period,
-            compute=compute,
-            draws=draws,
-            to_go=to_go,
+            RolloutTask(
+                scene=scene,
+                geometry=self.geometry,
+                level=level,
+                cost=config.cost,
+                dt=config.control_period,
+                compute=compute,
+                draws=draws,
+                to_go=to_go,
+            ),
         )
         self.mppi = make_optimizer(self.dynamics, level.optimizer, seed=2 * seed + 1)
         self.object_launches: list[Launch] = []

@@ -181,9 +181,7 @@ class Benchmark:
 
         threads = self.loop(with_mppi(self.config, samples=64), "newton", 1).planner.dynamics
         arrays = sum(value.nbytes for value in vars(threads).values() if hasattr(value, "nbytes"))
-        level = with_mppi(self.config, samples=64).robot
-        geometry = self.loop(with_mppi(self.config, samples=64), "quasistatic", 1).planner.geometry
-        worlds = NewtonWorlds(self.scene, geometry, level, self.config.cost, dt=0.05, compute=Compute("cpu"))
+        worlds = NewtonWorlds(replace(threads.task, compute=Compute("cpu")))
         data, model = worlds.solver.mjw_data, worlds.solver.mjw_model
         return {
             "newton, C threads [B/rollout]": round(arrays / 64),
