@@ -155,8 +155,9 @@ def test_a_scene_is_saved_as_it_stands(tmp_path):
     scene = load_scene("task02")
     obstacle = scene.obstacles[0]
     moved = scene.with_goal((0.5, 0.2, 1.0)).with_start((0.3, -0.4, 0.5))
+    moved = moved.with_obstacle_moved(obstacle.path, (0.05, -0.1, 0.3))
     held = Usd.Stage.Open(str(scene.file))
-    file = save_scene(moved, tmp_path / "mine.usda", moves={obstacle.path: (0.05, -0.1, 0.3)})
+    file = save_scene(moved, tmp_path / "mine.usda")
     again = load_scene(file)
     np.testing.assert_allclose(again.goal, (0.5, 0.2, 1.0), atol=1e-9)
     np.testing.assert_allclose(again.start, (0.3, -0.4, 0.5), atol=1e-6)

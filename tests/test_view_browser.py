@@ -92,11 +92,11 @@ class Served:
 
 
 @pytest.fixture
-def live(tmp_path):
+def live():
     setup = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device="cpu", threads=1))
     session = Session(setup)
     viewer = open_viewer(port=8470)
-    served = Served(viewer, LiveView(viewer, session, tmp_path))
+    served = Served(viewer, LiveView(viewer, session))
     served.session = session
     yield served
     session.close()

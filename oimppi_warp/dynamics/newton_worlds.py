@@ -25,7 +25,7 @@ from oimppi_warp.kernels.worlds import (
     take_forces,
 )
 from oimppi_warp.mujoco_model import SENSED, mapped
-from oimppi_warp.newton_model import MIN_FRICTION, ROLES, SOLVER_OPTIONS, NewtonModel, import_scene
+from oimppi_warp.newton_model import MIN_FRICTION, ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.observation import Observation
 from oimppi_warp.scene import Scene
 from oimppi_warp.uncertainty import Draws
@@ -62,7 +62,7 @@ class NewtonWorlds(NewtonDynamics):
         _, self._mujoco_warp = SolverMuJoCo.import_mujoco()
         compute, device, level = task.compute, task.compute.device, task.level
         worlds = self._rollouts
-        built = import_scene(task.scene, worlds=worlds, device=device)
+        built = build_model(task.scene, worlds=worlds, device=device)
         _change(built, task.scene, task.draws, worlds)
         contacts = contact_room(built.roles) if contacts is None else contacts
         self.solver = SolverMuJoCo(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,6 @@ from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.presets import PRESETS
 from oimppi_warp.registries import ENGINES, METHODS
 from oimppi_warp.scene import PlanarPose
-from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.picture import Picture
@@ -39,18 +36,15 @@ class LiveView:
     Args:
         viewer: Newton's viewer in the browser.
         session: What it shows.
-        folder: Where scenes with moved obstacles are kept.
     """
 
-    def __init__(self, viewer: Any, session: Session, folder: Path) -> None:
+    def __init__(self, viewer: Any, session: Session) -> None:
         self._viewer = viewer
         self._session = session
-        self._folder = folder
         self._canvas = Canvas(viewer)
         self._gui = viewer.server.gui
         self._drawn: Picture | None = None
         self._plotted = -1.0
-        self._edits = 0
         self._gizmos: dict[str, wp.transform] = {}
         self._dragged: set[str] = set()
         viewer.set_reset_callback(session.restart)
@@ -156,8 +150,8 @@ class LiveView:
             "object": np.concatenate([picture.object_transform[:2], [0.06], picture.object_transform[3:]]),
         }
         for obstacle in scene.obstacles:
-            center = np.mean([collider.transform[:3] for collider in obstacle.colliders], axis=0)
-            places[obstacle.path] = planar_transform((center[0], center[1], 0.0), center[2])
+            x, y, z = obstacle.center
+            places[obstacle.path] = planar_transform((x, y, 0.0), z)
         active = {name.removeprefix("/") for name in self._viewer._active_gizmos}
         for name, place in places.items():
             key = f"move/{name.strip('/')}"
@@ -180,15 +174,8 @@ class LiveView:
         elif name == "object":
             self._session.move_object(pose)
         else:
-            self._edits += 1
             x, y, turn = (float(value) for value in to - before)
-            try:
-                file = save_scene(scene, self._folder / f"{scene.name}_{self._edits}.usda", moves={name: (x, y, turn)})
-                moved = replace(load_scene(file), name=scene.name)
-            except OimppiError as error:
-                self._session.problem = str(error)
-            else:
-                self._session.change(scene=moved)
+            self._session.change(scene=scene.with_obstacle_moved(name, (x, y, turn)))
 
     def _click(self, event: Any) -> None:
         """Knock at the object where it was clicked at."""

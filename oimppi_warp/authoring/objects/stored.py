@@ -13,7 +13,7 @@ from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
 from oimppi_warp.footprint import collider_mesh, height_range
 from oimppi_warp.scene import Collider, PushedObject
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders
-from oimppi_warp.usd.robot import read_mass
+from oimppi_warp.usd.inertia import read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
 from oimppi_warp.usd.things import center_of_mass, largest_friction
 from oimppi_warp.usd.upright import stand_upright
@@ -113,15 +113,16 @@ def read_body(file: Path) -> PushedObject:
     """
     thing, stage = read_object(file), _open(file.resolve())
     root = stage.stage.GetDefaultPrim()
-    friction = largest_friction(stage, [root])
+    friction, mass = largest_friction(stage, [root]), read_mass(stage, root)
     return PushedObject(
         path=str(root.GetPath()),
-        mass=read_mass(stage, root),
+        mass=mass,
         friction=friction,
         tool_friction=friction,
         center_of_mass=center_of_mass(stage, root, thing.colliders),
         colliders=thing.colliders,
         rest_height=thing.rest_height,
+        unit_inertia=unit_inertia(root, mass),
     )
 
 
