@@ -128,14 +128,16 @@ class SequentialPlanner(Planner):
         self._object_step()
         return self._object.path.host[0].astype(float)
 
-    def _set_reference(self, pose: np.ndarray) -> None:
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Reads the plan from the object's pose on, or from this time on."""
         if self.config.reference == "progress":
             self._start.host[0] = pose
             return
-        self._track(self._path[self._step_of_path :])
+        self.track(self._path[self._step_of_path :])
         self._step_of_path = min(self._step_of_path + 1, len(self._path) - 1)
 
-    def _reference(self) -> np.ndarray:
+    def tracked(self) -> np.ndarray:
+        """Returns the reference that was tracked in the latest step, shape [n, 3]."""
         return self._way.host[0].astype(float) if self.config.reference == "progress" else self._tracked
 
 
@@ -157,10 +159,12 @@ class ClosedLoopPlanner(Planner):
         self._object.mppi.reset()
         return super().start(observation) + self._object.setup_seconds
 
-    def _set_reference(self, pose: np.ndarray) -> None:
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Tells the object level where the object is; its plan becomes the reference within the step."""
         self._object.set_state(pose)
 
-    def _reference(self) -> np.ndarray:
+    def tracked(self) -> np.ndarray:
+        """Returns the object plan of the latest step, shape [n, 3]."""
         return self._object.path.host[0].astype(float)
 
     def _object_update(self) -> Update | None:

@@ -75,7 +75,7 @@ class Planner:
     """Plain MPPI, and what the methods that plan the object's motion have in common.
 
     A control step is: inputs written, one :meth:`Compute.step`, outputs read. A method is a subclass that says where
-    the reference comes from: it overrides :meth:`start`, :meth:`_set_reference` and :meth:`_reference`, and puts what a
+    the reference comes from: it overrides :meth:`set_reference`, where need be :meth:`start` and :meth:`tracked`, and puts what a
     step does before the robot level into ``object_launches`` in its constructor. It is added to the registry
     :data:`oimppi_warp.registries.METHODS`.
 
@@ -203,11 +203,11 @@ class Planner:
             return self._stop(problem)
         pose = to_center(self.geometry.surface, observation.object_pose)
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
-        guide = self._regrasping.guide(tip, pose, self._reference(), self._to_go_from(pose))
+        guide = self._regrasping.guide(tip, pose, self.tracked(), self._to_go_from(pose))
         self.dynamics.guide.host[0] = guide
         self.dynamics.set_state(observation, self.goal)
         self.mppi.noise.host[0] = self._noise(observation.joint_position, lifting=guide[3] > 0.0)
-        self._set_reference(pose)
+        self.set_reference(pose)
         began = time.perf_counter()
         self._step()
         trace = self.dynamics.traced()
@@ -220,7 +220,7 @@ class Planner:
             terms=trace.terms,
             tips=trace.tips,
             object_poses=from_center(surface, trace.poses),
-            reference=from_center(surface, self._reference()),
+            reference=from_center(surface, self.tracked()),
         )
 
     def samples(self, count: int) -> Samples:
@@ -252,17 +252,17 @@ class Planner:
             problem=problem,
         )
 
-    def _set_reference(self, pose: np.ndarray) -> None:
-        """Prepares the reference for the object's pose [3] (friction centre)."""
-        self._track(self.goal[None])
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Prepares the reference for the object's pose [3] (friction centre), before a plan."""
+        self.track(self.goal[None])
 
-    def _track(self, reference: np.ndarray) -> None:
+    def track(self, reference: np.ndarray) -> None:
         """Gives the robot level the reference [n, 3]; its last pose is held."""
         host = self.dynamics.reference.host
         self._tracked = reference
         host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
 
-    def _reference(self) -> np.ndarray:
+    def tracked(self) -> np.ndarray:
         """The reference that was tracked in the latest step, of the friction centre, shape [n, 3]."""
         return self._tracked
 
