@@ -75,9 +75,9 @@ class Planner:
     """Plain MPPI, and what the methods that plan the object's motion have in common.
 
     A control step is: inputs written, one :meth:`Compute.step`, outputs read. A method is a subclass that says where
-    the reference comes from: it overrides :meth:`set_reference`, where need be :meth:`start` and :meth:`tracked`, and puts what a
-    step does before the robot level into ``object_launches`` in its constructor. It is added to the registry
-    :data:`oimppi_warp.registries.METHODS`.
+    the reference comes from: it overrides :meth:`set_reference` and, where need be, :meth:`start` and :meth:`tracked`,
+    and puts what a step launches before the robot level into ``object_launches`` in its constructor. It is added to the
+    registry :data:`oimppi_warp.registries.METHODS`.
 
     Args:
         scene: The task.

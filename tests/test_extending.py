@@ -17,7 +17,13 @@ from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLA
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-NAMES = {COST_TERMS: "high", PLANTS: "kinematic", METHODS: "straight", OPTIMIZERS: "search", ENGINES: "careful"}
+NAMES = [
+    (COST_TERMS, "high"),
+    (PLANTS, "kinematic"),
+    (METHODS, "straight"),
+    (OPTIMIZERS, "search"),
+    (ENGINES, "careful"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +58,7 @@ def test_the_page_has_an_example_for_every_registry(site: Path):
     assert sorted(path.stem for path in (site / "my_pushing").iterdir()) == [
         "cost", "engine", "method", "optimizer", "plant",
     ]  # fmt: skip
-    for registry, name in NAMES.items():
+    for registry, name in NAMES:
         assert (
             f"[{registry.group}]\n{name} = my_pushing."
             in (site / "my_pushing-0.1.dist-info/entry_points.txt").read_text()
@@ -77,7 +83,7 @@ def test_everything_on_the_page_is_run_together_by_its_names(site: Path, tmp_pat
     optimizer = log.header["config"]["robot"]["optimizer"]
     assert (optimizer["kind"], optimizer["share"], optimizer["samples"]) == ("search", 0.5, 64)
     assert log.header["config"]["cost"]["extra"]["high"] == 5.0
-    # The arm starts above 5 cm, so the term costs; and it is the last of the terms.
+    # The tip starts above 2 cm, so the term costs; and it is the last of the terms.
     assert log.header["cost_terms"][-1] == "high"
     assert log["cost_terms"][0, -1] > 0.0
     assert json.loads((tmp_path / "m.json").read_text())["mean_cost_terms"]["high"] > 0.0
@@ -88,7 +94,7 @@ def test_help_suites_and_the_doctor_know_installed_entries(site: Path, tmp_path:
     for choice in ("{mppi,soi,cloi,straight}", "{auto,quasistatic,newton,careful}", "{ideal,lab,kinematic}"):
         assert choice in said
     doctor = oimppi(site, "doctor", "--json", folder=tmp_path).stdout
-    assert all(name in doctor for name in NAMES.values() if name != "high") and "my-pushing" in doctor
+    assert all(name in doctor for _, name in NAMES if name != "high") and "my-pushing" in doctor
     (tmp_path / "mine.toml").write_text(
         'tasks = ["task01"]\nmethods = ["straight", "mppi"]\ntrials = 1\nmax_sim_seconds = 0.2\nplant = "kinematic"\n'
         'engine = "careful"\nset = ["robot.optimizer.samples=64"]\n'
