@@ -46,8 +46,7 @@ class Bench:
     """Number of trials of each task and method."""
 
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """Number of the first trial. Trials 0 to 9 have the ten starts that a shipped scene lists, whatever the seed is.
-    From 10 on, every start is drawn with the trial's own seed."""
+    """Number of the first trial. From 10 on, no start is one that a shipped scene lists: all are drawn by the seed."""
 
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
     """From which the seeds of all trials come, a 32-bit number."""
