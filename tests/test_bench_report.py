@@ -107,7 +107,7 @@ def test_changed_settings_are_said(results: ResultSet):
 
 def test_trials_that_are_not_the_first_are_said(results: ResultSet):
     text = "\n".join(facts(replace(results, entries=[{"first": 10, "trials": 5, "seed": 3}])))
-    assert "Trials 10 to 14 with the seed 3." in text
+    assert "Trials number 10 to 14, seed 3." in text
     assert "Trials" not in "\n".join(facts(results))
 
 

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
+from oimppi_warp.bench import Backend
 from oimppi_warp.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -45,8 +46,7 @@ class Bench:
     """Number of trials of each task and method."""
 
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """Number of the first trial. Trials 0 to 9 have the ten starts that a shipped scene lists, whatever the seed is;
-    from 10 on, every start is drawn with the trial's own seed."""
+    """Number of the first trial. From 10 on, no start is one that a shipped scene lists: all are drawn by the seed."""
 
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
     """From which the seeds of all trials come, a 32-bit number."""
@@ -66,7 +66,7 @@ class Bench:
     jobs: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: every core; 1 in real time)")] = None
     """Trials at the same time, each in a process of its own; a single one runs in this process."""
 
-    backend: Literal["loky", "dask"] = "loky"
+    backend: Backend = "loky"
     """What runs them: processes here, or a cluster."""
 
     cluster: Annotated[str, arg(metavar="ADDRESS", help_behavior_hint="(default: a local one)")] = ""

@@ -73,7 +73,7 @@ def facts(results: ResultSet) -> list[str]:
 def _numbers(entry: dict[str, Any]) -> str:
     """Which trials an entry has, where they are not the first ones with the seed 0."""
     first, seed = entry.get("first", 0), entry.get("seed", 0)
-    return f"{first} to {first + entry['trials'] - 1} with the seed {seed}" if first or seed else ""
+    return f"number {first} to {first + entry['trials'] - 1}, seed {seed}" if first or seed else ""
 
 
 def _changed(entry: dict[str, Any]) -> str:

@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+from oimppi_warp.bench import Backend
 from oimppi_warp.bench.results import FILE, Result, ResultSet, make_result, result_from, result_row
 from oimppi_warp.bench.suite import Suite
 from oimppi_warp.bench.trial import Trial, make_trials
@@ -23,9 +24,6 @@ from oimppi_warp.bench.worker import Outcome, run_trial
 from oimppi_warp.errors import OimppiError
 from oimppi_warp.log import to_json, versions, write_whole
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
-
-Backend = Literal["loky", "dask"]
-"""What runs trials side by side: processes of this machine, or a cluster."""
 
 SAVE_EVERY = 10.0
 """``results.json`` is written no more often than that while trials run [s]."""
