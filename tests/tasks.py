@@ -228,6 +228,11 @@ def roll_wrenches(dynamics: ObjectDynamics, pose: np.ndarray, wrenches: np.ndarr
     return costs.numpy(), poses.numpy().astype(float)
 
 
+def effective_cost(scene: Scene) -> RobotCost:
+    """The default weights as they take effect on a scene."""
+    return resolve(Config(), scene).config.cost
+
+
 def robot_weights(**cost: float) -> RobotCost:
     """The default weights with some changed."""
     return replace(RobotCost(), **cost)

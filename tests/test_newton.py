@@ -13,7 +13,7 @@ from test_parity import SPEED, tip_before
 
 from oimppi_warp.clearance import build_geometry, from_center, to_center
 from oimppi_warp.compute import Compute
-from oimppi_warp.config import RobotCost, RobotLevel, Uncertainty
+from oimppi_warp.config import RobotLevel, Uncertainty
 from oimppi_warp.dynamics.base import control_type
 from oimppi_warp.dynamics.newton import NewtonDynamics, contact_softness
 from oimppi_warp.dynamics.newton_threads import NewtonThreads
@@ -58,7 +58,8 @@ def make(
     level = RobotLevel(optimizer=mppi, substeps=substeps)
     geometry = build_geometry(scene, "cpu")
     compute = Compute("cpu", threads=threads)
-    return engine(scene, geometry, level, RobotCost(), dt=tasks.DT, compute=compute, draws=draws, **more)
+    cost = tasks.effective_cost(scene)
+    return engine(scene, geometry, level, cost, dt=tasks.DT, compute=compute, draws=draws, **more)
 
 
 def roll(engine: NewtonDynamics, seen: Observation, controls: np.ndarray) -> np.ndarray:
@@ -302,9 +303,8 @@ def test_costs_are_those_of_the_quasistatic_engine_on_the_same_motion(engine):
     cost = roll(dynamics, seen, controls[None])[0]
     mppi = replace(RobotLevel().optimizer, samples=1, horizon=STEPS)
     geometry = build_geometry(scene, "cpu")
-    twin = QuasistaticDynamics(
-        scene, geometry, RobotLevel(optimizer=mppi), RobotCost(), dt=tasks.DT, compute=Compute("cpu", threads=1)
-    )
+    level, cost = RobotLevel(optimizer=mppi), tasks.effective_cost(scene)
+    twin = QuasistaticDynamics(scene, geometry, level, cost, dt=tasks.DT, compute=Compute("cpu", threads=1))
     costs = wp.zeros(1, dtype=float, device="cpu")
     packed = wp.array(controls[None].astype(np.float32), dtype=control_type(6), device="cpu")
     run = twin.rollout(packed, costs)

@@ -13,7 +13,7 @@ import warp as wp
 
 from oimppi_warp.clearance import build_geometry, from_center
 from oimppi_warp.compute import Compute
-from oimppi_warp.config import RobotCost, RobotLevel
+from oimppi_warp.config import RobotLevel
 from oimppi_warp.dynamics.base import control_type
 from oimppi_warp.dynamics.quasistatic import QuasistaticDynamics
 from oimppi_warp.footprint import footprint, outline, planar_points, wrap_angle
@@ -40,7 +40,9 @@ def pushes() -> np.ndarray:
     scene = tasks.shipped("task01")
     geometry = build_geometry(scene, "cpu")
     level = RobotLevel(optimizer=replace(RobotLevel().optimizer, horizon=STEPS))
-    engine = QuasistaticDynamics(scene, geometry, level, RobotCost(), dt=tasks.DT, compute=Compute("cpu"))
+    engine = QuasistaticDynamics(
+        scene, geometry, level, tasks.effective_cost(scene), dt=tasks.DT, compute=Compute("cpu")
+    )
     world = World(scene)
     rng = np.random.default_rng(5)
     found = []
