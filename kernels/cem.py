@@ -8,16 +8,20 @@ from oimppi_warp.kernels.update import LOST, WeightStats
 
 wp.set_module_options({"enable_backward": False})
 
+LOST_RANK = wp.constant(wp.uint32(0xFFFFFFFF))
+"""Rank of a lost sample: above all others."""
+HIGHEST_BIT = wp.constant(wp.uint32(0x80000000))
+
 
 @wp.func
 def rank_of(cost: float) -> wp.uint32:
     """A number that is larger for a larger cost, whatever its sign; the largest of all where the sample is lost."""
     if not wp.isfinite(cost) or cost >= LOST:
-        return wp.uint32(0xFFFFFFFF)
+        return LOST_RANK
     bits = wp.cast(cost, wp.uint32)
-    if bits >= wp.uint32(0x80000000):
+    if bits >= HIGHEST_BIT:
         return ~bits
-    return bits | wp.uint32(0x80000000)
+    return bits | HIGHEST_BIT
 
 
 @wp.kernel
@@ -51,7 +55,7 @@ def select_elites(
 
     # The rank of the last of the cheapest, bit by bit: the largest that fewer than ``wanted`` ranks are below.
     last = wp.uint32(0)
-    bit = wp.uint32(0x80000000)
+    bit = wp.uint32(HIGHEST_BIT)
     for _ in range(32):
         tried = last | bit
         part = int(0)

@@ -83,7 +83,7 @@ class Cem(Sampling):
     elites: float = setting(0.05, "Fraction of the samples, the cheapest, that the next are fitted to.", high=1.0)
     smoothing: float = setting(0.2, "Fraction of the old mean and standard deviation that an update keeps.", high=1.0)
     least_deviation: float = setting(
-        0.3, "Smallest standard deviation, as a fraction of the level's noise, so that sampling never ends.", high=1.0
+        0.5, "Smallest standard deviation, as a fraction of the level's noise, so that sampling never ends.", high=1.0
     )
     recovery: float = setting(
         0.5,

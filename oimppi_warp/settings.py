@@ -248,7 +248,8 @@ def _check(setting: Setting, value: Any) -> None:
 
 def _range(low: float, high: float) -> str:
     """Bounds in words."""
-    return f"{low:g} to {high:g}" if math.isfinite(high) else f"{low:g} or more (finite)"
+    bounds = [f"{bound:.0f}" if 1e6 <= bound < math.inf else f"{bound:g}" for bound in (low, high)]
+    return " to ".join(bounds) if math.isfinite(high) else f"{bounds[0]} or more (finite)"
 
 
 def _flat(record: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

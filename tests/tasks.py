@@ -46,7 +46,7 @@ def rollout_task(
         scene=scene,
         geometry=geometry or build_geometry(scene, "cpu"),
         level=level or RobotLevel(),
-        cost=cost or RobotCost(),
+        cost=cost or effective_cost(scene),
         dt=DT,
         compute=Compute("cpu", threads=threads),
         draws=draws,
@@ -248,6 +248,11 @@ def roll_wrenches(dynamics: ObjectDynamics, pose: np.ndarray, wrenches: np.ndarr
     poses = wp.zeros((wrenches.shape[0], wrenches.shape[1] + 1), dtype=wp.vec3, device="cpu")
     dynamics.launch(wp.array(wrenches.astype(np.float32), dtype=wp.vec3, device="cpu"), costs, poses)()
     return costs.numpy(), poses.numpy().astype(float)
+
+
+def effective_cost(scene: Scene) -> RobotCost:
+    """The default weights as they take effect on a scene."""
+    return resolve(Config(), scene).config.cost
 
 
 def robot_weights(**cost: float) -> RobotCost:

@@ -22,6 +22,11 @@ def test_every_preset_is_valid_for_every_method(preset: str, method: str):
     assert config.preset == preset
 
 
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_method_from_outside_begins_with_the_settings_of_cloi(preset: str):
+    assert PRESETS[preset]("somebody_elses") == PRESETS[preset]("cloi")
+
+
 def test_paper_has_the_papers_samples_and_horizons():
     for method, robot_horizon, object_horizon in (("mppi", 25, None), ("soi", 25, 90), ("cloi", 15, 60)):
         config = paper(method)

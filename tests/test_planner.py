@@ -133,6 +133,14 @@ def test_the_two_levels_draw_noise_of_their_own():
     assert len({make(shipped("task01"), seed=seed).mppi.seed for seed in range(4)}) == 4
 
 
+@pytest.mark.parametrize("seed", [2**31 - 1, 2**31, 2**32 - 1])
+def test_every_seed_of_32_bits_plans(seed):
+    scene = shipped("task01")
+    commands = [on_its_own_model(make(scene, seed=s), scene, 1)[0][0].command for s in (seed, seed % 2**31)]
+    assert np.isfinite(commands).all()
+    assert (np.abs(commands[0] - commands[1]).max() > 1e-6) == (seed >= 2**31)
+
+
 @pytest.mark.parametrize("part", ["object_pose", "joint_position"])
 @pytest.mark.parametrize("method", METHODS)
 def test_an_observation_that_is_not_a_number_stops_the_arm_for_as_long_as_it_lasts(method, part):
