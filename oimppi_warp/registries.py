@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from oimppi_warp.registry import Registry
+
+if TYPE_CHECKING:
+    from oimppi_warp.authoring.shapes import Shape
 
 METHODS: Registry[Any] = Registry(
     "method",
@@ -41,3 +44,24 @@ PLANTS: Registry[Any] = Registry(
 
 COST_TERMS: Registry[Any] = Registry("cost term", "oimppi_warp.cost_terms", {})
 """Cost terms of the robot level beside the built-in ones (:class:`oimppi_warp.cost_terms.CostTerm`)."""
+
+SHAPES: Registry[Shape] = Registry(
+    "shape",
+    "oimppi_warp.shapes",
+    {
+        "t-block": "oimppi_warp.authoring.shapes:T_BLOCK",
+        "lab-t": "oimppi_warp.authoring.shapes:LAB_T",
+        "soup-can": "oimppi_warp.authoring.shapes:SOUP_CAN",
+        "letter-i": "oimppi_warp.authoring.shapes:LETTER_I",
+        "letter-r": "oimppi_warp.authoring.shapes:LETTER_R",
+        "letter-o": "oimppi_warp.authoring.shapes:LETTER_O",
+        "letter-s": "oimppi_warp.authoring.shapes:LETTER_S",
+        "letter": "oimppi_warp.authoring.shapes:LETTER",
+        "text": "oimppi_warp.authoring.shapes:TEXT",
+        "box": "oimppi_warp.authoring.shapes:BOX",
+        "cylinder": "oimppi_warp.authoring.shapes:CYLINDER",
+        "prism": "oimppi_warp.authoring.shapes:PRISM",
+        "mesh": "oimppi_warp.authoring.shapes:MESH",
+    },
+)
+"""Objects and obstacles by words, as ``letter:S`` (:class:`oimppi_warp.authoring.shapes.Shape`)."""

@@ -62,6 +62,7 @@ OBJECTS = {
     "letter:s": (5, 0.18),
     "text:HI": (5, 0.35),
     "cylinder:0.033x0.101": (1, 0.22),
+    "prism:5x0.05x0.05": (1, 0.19),
     "box:0.1x0.06x0.05": (1, 0.2),
 }
 
@@ -82,6 +83,14 @@ def test_mass_friction_thickness_and_size_are_those_asked_for(tmp_path):
     assert scene.object.rest_height == 0.015
     vertices = np.vstack([collider.vertices for collider in scene.object.colliders if collider.vertices is not None])
     assert np.ptp(vertices[:, 1]) == pytest.approx(0.2, abs=1e-4)
+
+
+@pytest.mark.parametrize("friction", [0.001, 0.05, 0.1])
+def test_a_friction_that_is_less_than_the_tables_own_is_what_was_asked_for(tmp_path, capsys, friction):
+    scene = new(tmp_path, "--object", "t-block", "--friction", str(friction))
+    assert scene.object.friction == pytest.approx(friction)
+    assert f"friction {friction:g}," in capsys.readouterr().out
+    assert check_scene(tmp_path / "mine.usda") == []
 
 
 def test_obstacles_stand_where_they_were_put(tmp_path):
@@ -346,6 +355,7 @@ THINGS = st.one_of(
     st.text("AEIOLTV", min_size=2, max_size=3).map("text:{}".format),
     lengths(0.03, 0.12, 3).map("box:{}".format),
     lengths(0.02, 0.08, 2).map("cylinder:{}".format),
+    st.tuples(st.integers(3, 24), lengths(0.03, 0.07, 2)).map(lambda given: "prism:{}x{}".format(*given)),
 )
 THINGS_IN_THE_WAY = st.one_of(
     lengths(0.03, 0.15, 3).map("box:{}".format), lengths(0.02, 0.06, 2).map("cylinder:{}".format), THINGS
@@ -356,7 +366,7 @@ TASKS = st.fixed_dictionaries(
         "start": poses(),
         "goal": poses(),
         "mass": st.floats(0.05, 2.0),
-        "friction": st.floats(0.1, 1.0),
+        "friction": st.floats(0.001, 1.0),
         "robot": st.sampled_from(["xarm6", "xarm6", "arm7", "point"]),
         "obstacle": st.lists(st.tuples(THINGS_IN_THE_WAY, poses()).map("@".join), max_size=3),
     }
@@ -368,7 +378,7 @@ def assert_as_asked(options: dict, scene: Scene) -> None:
     assert scene.start == pytest.approx([float(v) for v in options["start"].split(",")], abs=1e-6)
     assert scene.goal == pytest.approx([float(v) for v in options["goal"].split(",")], abs=1e-6)
     assert scene.object.mass == pytest.approx(options["mass"], rel=1e-5)
-    assert scene.object.friction == pytest.approx(max(options["friction"], 0.1), rel=1e-5)
+    assert scene.object.friction == pytest.approx(options["friction"], rel=1e-5)
     assert len(scene.obstacles) == len(options["obstacle"])
     for start in scene.starts:
         check_task(scene.with_start(tuple(start)))

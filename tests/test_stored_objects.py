@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from meshes import bracket, saved
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils
 
@@ -81,6 +84,89 @@ def test_an_object_in_other_units_is_written_in_metres_and_kilograms(tmp_path, u
     assert scene.object.mass == pytest.approx(0.2)
     assert scene.object.rest_height == pytest.approx(0.05)
     assert list(stage_doubts(SceneStage(scene.file))) == []
+
+
+def brick(file: Path, *, above: str = "", shape: str = "", material: str = "") -> Path:
+    """A cube of 0.1 m without a mass; what is said of densities is put where it belongs."""
+    text = thing(file).read_text().replace("float physics:mass = 0.2", above)
+    text = text.replace("double size = 0.1", f"double size = 0.1\n        {shape}")
+    text = text.replace('["PhysicsCollisionAPI", ', '["PhysicsCollisionAPI", "PhysicsMassAPI", ')
+    text = text.replace(
+        "float physics:dynamicFriction = 0.3", f"float physics:dynamicFriction = 0.3\n        {material}"
+    )
+    file.write_text(text)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("densities", "mass"),
+    [
+        ({"above": 700}, 0.7),
+        ({"material": 500}, 0.5),
+        ({"above": 700, "material": 500}, 0.7),
+        ({"above": 700, "shape": 900, "material": 500}, 0.9),
+    ],
+)
+def test_a_mass_that_is_not_given_is_that_of_the_density(tmp_path, densities, mass):
+    given = {place: f"float physics:density = {density}" for place, density in densities.items()}
+    scene = pushed(brick(tmp_path / "a" / "brick.usda", **given), tmp_path)
+    assert scene.object.mass == pytest.approx(mass)
+
+
+@pytest.mark.parametrize(
+    ("gprim", "volume"),
+    [
+        ('Sphere "shape"', 4 / 3 * math.pi * 0.05**3),
+        ('Cylinder "shape"', math.pi * 0.05**2 * 0.2),
+        ('Capsule "shape"', math.pi * 0.05**2 * 0.2 + 4 / 3 * math.pi * 0.05**3),
+    ],
+)
+def test_a_density_weighs_round_shapes_by_their_true_volume(tmp_path, gprim, volume):
+    file = brick(tmp_path / "a" / "round.usda", above="float physics:density = 800")
+    sizes = "double radius = 0.05" + ("" if "Sphere" in gprim else "\n        double height = 0.2")
+    file.write_text(file.read_text().replace('Cube "shape"', gprim).replace("double size = 0.1", sizes))
+    assert pushed(file, tmp_path).object.mass == pytest.approx(800 * volume)
+
+
+def test_a_mesh_with_a_density_weighs_what_its_faces_enclose(tmp_path):
+    made = import_mesh(saved(bracket(), tmp_path, "bracket.stl"), mass=1.0)
+    file = write_object(made, tmp_path / "a")
+    file.write_text(re.sub(r"float physics:mass = 1\b", "float physics:density = 500", file.read_text()))
+    volume = sum(float(trimesh.Trimesh(*hull).volume) for hull in made.hulls)
+    assert pushed(file, tmp_path / "out").object.mass == pytest.approx(500 * volume, rel=1e-4)
+
+
+def test_a_mass_that_no_file_gives_is_asked_for_and_taken(tmp_path, capsys):
+    file = brick(tmp_path / "a" / "brick.usda")
+    command = ["scene", "new", "mine", "--out", str(tmp_path), "--object", str(file)]
+    assert main(command) == 2
+    message = capsys.readouterr().err
+    assert "a body without a mass" in message
+    assert "--mass" in message
+    assert main([*command, "--mass", "0.15"]) == 0
+    assert load_scene(tmp_path / "mine.usda").object.mass == pytest.approx(0.15)
+    dense = brick(tmp_path / "b" / "dense.usda", above="float physics:density = 700")
+    assert main([*command[:-1], str(dense), "--mass", "0.2", "--force"]) == 0
+    assert load_scene(tmp_path / "mine.usda").object.mass == pytest.approx(0.2), "a mass counts before a density"
+    assert main([*command[:-1], str(thing(tmp_path / "c" / "c.usda")), "--mass", "0.15", "--force"]) == 2
+    assert "stand in its file" in capsys.readouterr().err
+
+
+def test_an_object_in_the_folder_that_gives_a_density_only_is_written_with_its_mass(tmp_path):
+    file = brick(tmp_path / "objects" / "brick.usda", above="float physics:density = 700")
+    before = file.read_bytes()
+    assert main(["scene", "new", "mine", "--out", str(tmp_path), "--object", "brick"]) == 0
+    assert load_scene(tmp_path / "mine.usda").object.mass == pytest.approx(0.7)
+    assert file.read_bytes() == before
+
+
+def test_the_table_has_no_more_friction_than_the_object_of_a_file(tmp_path):
+    file = thing(tmp_path / "a" / "thing.usda")
+    file.write_text(file.read_text().replace("dynamicFriction = 0.3", "dynamicFriction = 0.04"))
+    assert pushed(file, tmp_path).object.friction == pytest.approx(0.04)
+    bare = thing(tmp_path / "b" / "bare.usda")
+    bare.write_text(bare.read_text().replace("rel material:binding:physics = </Thing/Material>", ""))
+    assert pushed(bare, tmp_path, "other").object.friction == pytest.approx(0.1), "it has none of its own"
 
 
 def test_an_object_drawn_with_y_up_stands_as_it_was_drawn(tmp_path):

@@ -17,13 +17,16 @@ if TYPE_CHECKING:
     from oimppi_warp.authoring.objects.stored import read_object
     from oimppi_warp.authoring.objects.thing import Box, Disc, Thing
     from oimppi_warp.authoring.project import Written, write_object, write_task
+    from oimppi_warp.authoring.shapes import Number, Shape
     from oimppi_warp.authoring.task import Block, Pillar, Standing, Task
 
 _MODULES = {
     "Block": "task",
     "Box": "objects.thing",
     "Disc": "objects.thing",
+    "Number": "shapes",
     "Pillar": "task",
+    "Shape": "shapes",
     "Solid": "objects.solid",
     "Standing": "task",
     "Task": "task",
@@ -45,7 +48,9 @@ __all__ = [
     "Block",
     "Box",
     "Disc",
+    "Number",
     "Pillar",
+    "Shape",
     "Solid",
     "Standing",
     "Task",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,24 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
+from oimppi_warp.authoring import shapes
+
 if TYPE_CHECKING:
     from oimppi_warp.authoring.words import Manner
     from oimppi_warp.scene import PushedObject
 
 _Unit = Literal["mm", "cm", "m", "inch"]
 _Lay = Literal["stable", "as-is"]
+
+
+def _of(option: str, default: str) -> Callable[[str], str]:
+    """Hint of an option that some shapes take: which do, and its default; read when help is asked for."""
+    return lambda _: f"(with {', '.join(shapes.takers(option, lambda name, _: name))}; default: {default})"
+
+
+def _objects(default: str) -> str:
+    """Hint of an option that takes an object."""
+    return f"({shapes.objects()}; default: {default})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,21 +44,21 @@ class ObjectOptions:
     friction: Annotated[float | None, arg(metavar="MU", help_behavior_hint="(default: 0.4 or the object's)")] = None
     """Coulomb coefficient between object and table."""
 
-    height: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: 0.05)")] = None
-    """Thickness of letters and words in metres."""
+    height: Annotated[float | None, arg(metavar="M", help_behavior_hint=_of("height", "0.05"))] = None
+    """Thickness in metres, where the word does not say it."""
 
-    size: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: 0.103, less for long words)")] = None
+    size: Annotated[float | None, arg(metavar="M", help_behavior_hint=_of("size", "0.103, less for long words"))] = None
     """Height of a letter as it lies, in metres."""
 
-    font: Annotated[str | None, arg(metavar="FONT", help_behavior_hint="(default: an alphabet of our own, A to Z)")] = (
-        None
-    )
-    """Take letters and words from an installed font, or from a font's file."""
+    font: Annotated[
+        str | None, arg(metavar="FONT", help_behavior_hint=_of("font", "an alphabet of our own, A to Z"))
+    ] = None
+    """Take letters from an installed font, or from a font's file."""
 
-    scale: Annotated[_Unit | None, arg(help_behavior_hint="(default: m)")] = None
+    scale: Annotated[_Unit | None, arg(help_behavior_hint=_of("scale", "m"))] = None
     """Unit that a mesh is in: STL and OBJ do not say."""
 
-    lay: _Lay = "stable"
+    lay: Annotated[_Lay, arg(help_behavior_hint=_of("lay", "stable"))] = "stable"
     """How a mesh is laid on the table: in its most stable pose, or with its z axis up as it was modelled."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
@@ -81,9 +94,8 @@ class New(ObjectOptions):
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """Name of the task: NAME.usda is written."""
 
-    object: str = "t-block"
-    """What is pushed: t-block, lab-t, soup-can, letter:S, text:WARP, box:0.1x0.06x0.05, cylinder:0.033x0.101 (radius x
-    height), mesh:part.stl, the name of an object in DIR/objects, or a USD file of one."""
+    object: Annotated[str, arg(help_behavior_hint=_objects)] = "t-block"
+    """What is pushed: the name of an object in DIR/objects, or one of these:"""
 
     start: Annotated[str, arg(metavar="X,Y,YAW")] = "0.3,-0.45,0"
     """Where the object starts: metres and radians, from the centre of the arm's base. Write --start=-0.1,... if it
@@ -93,10 +105,10 @@ class New(ObjectOptions):
     """Where it should go."""
 
     obstacle: Annotated[
-        UseAppendAction[tuple[str, ...]], arg(metavar="WHAT@X,Y[,YAW]", help_behavior_hint="(repeatable)")
+        UseAppendAction[tuple[str, ...]], arg(metavar="OBJECT@X,Y[,YAW]", help_behavior_hint="(repeatable)")
     ] = ()
-    """What stands in the way: box:0.1,0.1,0.1@0.5,0.05, cylinder:0.03,0.12@0.3,0.1 (radius, height), or any object
-    that then stands fast, as letter:O@0.5,0.3,-1.57."""
+    """What stands in the way: whatever can be pushed, standing fast, as box:0.1x0.1x0.1@0.5,0.05 or
+    letter:O@0.5,0.3,-1.57."""
 
     title: Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="")] = None
     """One line about the task."""
@@ -147,13 +159,13 @@ class New(ObjectOptions):
 class Import(ObjectOptions):
     """Make an object from a mesh: closed, laid on the table, cut into convex pieces, with a picture beside it.
 
-    It says how far the pieces are from the mesh. A mesh that cannot be pushed is refused with the reason. Letters and
-    words can be had as well: letter:X, text:WORD. Exit status: 0, or 2 for one that cannot be an object.
+    It says how far the pieces are from the mesh. A mesh that cannot be pushed is refused with the reason. Other shapes
+    can be had as well, as letter:X or text:WORD. Exit status: 0, or 2 for one that cannot be an object.
     Try `oimppi scene import bracket.stl --scale mm --mass 0.4`.
     """
 
     source: Annotated[Positional[str], arg(metavar="MESH")]
-    """STL, OBJ, GLB, PLY or OFF file; or letter:X, text:WORD, box:..., cylinder:..."""
+    """STL, OBJ, GLB, PLY or OFF file, or any other object that `oimppi scene new --help` lists."""
 
     name: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: that of the file)")] = None
     """Name of the object: DIR/objects/NAME.usda is written."""

@@ -140,7 +140,7 @@ def write(
     if task.robot_start:
         pose_robot(stage, "/World/Robot", task.robot_start)
 
-    _write_table(stage)
+    _write_table(stage, min(TABLE_FRICTION, task.thing.friction or TABLE_FRICTION))
     body = stage.DefinePrim("/World/Object")
     body.GetReferences().AddReference(f"./objects/{task.thing.name}.usda")
     UsdPhysics.RigidBodyAPI.Apply(body)
@@ -190,13 +190,14 @@ def add_starts(stage: Usd.Stage, file: Path) -> None:
     stage.Save()
 
 
-def _write_table(stage: Usd.Stage) -> None:
+def _write_table(stage: Usd.Stage, friction: float) -> None:
+    """The table; its friction is no more than the object's, since the larger of the two counts."""
     UsdGeom.Scope.Define(stage, "/World/Materials")
     (x0, y0), (x1, y1) = TABLE_LOWER, TABLE_UPPER
     center, size = ((x0 + x1) / 2, (y0 + y1) / 2, -TABLE_THICKNESS / 2), (x1 - x0, y1 - y0, TABLE_THICKNESS)
     table = box(stage, "/World/Table", center, size, Look(TABLE_COLOR, collide=True))
     apply_api(table, "OimppiTableAPI")
-    bind_physics(table, physics_material(stage, "/World/Materials/Table", TABLE_FRICTION))
+    bind_physics(table, physics_material(stage, "/World/Materials/Table", friction))
     if not any(collider_prims(stage.GetPrimAtPath("/World/Robot/base"))):
         return
     # The arm is bolted to the table: the lowest capsule of its base reaches into the plate.

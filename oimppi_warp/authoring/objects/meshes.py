@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from oimppi_warp.authoring.objects.formats import MESHES
 from oimppi_warp.authoring.objects.parts import tidied
 from oimppi_warp.errors import ConfigError, SceneError
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
 """Units that a mesh may be in [m]."""
-
-FORMATS = (".stl", ".obj", ".glb", ".gltf", ".ply", ".off")
-"""Mesh files that can be read."""
 
 SIZES = (0.03, 0.5)
 """Least and greatest length of an object's longest side [m]: the stick is 0.016 m wide, the arm reaches 0.7 m."""
@@ -85,10 +83,10 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
 
 def _read(file: Path) -> trimesh.Trimesh:
     """The triangles of a file, whatever its units."""
-    formats = ", ".join(FORMATS)
+    formats = ", ".join(MESHES)
     if not file.is_file():
         raise SceneError("there is no such file", file=file, allowed=f"a mesh: {formats}")
-    if file.suffix.lower() not in FORMATS:
+    if file.suffix.lower() not in MESHES:
         fix = "export the part as STL from the program that it comes from"
         raise SceneError(f"{file.suffix or 'no ending'}: not a mesh", file=file, allowed=formats, fix=fix)
     try:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import shapely
+from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from oimppi_warp.authoring.objects.polygons import convex_pieces
@@ -20,6 +22,9 @@ FRICTION = 0.4
 
 SIDES = (0.01, 0.6)
 """Least and greatest side length of an object [m]."""
+
+SIDES_OF_PRISM = (3, 24)
+"""Least and greatest number of sides of a prism; a rounder one is a cylinder."""
 
 WOOD: Color = (0.72, 0.45, 0.2)
 
@@ -48,6 +53,32 @@ def cylinder(radius: float, height: float, *, mass: float | None = None, frictio
     weight = checked_mass(mass, math.pi * radius**2 * height)
     name = _named("cylinder", (radius, height))
     return Thing(name, "Cylinder", doc, (Disc(radius),), height, weight, checked_friction(friction), WOOD)
+
+
+def regular_prism(
+    sides: float, radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION
+) -> Thing:
+    """An upright prism over a regular polygon, one of its sides facing -y.
+
+    Args:
+        sides: Number of the polygon's sides.
+        radius: From its centre to its corners [m].
+        height: [m].
+        mass: [kg]; ``None``: what wood weighs.
+        friction: With the table.
+
+    Raises:
+        ConfigError: A number, the mass or the friction cannot be used.
+    """
+    if sides not in range(SIDES_OF_PRISM[0], SIDES_OF_PRISM[1] + 1):
+        few, many = SIDES_OF_PRISM
+        raise ConfigError(f"prism: {sides:g} sides are none for it\n  allowed: {few} to {many}, a whole number")
+    count = int(sides)
+    angles = math.tau * (np.arange(count) + 0.5) / count - math.pi / 2
+    outline = Polygon(radius * np.column_stack([np.cos(angles), np.sin(angles)]))
+    doc = f"A prism of {count} sides, {radius:g} m from centre to corner, {height:g} m high"
+    name = f"prism_{count}{_named('', (radius, height))}"
+    return flat(name, "Prism", doc, outline, height, mass=mass, friction=friction)
 
 
 def flat(

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdShade
+from pxr import Usd, UsdPhysics, UsdShade
 
 from oimppi_warp.authoring.bundle import write_flat
+from oimppi_warp.authoring.objects.shapes import checked_mass
 from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
 from oimppi_warp.footprint import collider_mesh, height_range
 from oimppi_warp.scene import Collider, PushedObject
-from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders
+from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, solid
 from oimppi_warp.usd.inertia import read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
 from oimppi_warp.usd.things import center_of_mass, largest_friction
@@ -36,6 +38,8 @@ class Stored:
         name: Name of its file where it is written to.
         doc: What it is.
         colliders: Its shapes in its frame.
+        friction: Coulomb coefficient of its materials, the largest; 0 without one: the table's own counts.
+        mass: Mass that is given for it [kg]; ``None``: that of its file.
         color: Its ghost at the goal is drawn in.
     """
 
@@ -43,6 +47,8 @@ class Stored:
     name: str
     doc: str
     colliders: tuple[Collider, ...]
+    friction: float
+    mass: float | None = None
     color: Color = GREY
 
     @property
@@ -63,13 +69,16 @@ class Stored:
 
     @property
     def ready(self) -> bool:
-        """Whether a scene may refer to its file as it is: in SI units, z up, nothing read otherwise, not moved."""
+        """Whether a scene may refer to its file as it is: in SI units, z up, weighed, and not moved."""
         stage = SceneStage(self.file)
-        return stage.stage.GetSessionLayer().empty and not _operations(stage.stage.GetDefaultPrim())
+        root = stage.stage.GetDefaultPrim()
+        return stage.stage.GetSessionLayer().empty and _gives_mass(root) and not _operations(root)
 
     def write(self, file: Path, *, note: str = "") -> None:
         """Write the object as it is read, in one file that says already what it is; its textures go beside it."""
-        flat = _open(self.file).stage.Flatten(addSourceFileComment=False)
+        opened = _open(self.file)
+        _weigh(opened, self.mass)
+        flat = opened.stage.Flatten(addSourceFileComment=False)
         stage = Usd.Stage.Open(flat)
         root = stage.GetDefaultPrim()
         for name in _operations(root):
@@ -79,14 +88,22 @@ class Stored:
         write_flat(flat, file, self.file)
 
 
-def read_object(file: str | Path) -> Stored:
+def read_object(file: str | Path, *, mass: float | None = None) -> Stored:
     """An object in a USD file: its default prim, with a mass and convex colliders.
 
+    Where its file gives no mass, it is the one asked for, or else that of its shapes by their density.
+
+    Args:
+        file: The file.
+        mass: Mass of an object whose file gives none [kg].
+
     Raises:
+        ConfigError: The mass cannot be used.
         SceneError: It is none.
     """
     stage = _open(Path(file).expanduser().resolve())
     root = stage.stage.GetDefaultPrim()
+    weighed = _weigh(stage, mass)
     read_mass(stage, root)
     frame = stage.body_frame(root)
     if frame.GetRow3(2)[2] < 1.0 - 1e-6:
@@ -102,7 +119,8 @@ def read_object(file: str | Path) -> Stored:
             what = f"its material <{material.GetPath()}> is not below the default prim, and would be left behind"
             raise stage.error(what, prim, allowed=f"a prim below <{root.GetPath()}>", fix="move it there")
     doc = str(stage.stage.GetRootLayer().documentation).partition(". ")[0] or f"the object {stage.file.stem}"
-    return Stored(stage.file, stage.file.stem, doc, colliders)
+    friction = largest_friction(stage, [root])
+    return Stored(stage.file, stage.file.stem, doc, colliders, friction, mass if weighed else None)
 
 
 def read_body(file: Path) -> PushedObject:
@@ -113,12 +131,13 @@ def read_body(file: Path) -> PushedObject:
     """
     thing, stage = read_object(file), _open(file.resolve())
     root = stage.stage.GetDefaultPrim()
-    friction, mass = largest_friction(stage, [root]), read_mass(stage, root)
+    _weigh(stage, None)
+    mass = read_mass(stage, root)
     return PushedObject(
         path=str(root.GetPath()),
         mass=mass,
-        friction=friction,
-        tool_friction=friction,
+        friction=thing.friction,
+        tool_friction=thing.friction,
         center_of_mass=center_of_mass(stage, root, thing.colliders),
         colliders=thing.colliders,
         rest_height=thing.rest_height,
@@ -148,6 +167,69 @@ def _open(file: Path) -> SceneStage:
     apply_api(root, "OimppiObjectAPI")
     stand_upright(stage.stage)
     return stage
+
+
+def _gives_mass(root: Usd.Prim) -> bool:
+    """Whether a mass is given for a body as a whole; one that cannot be used is one that is given."""
+    return bool(UsdPhysics.MassAPI(root).GetMassAttr().Get()) if root.HasAPI(UsdPhysics.MassAPI) else False
+
+
+def _weigh(stage: SceneStage, mass: float | None) -> bool:
+    """Gives a body without a mass the one asked for, or else that of its shapes by their density.
+
+    Args:
+        stage: The body is its default prim.
+        mass: The mass asked for [kg].
+
+    Returns:
+        Whether the mass asked for was needed.
+
+    Raises:
+        SceneError: There is neither.
+    """
+    root = stage.stage.GetDefaultPrim()
+    if _gives_mass(root):
+        return False
+    if mass is not None:
+        found = checked_mass(mass, 0.0)
+    else:
+        found = 0.0
+        for collider in read_colliders(stage, root, stage.body_frame(root)):
+            density = _density(stage.stage.GetPrimAtPath(collider.path), root)
+            if not density > 0.0:
+                fix = "give physics:mass or physics:density with PhysicsMassAPI, or take --mass"
+                raise stage.error("a body without a mass", root, allowed="a mass or a density above zero", fix=fix)
+            found += density * _volume(stage, collider)
+    if found:
+        UsdPhysics.MassAPI.Apply(root).CreateMassAttr(found)
+    return mass is not None
+
+
+def _density(prim: Usd.Prim, root: Usd.Prim) -> float:
+    """Density that a body's file gives for one of its shapes [kg/m^3]; 0 where it gives none.
+
+    As UsdPhysics has it, a shape's own counts before that of what it is part of, and that before its material's.
+    """
+    for place in prim.GetPath().GetAncestorsRange():
+        if place.HasPrefix(root.GetPath()):
+            above = prim.GetStage().GetPrimAtPath(place)
+            given = UsdPhysics.MassAPI(above).GetDensityAttr().Get() if above.HasAPI(UsdPhysics.MassAPI) else None
+            if given:
+                return float(given)
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+    physics = UsdPhysics.MaterialAPI(material.GetPrim()) if material else None
+    return float(physics.GetDensityAttr().Get() or 0.0) if physics else 0.0
+
+
+def _volume(stage: SceneStage, collider: Collider) -> float:
+    """Volume of a shape [m^3]."""
+    if collider.kind == "mesh":
+        return float(solid(stage, collider).volume)
+    if collider.kind == "box":
+        return 8.0 * math.prod(collider.size)
+    radius, half_height = (*collider.size, 0.0)[:2]
+    ball = 4.0 / 3.0 * math.pi * radius**3 if collider.kind in ("sphere", "capsule") else 0.0
+    return ball + 2.0 * math.pi * radius**2 * half_height
 
 
 def _operations(prim: Usd.Prim) -> list[str]:

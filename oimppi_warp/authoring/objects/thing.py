@@ -53,6 +53,7 @@ class Pushable(Protocol):
     Attributes:
         name: Name of its file.
         doc: What it is.
+        friction: Coulomb coefficient with the table; 0: the table's own.
         color: It is drawn in.
     """
 
@@ -60,6 +61,8 @@ class Pushable(Protocol):
     def name(self) -> str: ...  # noqa: D102
     @property
     def doc(self) -> str: ...  # noqa: D102
+    @property
+    def friction(self) -> float: ...  # noqa: D102
     @property
     def color(self) -> Color: ...  # noqa: D102
     @property
