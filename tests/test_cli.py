@@ -159,7 +159,7 @@ BAD_INPUT = {
     "unknown method": (["run", "t", "--method", "rrt"], "mppi"),
     "unknown preset": (["run", "t", "--preset", "bset"], "paper"),
     "seed that is no number": (["run", "t", "--seed", "x"], "--seed"),
-    "negative seed": (["run", "t", "--seed", "-1"], "0 or more"),
+    "negative seed": (["run", "t", "--seed", "-1"], "allowed: 0 to 4294967295"),
     "no threads": (["run", "t", "--threads", "0"], "1 or more"),
     "unknown engine": (["run", "t", "--engine", "bullet"], "newton"),
     "unknown setting": (["run", "t", "--set", "cost.w_aling=2"], "cost.w_align"),
