@@ -224,7 +224,7 @@ def _density(prim: Usd.Prim, root: Usd.Prim) -> float:
 def _volume(stage: SceneStage, collider: Collider) -> float:
     """Volume of a shape [m^3]."""
     if collider.kind == "mesh":
-        return float(solid(stage, collider).volume)
+        return float(solid(collider).volume)
     if collider.kind == "box":
         return 8.0 * math.prod(collider.size)
     radius, half_height = (*collider.size, 0.0)[:2]
