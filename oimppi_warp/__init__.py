@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from oimppi_warp.planner import Plan, Planner
     from oimppi_warp.plant import Contacts, Plant, SimulatedPlant
     from oimppi_warp.presets import best, paper
-    from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS
+    from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
     from oimppi_warp.run_spec import RunSpec
     from oimppi_warp.scene import Scene
     from oimppi_warp.settings import set_option
@@ -36,6 +36,7 @@ _MODULES = {
     "METHODS": "registries",
     "OPTIMIZERS": "registries",
     "PLANTS": "registries",
+    "SHAPES": "registries",
     "Config": "config",
     "ConfigError": "errors",
     "Contacts": "plant",
@@ -71,6 +72,7 @@ __all__ = [
     "METHODS",
     "OPTIMIZERS",
     "PLANTS",
+    "SHAPES",
     "Config",
     "ConfigError",
     "Contacts",
