@@ -192,7 +192,7 @@ def packed_cases(cases: list[dict[str, Any]], kind: Any) -> wp.array:
 
 def different_weights(kind: type[T]) -> T:
     """All weights and thresholds at numbers of their own, so that none can stand in for another."""
-    numbers: dict[str, Any] = {item.name: 1.0 + 0.37 * i for i, item in enumerate(fields(kind))}
+    numbers: dict[str, Any] = {item.name: 1.0 + 0.37 * i for i, item in enumerate(fields(kind)) if item.name != "extra"}
     small = {"f_0": 0.01, "margin": 0.02, "r_0": 0.3, "gamma_0": 0.4, "align_fade": 0.5, "height": 0.2,
              "clearance": 0.03, "reach": (0.3, 0.5), "align_ahead": 2, "contact_slack": 0.01}  # fmt: skip
     return kind(**(numbers | {name: value for name, value in small.items() if name in numbers}))
