@@ -19,6 +19,7 @@ class ObjectModel:
         clearance: phi_2 over poses [m].
         body: Signed distance to the object's outline [m].
         slack: Clearance that the object keeps to obstacles, in the model [m].
+        center: The friction centre in the object's own frame [m].
     """
 
     force: float
@@ -28,6 +29,7 @@ class ObjectModel:
     clearance: PoseField
     body: PlanarField
     slack: float
+    center: wp.vec2
 
 
 @wp.struct

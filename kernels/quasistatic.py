@@ -4,10 +4,12 @@ from functools import lru_cache
 
 import warp as wp
 
-from oimppi_warp.kernels.cost import FREE, OVER, CostTerms, RobotWeights, robot_cost
-from oimppi_warp.kernels.geometry import PoseField, planar_field, pose_field, rotate
-from oimppi_warp.kernels.kinematics import Arm, Surroundings, make_place_arm
+from oimppi_warp.kernels.cost import make_robot_cost, terms_vector
+from oimppi_warp.kernels.geometry import planar_field, rotate
+from oimppi_warp.kernels.kinematics import make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, push, settle
+from oimppi_warp.kernels.task import RobotTask, above_counts, known_stage, over_object
+from oimppi_warp.kernels.terms import FREE, ExtraTerms, module_of
 from oimppi_warp.kernels.uncertainty import Draw
 
 wp.set_module_options({"enable_backward": False})
@@ -17,48 +19,49 @@ GIVE = wp.constant(5.0e-4)
 
 
 @lru_cache
-def make_robot_rollout(chain: str) -> wp.Kernel:
-    """The rollout kernel for a chain of joints, like ``"RRRRRR"``."""
+def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
+    """The rollout kernel.
+
+    Args:
+        chain: The chain of joints, like ``"RRRRRR"``.
+        extra: Cost terms from outside the package.
+    """
     dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
+    vector = terms_vector(len(extra))
     place_arm = make_place_arm(chain)
+    robot_cost = make_robot_cost(extra)
 
-    @wp.kernel(module=f"oimppi_warp.kernels.robot_rollout_{chain}", enable_backward=False)
+    @wp.kernel(**module_of(f"robot_rollout_{chain}", extra), enable_backward=False)
     def robot_rollout(
         # in:
         first: int,
-        arm: Arm,
-        model: ObjectModel,
-        surroundings: Surroundings,
-        weights: RobotWeights,
+        task: RobotTask,
         draws: wp.array[Draw],
         per_sample: int,
+        contact_steps: int,
         start_joints: wp.array[vec],
         start_object: wp.array[wp.vec3],
-        goal: wp.array[wp.vec3],
-        reference: wp.array[wp.vec3],
-        guide: wp.array[wp.vec4],
-        to_go: PoseField,
-        align_ahead: int,
         controls: wp.array2d[vec],
-        dt: float,
-        contact_steps: int,
         # out:
         costs: wp.array[float],
-        terms: wp.array[CostTerms],
+        terms: wp.array[vector],
         tips: wp.array2d[wp.vec3],
         poses: wp.array2d[wp.vec3],
     ):
         """Cost of each rollout of a joint velocity sequence; its terms, tips and poses where those have room for them.
 
-        Shapes: ``draws`` [draw] (rollout n is in draw n modulo their number), ``start_joints``, ``start_object`` and
-        ``goal`` [1], ``reference`` [horizon + 1 + align_ahead], ``guide`` [1], ``controls`` [sample, horizon] [rad/s],
-        ``costs`` [sample * per_sample], ``terms`` [rollout] or empty, ``tips`` and ``poses`` [rollout, horizon + 1] or
-        empty.
+        Shapes: ``draws`` [draw] (rollout n is in draw n modulo their number), ``start_joints`` and ``start_object``
+        [1], ``controls`` [sample, horizon] [rad/s], ``costs`` [sample * per_sample], ``terms`` [rollout] or empty,
+        ``tips`` and ``poses`` [rollout, horizon + 1] or empty.
         """
         n = first + wp.tid()
         k = n / per_sample
         draw = draws[n % draws.shape[0]]
+        arm = task.arm
+        model = task.model
+        surroundings = task.surroundings
+        dt = task.dt
         body = ObjectModel()
         body.force = model.force * draw.force
         body.radius = model.radius
@@ -71,7 +74,7 @@ def make_robot_rollout(chain: str) -> wp.Kernel:
         q = start_joints[0]
         pose = start_object[0] + draw.pose
         placed = place_arm(arm, surroundings, tool, q)
-        total = CostTerms()
+        total = vector()
         if n < tips.shape[0]:
             tips[n, 0] = placed.tip
             poses[n, 0] = pose
@@ -94,12 +97,8 @@ def make_robot_rollout(chain: str) -> wp.Kernel:
             stalled = room < -GIVE and room < old.room
             above = float(0.0)
             if tip[2] >= body.top or old.tip[2] >= body.top:
-                c = wp.cos(pose[2])
-                s = wp.sin(pose[2])
-                local = rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1]))
-                if planar_field(body.body, local)[0] < surroundings.tool_radius:
-                    if guide[0][3] <= 0.0 or tip[2] < body.top + OVER:
-                        above = 1.0
+                if over_object(task, tip, pose):
+                    above = above_counts(task, tip)
                     if tip[2] < body.top:
                         stalled = True
             pressed = float(0.0)
@@ -133,37 +132,22 @@ def make_robot_rollout(chain: str) -> wp.Kernel:
             else:
                 pose = new_pose
 
-            way = float(0.0)
-            if weights.w_to_go > 0.0:
-                way = pose_field(to_go, pose)[0]
-            total += robot_cost(
-                weights,
-                placed.tip,
-                placed.up,
-                placed.lean,
-                wp.vec2(tip[0] - old.tip[0], tip[1] - old.tip[1]) / dt,
-                pose,
-                body.top,
-                goal[0],
-                reference[h + 1],
-                reference[h + 1 + align_ahead],
-                way,
-                force,
-                room,
-                above,
-                pressed,
-                gap,
-                rise,
-                speed_squared,
-                0.0,
-                guide[0],
-            )
+            stage = known_stage(task, h, placed, pose)
+            stage.velocity = wp.vec2(tip[0] - old.tip[0], tip[1] - old.tip[1]) / dt
+            stage.force = force
+            stage.room = room
+            stage.above = above
+            stage.pressed = pressed
+            stage.gap = gap
+            stage.rise = rise
+            stage.speed_squared = speed_squared
+            total += robot_cost(task.weights, stage)
             if n < tips.shape[0]:
                 tips[n, h + 1] = placed.tip
                 poses[n, h + 1] = pose
 
         cost = float(0.0)
-        for i in range(wp.static(len(CostTerms()))):
+        for i in range(wp.static(len(vector()))):
             cost += total[i]
         costs[n] = cost
         if n < terms.shape[0]:

@@ -4,6 +4,8 @@ from functools import lru_cache
 
 import warp as wp
 
+from oimppi_warp.kernels.kinematics import Arm
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -19,9 +21,7 @@ def make_expand_controls(dof: int) -> wp.Kernel:
         controls: wp.array2d[vec],
         per_sample: int,
         start: wp.array[vec],
-        lower: wp.array[float],
-        upper: wp.array[float],
-        speed: wp.array[float],
+        arm: Arm,
         dt: float,
         substeps: int,
         drive: wp.array[int],
@@ -31,16 +31,16 @@ def make_expand_controls(dof: int) -> wp.Kernel:
         """Joint velocities as commands to the drives, held for the substeps of a control step.
 
         They are no faster than allowed and lead no further than the joints' limits, as the plant has it. Shapes:
-        ``controls`` [sample, horizon] [rad/s], ``start`` [1] [rad], ``lower``, ``upper``, ``speed`` and ``drive``
-        (entry of each joint in the commands) [dof], ``drives`` [rollout, horizon * substeps, drive].
+        ``controls`` [sample, horizon] [rad/s], ``start`` [1] [rad], ``drive`` (entry of each joint in the commands)
+        [dof], ``drives`` [rollout, horizon * substeps, drive].
         """
         n = first + wp.tid()
         q = start[0]
         for h in range(controls.shape[1]):
             u = controls[n / per_sample, h]
             for j in range(dof):
-                v = wp.clamp(u[j], (lower[j] - q[j]) / dt, (upper[j] - q[j]) / dt)
-                v = wp.clamp(v, -speed[j], speed[j])
+                v = wp.clamp(u[j], (arm.lower[j] - q[j]) / dt, (arm.upper[j] - q[j]) / dt)
+                v = wp.clamp(v, -arm.speed[j], arm.speed[j])
                 q[j] = q[j] + dt * v
                 for s in range(substeps):
                     drives[n, h * substeps + s, drive[j]] = wp.float64(v)

@@ -4,10 +4,28 @@ from functools import lru_cache
 
 import warp as wp
 
+from oimppi_warp.kernels.kinematics import Arm
+
 wp.set_module_options({"enable_backward": False})
 
 Transform = wp.types.vector(length=7, dtype=float)
 """Position and quaternion wxyz, as MuJoCo has it."""
+
+
+@wp.struct
+class Places:
+    """Where the parts of a world are in its state and its commands.
+
+    Attributes:
+        joint_qpos, joint_qvel: Of each joint in ``qpos`` and ``qvel``, [dof].
+        drive: Of each joint's drive in ``ctrl``, [dof].
+        object_qpos: Of the object's first coordinate in ``qpos``.
+    """
+
+    joint_qpos: wp.array[int]
+    joint_qvel: wp.array[int]
+    drive: wp.array[int]
+    object_qpos: int
 
 
 @lru_cache
@@ -22,9 +40,7 @@ def make_place_worlds(dof: int) -> wp.Kernel:
         velocities: wp.array[vec],
         pushed: wp.array[Transform],
         errors: wp.array[wp.vec3],
-        joint_qpos: wp.array[int],
-        joint_qvel: wp.array[int],
-        object_qpos: int,
+        places: Places,
         # out:
         qpos: wp.array2d[float],
         qvel: wp.array2d[float],
@@ -33,16 +49,17 @@ def make_place_worlds(dof: int) -> wp.Kernel:
     ):
         """Puts all worlds into one state, the object off by each world's error, and forgets what the solver knew.
 
-        Shapes: ``joints``, ``velocities`` and ``pushed`` [1], ``errors`` [draw] (x, y, yaw), ``joint_qpos`` and
-        ``joint_qvel`` [dof], ``qpos``, ``qvel`` and ``warm_start`` [world, n], ``overflow`` [world].
+        Shapes: ``joints``, ``velocities`` and ``pushed`` [1], ``errors`` [draw] (x, y, yaw), ``qpos``, ``qvel`` and
+        ``warm_start`` [world, n], ``overflow`` [world].
         """
         w = wp.tid()
+        object_qpos = places.object_qpos
         for i in range(qvel.shape[1]):
             qvel[w, i] = 0.0
             warm_start[w, i] = 0.0
         for j in range(dof):
-            qpos[w, joint_qpos[j]] = joints[0][j]
-            qvel[w, joint_qvel[j]] = velocities[0][j]
+            qpos[w, places.joint_qpos[j]] = joints[0][j]
+            qvel[w, places.joint_qvel[j]] = velocities[0][j]
         at = pushed[0]
         off = errors[w % errors.shape[0]]
         at[0] = at[0] + off[0]
@@ -72,13 +89,9 @@ def make_drive_worlds(dof: int) -> wp.Kernel:
         h: int,
         controls: wp.array2d[vec],
         per_sample: int,
-        lower: wp.array[float],
-        upper: wp.array[float],
-        speed: wp.array[float],
+        arm: Arm,
         dt: float,
-        joint_qpos: wp.array[int],
-        object_qpos: int,
-        drive: wp.array[int],
+        places: Places,
         qpos: wp.array2d[float],
         # out:
         ctrl: wp.array2d[float],
@@ -88,24 +101,24 @@ def make_drive_worlds(dof: int) -> wp.Kernel:
         """Keeps the states that control step ``h - 1`` ended in, and commands those of step ``h``.
 
         Commands are no faster than allowed and lead no further than the joints' limits, as the plant has it. Shapes:
-        ``controls`` [sample, horizon] [rad/s], ``lower``, ``upper``, ``speed``, ``joint_qpos`` and ``drive`` [dof],
-        ``qpos`` and ``ctrl`` [world, n], ``joints`` and ``objects`` [world, horizon].
+        ``controls`` [sample, horizon] [rad/s], ``qpos`` and ``ctrl`` [world, n], ``joints`` and ``objects``
+        [world, horizon].
         """
         w = wp.tid()
         q = vec()
         for j in range(dof):
-            q[j] = qpos[w, joint_qpos[j]]
+            q[j] = qpos[w, places.joint_qpos[j]]
         if h > 0:
             joints[w, h - 1] = q
             at = Transform()
             for i in range(7):
-                at[i] = qpos[w, object_qpos + i]
+                at[i] = qpos[w, places.object_qpos + i]
             objects[w, h - 1] = at
         if h < controls.shape[1]:
             u = controls[w / per_sample, h]
             for j in range(dof):
-                v = wp.clamp(u[j], (lower[j] - q[j]) / dt, (upper[j] - q[j]) / dt)
-                ctrl[w, drive[j]] = wp.clamp(v, -speed[j], speed[j])
+                v = wp.clamp(u[j], (arm.lower[j] - q[j]) / dt, (arm.upper[j] - q[j]) / dt)
+                ctrl[w, places.drive[j]] = wp.clamp(v, -arm.speed[j], arm.speed[j])
 
     return drive_worlds
 

@@ -13,11 +13,12 @@ from warp._src.context import user_modules
 from oimppi_warp.clearance import build_geometry
 from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
+from oimppi_warp.dynamics.base import RolloutTask
 from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
 from oimppi_warp.kernels import clearance
 from oimppi_warp.methods import make_planner
-from oimppi_warp.mppi import Mppi
 from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.optimizer import make_optimizer
 from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene
 
@@ -40,8 +41,8 @@ def needed_on_cuda(scene: Scene, config: Config, engines: Iterable[str]) -> list
         config: All settings.
         engines: Names of the engines that are to be used there.
     """
-    small = replace(config.robot.mppi, samples=2, horizon=2, knots=0, iterations=1)
-    level = replace(config.robot, mppi=small, substeps=1)
+    small = replace(config.robot.optimizer, samples=2, horizon=2, knots=0, iterations=1)
+    level = replace(config.robot, optimizer=small, substeps=1)
     few = replace(config, robot=level)
     with rehearsal() as found:
         wp.load_module(clearance, device="cpu")  # fields that are in the cache here may not be there
@@ -59,8 +60,17 @@ def _plan_with_worlds(scene: Scene, config: Config) -> None:
     """One step of the Newton engine that a GPU would use: batched worlds, here on the CPU."""
     geometry = build_geometry(scene, "cpu")
     compute = Compute("cpu", threads=1)
-    worlds = NewtonWorlds(scene, geometry, config.robot, config.cost, dt=config.control_period, compute=compute)
-    mppi = Mppi(worlds, config.robot.mppi, seed=0)
+    worlds = NewtonWorlds(
+        RolloutTask(
+            scene=scene,
+            geometry=geometry,
+            level=config.robot,
+            cost=config.cost,
+            dt=config.control_period,
+            compute=compute,
+        )
+    )
+    mppi = make_optimizer(worlds, config.robot.optimizer, seed=0)
     start = np.array(scene.start)
     transform = planar_transform(scene.start, scene.object.rest_height)
     joints = scene.robot.start

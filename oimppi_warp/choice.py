@@ -1,71 +1,113 @@
-"""Which rollout engine to plan with: of those that keep up with the control period, the most successful one."""
+"""Which rollout engine to plan with: of those that keep up with the control period, the most successful one.
+
+What is known of an engine stands with it: ``known_success`` and ``slower_than`` of its entry in
+:data:`oimppi_warp.registries.ENGINES` (:class:`oimppi_warp.dynamics.base.RobotDynamics`). An engine without a figure
+for the method is never chosen: it has to be asked for by its name.
+"""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
-from oimppi_warp.config import Method
-
-KNOWN_SUCCESS: Mapping[tuple[str, Method], float] = {
-    ("quasistatic", "cloi"): 0.95,
-    ("quasistatic", "soi"): 1.0,
-    ("quasistatic", "mppi"): 1.0,
-    ("newton", "cloi"): 0.9,
-    ("newton", "soi"): 0.8,
-    ("newton", "mppi"): 0.0,
-}
-"""Share of task 02's starts that an engine and a method bring to the goal, from ``docs/results.md``; 0 where nobody has
-measured it with the present settings. Of equals, the first is the cheaper one."""
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import ENGINES
 
 _TIMED = 3
-"""Plans that are timed."""
+"""Plans that are timed, if none takes longer than the control period."""
+
+
+class Rehearsable(Protocol):
+    """A planner, as far as it is timed."""
+
+    def warm_up(self) -> None:
+        """Compiles and loads every kernel, so that the first plan is as fast as the others."""
+        ...
+
+    def rehearse(self) -> None:
+        """One plan from the task's start."""
+        ...
+
+
+P = TypeVar("P", bound=Rehearsable)
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Generic[P]):
     """An engine and why it was chosen.
 
     Attributes:
         engine: Its name.
         reason: One line.
+        planner: A planner with it, warmed up.
     """
 
     engine: str
     reason: str
+    planner: P
 
 
-def choose(method: Method, period: float, plan_seconds: Callable[[str], float]) -> Choice:
+def choose(method: str, period: float, make: Callable[[str], P]) -> Choice[P]:
     """The engine to plan with.
 
-    Engines are tried in the order of their known success. An engine is made only if all before it are too slow.
+    Engines are tried in the order of their known success; of equals, those first that are slower than fewer others. An
+    engine that is known to be slower than one that was too slow is not tried. The first that keeps up is taken; where
+    none does, the fastest of those that were tried.
 
     Args:
         method: How it will be used.
         period: What a plan may take [s].
-        plan_seconds: Makes an engine and says how long a plan takes with it [s].
+        make: Makes a planner with an engine.
+
+    Raises:
+        ConfigError: No engine has a figure for the method.
     """
-    known = {engine: share for (engine, of), share in KNOWN_SUCCESS.items() if of == method}
+    success: dict[str, float] = {}
+    for name, engine in ENGINES.items():
+        known = getattr(engine, "known_success", {})
+        if method in known:
+            success[name] = known[method]
+    slower = {name: getattr(ENGINES[name], "slower_than", frozenset()) for name in success}
+    if not success:
+        raise ConfigError(
+            f"--engine auto: no engine has a known success for method {method!r}\n"
+            f"  allowed: {', '.join(ENGINES)}\n  to do:   name one"
+        )
     found: dict[str, float] = {}
-    for engine in sorted(known, key=lambda name: -known[name]):
-        found[engine] = plan_seconds(engine)
-        if found[engine] <= period:
-            slower = "".join(f", with {other} {_ms(found[other])}" for other in found if other != engine)
-            return Choice(engine, f"a plan takes {_ms(found[engine])} of {_ms(period)}{slower}")
+    left_out: list[str] = []
+    planners: dict[str, P] = {}
+    for name in sorted(success, key=lambda name: (-success[name], len(slower[name]))):
+        if slower[name] & found.keys():
+            left_out.append(name)
+            continue
+        planners[name] = make(name)
+        found[name] = plan_seconds(planners[name], period)
+        if found[name] <= period:
+            others = "".join(f", with {other} {_ms(found[other])}" for other in found if other != name)
+            return Choice(name, f"a plan takes {_ms(found[name])} of {_ms(period)}{others}", planners[name])
     fastest = min(found, key=lambda name: found[name])
-    return Choice(fastest, f"none keeps up; with this one a plan takes {_ms(found[fastest])} of {_ms(period)}")
+    reason = f"none keeps up; with this one a plan takes {_ms(found[fastest])} of {_ms(period)}"
+    if left_out:
+        reason += f", and {', '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} known to be slower"
+    return Choice(fastest, reason, planners[fastest])
 
 
-def median_seconds(plan: Callable[[], object]) -> float:
-    """Median time of some plans, after one that is not counted [s]."""
-    plan()
-    found = []
-    for _ in range(_TIMED):
+def plan_seconds(planner: Rehearsable, period: float) -> float:
+    """How long a plan takes [s]: the median of some, or the first that takes longer than ``period``.
+
+    The planner is warmed up before, which is not counted.
+    """
+    planner.warm_up()
+    found: list[float] = []
+    while len(found) < _TIMED:
         began = time.perf_counter()
-        plan()
+        planner.rehearse()
         found.append(time.perf_counter() - began)
+        if found[-1] > period:
+            return found[-1]
     return statistics.median(found)
 
 

@@ -191,10 +191,11 @@ def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
     clearance = f"{1000 * metrics.min_clearance_m:.1f} mm at the least"
     if metrics.min_clearance_m > FURTHEST - 1e-6:
         clearance = f"more than {1000 * FURTHEST:.0f} mm"  # it is not measured any further
+    run = metrics.run
     rows = {
-        "task": f"{metrics.scene}, {metrics.method.upper()}, preset {metrics.preset}, seed {metrics.seed}, "
-        f"{metrics.plant} plant in {_PACES[metrics.mode]}, "
-        f"{metrics.engine} on {metrics.device}",
+        "task": f"{metrics.scene}, {run.method.upper()}, preset {metrics.preset}, seed {run.seed}, "
+        f"{run.plant} plant in {_PACES[run.mode]}, "
+        f"{run.engine} on {run.device}",
         "result": f"{result} ({metrics.ended})",
         "errors": f"{metrics.position_error_m:.3f} m{yaw} at the end; {metrics.mean_position_error_m:.3f} m on average",
         "time": f"{metrics.sim_time_s:.2f} s simulated in {metrics.steps} steps; "
@@ -207,13 +208,13 @@ def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
         f"{metrics.max_contact_object_obstacle_n:.1f} N, robot on obstacles or table "
         f"{metrics.max_contact_robot_obstacle_n:.1f} N at the most",
     }
-    if metrics.plant == "lab":
+    if run.plant == "lab":
         rows["perception"] = (
             f"{metrics.detections} detections, {metrics.rejected_detections} rejected, "
             f"{metrics.recoveries} recoveries; {1000 * metrics.mean_estimate_error_m:.0f} mm off on average, "
             f"{1000 * metrics.max_estimate_error_m:.0f} mm at the most"
         )
-    if metrics.mode == "realtime":
+    if run.mode == "realtime":
         rows["deadlines"] = (
             f"{metrics.missed_deadlines} of {metrics.steps} missed, {metrics.stops} stops; "
             f"at the most {metrics.max_lag_ms:.0f} ms behind the clock"

@@ -1,121 +1,181 @@
-"""Every setting of the planner, in frozen dataclasses; the command line and the presets are made from them.
+"""Every setting, in frozen dataclasses; the command line, the viewer's panel and `docs/settings.md` are made from them.
 
-Fields carry the paper's symbols; where the paper has no such term, the docstring says so. The defaults are those of the
-preset ``best``.
+Fields carry the paper's symbols; where the paper has no such term, the help says so. The defaults are those of the
+preset ``best``. Weights multiply stage costs, which are summed over the horizon.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal
 
+from oimppi_warp.config_field import ExtraWeights, group, label, setting
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.lab_config import EstimatorConfig, LabConfig
-
-Method = Literal["mppi", "soi", "cloi"]
-PlantKind = Literal["ideal", "lab"]
-Mode = Literal["lockstep", "realtime"]
 
 
 @dataclass(frozen=True)
-class Mppi:
-    """One MPPI (the paper's Algorithm 1), at either level.
+class Sampling:
+    """What every sampling-based optimizer has: K control sequences of H steps around a nominal one (equation 9).
 
-    Attributes:
-        samples: Number of samples K.
-        horizon: Number of control steps H.
-        temperature: lambda of equation 12, in units of cost.
-        effective_samples: Lower and upper bound of the effective sample size, as fractions of K, between which the
-            temperature is adapted; (0, 0) holds it fixed as the paper does.
-        iterations: Updates per control step.
-        knots: Number of cubic-spline knots of the noise over the horizon; 0 draws every step on its own (the paper).
-        special_samples: Keep one sample on the nominal and one on zero control.
+    An optimizer of its own has a subclass of this with its settings, with ``kind`` set to its name in
+    :data:`oimppi_warp.registries.OPTIMIZERS`.
     """
 
-    samples: int = 1200
-    horizon: int = 25
-    temperature: float = 2.0
-    effective_samples: tuple[float, float] = (0.0, 0.0)
-    iterations: int = 1
-    knots: int = 6
-    special_samples: bool = True
+    kind: str = label("", "Name of the optimizer.")
+    samples: int = setting(1200, "Number of samples, K.", low=2, high=1_000_000)
+    horizon: int = setting(25, "Length of the horizon in control steps, H.", low=1, high=10_000)
+    iterations: int = setting(1, "Updates of the nominal in each control step.", low=1, high=1_000)
+    knots: int = setting(
+        6,
+        "Number of knots of the cubic splines over the horizon that the noise is drawn as; 0 draws every step "
+        "independently, as the paper does.",
+    )
+    special_samples: bool = setting(
+        True, "Whether the first two samples are the nominal itself and zero control; not in the paper."
+    )
+
+    def check(self, where: str) -> None:
+        """Checks settings against each other; subclasses extend it.
+
+        Args:
+            where: Dotted name of these settings, such as ``"robot.optimizer"``, for the message.
+
+        Raises:
+            ConfigError: Two settings contradict each other.
+        """
+        if self.knots == 1 or self.knots > self.horizon:
+            raise ConfigError(
+                f"{where}.knots = {self.knots}: no such spline over a horizon of {self.horizon} steps\n"
+                f"  allowed: 0 (noise drawn for every step) or 2 to {self.horizon}"
+            )
+
+
+@dataclass(frozen=True)
+class Mppi(Sampling):
+    """MPPI (the paper's Algorithm 1, equations 9 to 12)."""
+
+    kind: str = label("mppi", "Name of the optimizer.")
+    temperature: float = setting(
+        2.0,
+        "Temperature lambda of equation 12, in units of cost: the lower, the more the cheapest samples decide.",
+        low=1e-6,
+    )
+    effective_samples: tuple[float, float] = setting(
+        (0.0, 0.0),
+        "Bounds of the effective sample size, as fractions of K, within which the temperature is adapted; 0,0 keeps "
+        "the temperature fixed, as the paper does.",
+        high=1.0,
+    )
+
+    def check(self, where: str) -> None:
+        """Checks settings against each other; see :meth:`Sampling.check`."""
+        super().check(where)
+        check_order(f"{where}.effective_samples", self.effective_samples)
+
+
+@dataclass(frozen=True)
+class Cem(Sampling):
+    """The cross-entropy method: refits mean and standard deviation of the samples to the cheapest; not in the paper."""
+
+    kind: str = label("cem", "Name of the optimizer.")
+    elites: float = setting(0.05, "Fraction of the samples, the cheapest, that the next are fitted to.", high=1.0)
+    smoothing: float = setting(0.2, "Fraction of the old mean and standard deviation that an update keeps.", high=1.0)
+    least_deviation: float = setting(
+        0.5, "Smallest standard deviation, as a fraction of the level's noise, so that sampling never ends.", high=1.0
+    )
+    recovery: float = setting(
+        0.5,
+        "Fraction by which standard deviations return to the level's noise in each control step; 1 starts every plan "
+        "with all of it.",
+        high=1.0,
+    )
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What the robot level's prediction may be wrong about; the paper's future work.
+    """Draws of the world in which the robot level tries each control sequence; the paper's future work.
 
-    Each control sequence is rolled out in several draws of the world: plans take that many times as long.
-
-    Attributes:
-        draws: Draws that each control sequence is tried in; 0 turns all of this off.
-        shared: Whether all sequences are tried in the same draws, or each in its own.
-        friction: Spread of the friction coefficients (standard deviation of their logarithm).
-        mass: The same of the object's mass.
-        pose: Standard deviations of the error of the object's perceived pose: x, y [m], yaw [rad].
-        tool: Standard deviation of the tool's offset across its axis, in either direction [m].
-        measure: What the costs in all draws become: their mean, the worst, or the mean of the worst (CVaR).
-        tail: Share of the draws that counts as the worst, for ``measure="cvar"``.
+    A plan takes as many times as long as there are draws.
     """
 
-    draws: int = 0
-    shared: bool = True
-    friction: float = 0.2
-    mass: float = 0.1
-    pose: tuple[float, float, float] = (0.005, 0.005, 0.03)
-    tool: float = 0.002
-    measure: Literal["mean", "worst", "cvar"] = "mean"
-    tail: float = 0.5
+    draws: int = setting(0, "Number of draws that each control sequence is tried in; 0 plans without.", high=1_000)
+    shared: bool = setting(True, "Whether all sequences are tried in the same draws, or each in draws of its own.")
+    friction: float = setting(0.2, "Standard deviation of the logarithm of the friction coefficients.")
+    mass: float = setting(0.1, "Standard deviation of the logarithm of the object's mass.")
+    pose: tuple[float, float, float] = setting(
+        (0.005, 0.005, 0.03),
+        "Standard deviations of the error of the object's perceived pose: x, y, yaw.",
+        unit="m, m, rad",
+    )
+    tool: float = setting(
+        0.002, "Standard deviation of the tool's offset, in either direction across its axis.", unit="m"
+    )
+    measure: Literal["mean", "worst", "cvar"] = setting(
+        "mean",
+        "How a sequence's costs in all draws become one: their mean, the worst, or the mean of the worst (CVaR).",
+    )
+    tail: float = setting(0.5, "Fraction of the draws that counts as the worst, for cvar.", high=1.0)
 
 
 @dataclass(frozen=True)
 class RobotLevel:
-    """Robot level: equations 14 and 17.
+    """The robot level: joint velocities that make the object follow its plan (equations 14 and 17)."""
 
-    Attributes:
-        mppi: Sampling and update.
-        noise_space: Where Sigma_u is given: in joint space (the paper) or in the tool's frame of motion, mapped to
-            joints by the damped pseudo-inverse of the Jacobian.
-        joint_noise: Standard deviation of each joint's velocity [rad/s; m/s where it slides], for
-            ``noise_space="joint"``.
-        tool_noise: Standard deviations of the tip's velocity (x, y, z [m/s], rotation about x, y, z [rad/s]), for
-            ``noise_space="tool"``.
-        joint_velocity_limit: Bound of each joint's velocity [rad/s], if lower than the robot's own. For joints that
-            slide the same number counts as m/s: a robot made of them sets the pace itself, by its own limits.
-        contact_steps: Steps of the contact model in one control step, in the quasi-static engine.
-        substeps: Steps of the physics in one control step, in the Newton engine.
-        uncertainty: What the prediction may be wrong about.
-    """
-
-    mppi: Mppi = field(default_factory=Mppi)
-    noise_space: Literal["joint", "tool"] = "tool"
-    joint_noise: float = 0.3
-    tool_noise: tuple[float, float, float, float, float, float] = (0.2, 0.2, 0.06, 0.2, 0.2, 0.5)
-    joint_velocity_limit: float = 0.6
-    contact_steps: int = 2
-    substeps: int = 4
-    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    optimizer: Sampling = group(Mppi(), "Optimizer of the robot level.")
+    noise_space: Literal["joint", "tool"] = setting(
+        "tool",
+        "Where the noise's covariance Sigma_u is given: in joint space (the paper), or in the tool's frame, mapped to "
+        "the joints by the damped pseudo-inverse of the Jacobian.",
+    )
+    joint_noise: float = setting(
+        0.3,
+        "Standard deviation of the noise of each joint's velocity, for noise_space=joint (m/s for a sliding joint).",
+        unit="rad/s",
+    )
+    tool_noise: tuple[float, float, float, float, float, float] = setting(
+        (0.2, 0.2, 0.06, 0.2, 0.2, 0.5),
+        "Standard deviations of the noise of the tip's velocity along and about x, y, z, for noise_space=tool.",
+        unit="m/s, m/s, m/s, rad/s, rad/s, rad/s",
+    )
+    joint_velocity_limit: float = setting(
+        0.6,
+        "Largest velocity planned for each joint, where the robot's own limit is not lower (m/s for a sliding joint).",
+        unit="rad/s",
+        low=1e-3,
+    )
+    contact_steps: int = setting(
+        2, "Steps of the contact model in each control step, in the quasi-static engine.", low=1, high=1_000
+    )
+    substeps: int = setting(4, "Physics steps in each control step, in the Newton engine.", low=1, high=1_000)
+    uncertainty: Uncertainty = group(Uncertainty(), "What the prediction may be wrong about.")
 
 
 @dataclass(frozen=True)
 class ObjectLevel:
-    """Object level: equations 5, 6, 15.
+    """The object level: a wrench that moves the object to its goal by itself (equations 5, 6 and 15)."""
 
-    Attributes:
-        mppi: Sampling and update.
-        speed_limit: Object speeds that the virtual wrench may reach: (x, y [m/s], yaw [rad/s]).
-        noise: Standard deviation of the wrench as a fraction of the one that gives ``speed_limit``.
-        noise_range: Distance from the goal (turning counted) [m] within which the noise shrinks in proportion, down to
-            a tenth; 0 keeps it as it is. Not in the paper.
-        plan_steps: Control steps that SOI's plan may take before it is given up.
-        turn: Whether the object's yaw counts; planners turn it off for tasks whose tolerance allows every yaw.
-    """
-
-    mppi: Mppi = field(default_factory=lambda: Mppi(samples=1200, horizon=60, temperature=0.5, knots=5))
-    speed_limit: tuple[float, float, float] = (0.12, 0.12, 1.0)
-    noise: float = 0.6
-    noise_range: float = 0.15
-    plan_steps: int = 600
-    turn: bool = True
+    optimizer: Sampling = group(Mppi(horizon=60, temperature=0.5, knots=5), "Optimizer of the object level.")
+    speed_limit: tuple[float, float, float] = setting(
+        (0.12, 0.12, 1.0),
+        "Largest velocity of the object that the virtual wrench may cause: x, y, yaw.",
+        unit="m/s, m/s, rad/s",
+        low=1e-3,
+    )
+    noise: float = setting(0.6, "Standard deviation of the wrench, as a fraction of the wrench that gives speed_limit.")
+    noise_range: float = setting(
+        0.15,
+        "Distance from the goal (turning counted) below which the noise shrinks in proportion, to a tenth at the "
+        "least; 0 keeps it as it is; not in the paper.",
+        unit="m",
+    )
+    plan_steps: int = setting(
+        600, "Control steps that SOI's object plan may take before it is given up.", low=1, high=100_000
+    )
+    turn: bool = setting(
+        True, "Whether the object's yaw counts; turned off for tasks whose tolerance allows every yaw."
+    )
 
     @property
     def yaw_length(self) -> float:
@@ -123,173 +183,211 @@ class ObjectLevel:
         return self.speed_limit[0] / self.speed_limit[2] if self.turn else 1e-4
 
 
+_RING = (
+    "Inner and outer radius of the ring around the base in which the arm pushes well, for the xArm6's reach of 0.72 m; "
+    "scaled to a robot's own reach, and without bounds for a robot that does not turn about its base."
+)
+
+
 @dataclass(frozen=True)
 class ObjectCost:
-    """Weights of the object's stage cost at the object level (equations 15 and 16).
+    """Weights of the object's stage cost at the object level (equations 15 and 16)."""
 
-    Attributes:
-        w_d: Squared distance to the goal [1/m^2].
-        w_theta: Squared yaw error in it [m^2/rad^2].
-        w_f: Squared contact force on obstacles above ``f_0`` [1/N^2].
-        f_0: Contact force that costs nothing [N].
-        w_to_go: Length of the shortest free way to the goal [1/m]; not in the paper.
-        w_margin: Squared lack of clearance below ``margin`` [1/m^2]; not in the paper.
-        margin: [m].
-        w_reach: Distance of the object's centre to the ring in which the arm can push well [1/m]; not in the paper.
-        reach: Inner and outer radius of that ring for an arm that reaches as far as the xArm6, 0.72 m; for others in
-            proportion, and for a robot that does not turn about its base there is no ring [m].
-    """
-
-    w_d: float = 1.0
-    w_theta: float = 0.03
-    w_f: float = 0.05
-    f_0: float = 0.5
-    w_to_go: float = 4.0
-    w_margin: float = 2000.0
-    margin: float = 0.015
-    w_reach: float = 20.0
-    reach: tuple[float, float] = (0.32, 0.60)
+    w_d: float = setting(1.0, "Weight of the squared distance to the goal (equation 16).", unit="1/m^2")
+    w_theta: float = setting(0.03, "Square of the length that a yaw error of 1 rad counts as in it.", unit="m^2/rad^2")
+    w_f: float = setting(
+        0.05, "Weight of the squared contact force with obstacles above f_0 (equation 15).", unit="1/N^2"
+    )
+    f_0: float = setting(0.5, "Contact force with obstacles that costs nothing (equation 15).", unit="N")
+    w_to_go: float = setting(4.0, "Weight of the shortest free path to the goal; not in the paper.", unit="1/m")
+    w_margin: float = setting(
+        2000.0, "Weight of the squared shortfall of clearance below margin; not in the paper.", unit="1/m^2"
+    )
+    margin: float = setting(0.015, "Clearance between object and obstacles below which w_margin acts.", unit="m")
+    w_reach: float = setting(
+        20.0, "Weight of the object's distance to the ring of reach; not in the paper.", unit="1/m"
+    )
+    reach: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
 
 
 @dataclass(frozen=True)
 class RobotCost:
-    """Weights of the stage cost at the robot level (equations 15 to 19, summed over the horizon).
+    """Weights of the stage cost at the robot level (equations 15 to 19); what is not in the paper says so."""
 
-    The first group is the paper's, the second ours.
+    w_d: float = setting(5.0, "Weight of the object's squared distance to the goal (equation 16).", unit="1/m^2")
+    w_theta: float = setting(
+        0.1, "Square of the length that a yaw error of 1 rad counts as, in w_d and in w_reference.", unit="m^2/rad^2"
+    )
+    w_f: float = setting(
+        0.05, "Weight of the object's squared contact force with obstacles above f_0 (equation 15).", unit="1/N^2"
+    )
+    f_0: float = setting(0.5, "Contact force that costs nothing (equation 15).", unit="N")
+    w_to_go: float = setting(
+        0.0,
+        "Weight of the object's shortest free path to the goal, which gives plain MPPI what the others have from the "
+        "object level; computed with object_cost.reach and object.speed_limit; not in the paper.",
+        unit="1/m",
+    )
+    w_reference: float = setting(
+        300.0, "Weight of the object's squared distance to its plan, the coupling cost l_c.", unit="1/m^2"
+    )
+    w_ee: float = setting(
+        5.0, "Weight of the squared distance of tool and object beyond r_0 (equation 17).", unit="1/m^2"
+    )
+    r_0: float = setting(0.12, "Distance of tool and object that costs nothing (equation 17).", unit="m")
+    w_align: float = setting(
+        2.0, "Weight of the tool not being behind the object, seen in the direction it should move (equation 18)."
+    )
+    gamma_0: float = setting(
+        0.7, "Cosine of the angle up to which the tool counts as behind the object (equation 18).", low=-1.0, high=1.0
+    )
+    align_ahead: int = setting(
+        10, "Control steps ahead on the object plan from which the direction for w_align is taken; not in the paper."
+    )
+    align_fade: float = setting(
+        0.02,
+        "Distance to its target below which the object's direction loses its meaning and w_align fades out; 0 never "
+        "fades it; not in the paper.",
+        unit="m",
+    )
+    w_tilt: float = setting(3.0, "Weight of the tool's tilt from vertical (equation 19).", unit="1/rad")
+    w_height: float = setting(1000.0, "Weight of the squared deviation of the tip from height.", unit="1/m^2")
+    height: float = setting(0.012, "Height above the table at which the tip should push.", unit="m")
+    w_clearance: float = setting(
+        1e4, "Weight of the squared shortfall of the arm's clearance phi_3 below clearance.", unit="1/m^2"
+    )
+    clearance: float = setting(
+        0.01, "Clearance between the arm and obstacles or table below which w_clearance acts.", unit="m"
+    )
+    w_above: float = setting(20.0, "Cost of each control step with the tip above the object; not in the paper.")
+    w_reach: float = setting(
+        40.0, "Weight of the object's distance to the ring of reach; not in the paper.", unit="1/m"
+    )
+    reach: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
+    w_edge: float = setting(
+        40.0,
+        "Weight of the object's distance to the rectangle in which all of it is on the table; not in the paper.",
+        unit="1/m",
+    )
+    w_press: float = setting(
+        1e6,
+        "Weight of the squared depth by which the tool presses into an object that cannot yield (phi_1), in the "
+        "quasi-static engine.",
+        unit="1/m^2",
+    )
+    w_margin: float = setting(
+        2e4,
+        "Weight of the squared shortfall of clearance below margin of an object being pushed, in the quasi-static "
+        "engine; not in the paper.",
+        unit="1/m^2",
+    )
+    margin: float = setting(0.006, "Clearance between object and obstacles below which w_margin acts.", unit="m")
+    w_lift: float = setting(
+        50.0,
+        "Weight of the squared speed at which the tip rises while it pushes, which would tip the object, in the "
+        "quasi-static engine; not in the paper.",
+        unit="s^2/m^2",
+    )
+    w_control: float = setting(0.0, "Weight of the squared joint velocities; not in the paper.", unit="s^2/rad^2")
+    w_collision: float = setting(
+        0.0,
+        "Weight of the contact force of arm and tool with obstacles and table above f_0, in engines that compute it; "
+        "not in the paper.",
+        unit="1/N",
+    )
+    w_overhang: float = setting(
+        3e4,
+        "Weight of the squared length by which a leaning stick is nearer to the object's rim than its tip is, for "
+        "objects that a push can tip; not in the paper.",
+        unit="1/m^2",
+    )
+    w_rush: float = setting(
+        100.0,
+        "Weight of the squared speed of the tool towards the object above rush, for objects that a push can tip; not "
+        "in the paper.",
+        unit="s^2/m^2",
+    )
+    rush: float = setting(
+        0.4, "Fraction of the object's tipping speed at which the tool may come at it without cost; not in the paper."
+    )
+    topple_near: float = setting(
+        0.1, "Distance to the object within which w_overhang and w_rush act; not in the paper.", unit="m", low=1e-3
+    )
+    extra: Mapping[str, float] = group(ExtraWeights(), "Weights of cost terms from outside the package, by name.")
 
-    Attributes:
-        w_d, w_theta, w_f, f_0: As in :class:`ObjectCost`, for the simulated object.
-        w_to_go: Length of the object's shortest free way to the goal [1/m]; not in the paper. It gives plain MPPI what
-            the others have from the object level, and is made with ``object_cost.reach`` and ``object.speed_limit``.
-        w_reference: Squared distance to the object plan, the paper's coupling cost l_c [1/m^2].
-        w_ee: Squared distance between tool and object beyond ``r_0`` [1/m^2].
-        r_0: [m].
-        w_align: Tool not behind the object, seen along the way that the object should go.
-        gamma_0: Cosine above which the tool counts as behind the object.
-        align_ahead: Steps along the reference at which "where the object should go" is read.
-        align_fade: Closer to its target than this the direction loses its meaning, and the term its weight; 0 turns
-            that off [m].
-        w_tilt: Tilt of the tool [1/rad].
-        w_height: Squared distance of the tip from ``height`` above the table [1/m^2].
-        height: [m].
-        w_clearance: Squared lack of room below ``clearance`` between arm and obstacles or table (phi_3) [1/m^2].
-        clearance: [m].
-        w_above: Each step with the tip above the object.
-        w_reach: Distance of the object's centre to the ring in which the arm can push well [1/m].
-        reach: Inner and outer radius of that ring for an arm that reaches as far as the xArm6, 0.72 m; for others in
-            proportion, and for a robot that does not turn about its base there is no ring [m].
-        w_edge: Distance of the object's centre to where all of it is on the table for sure [1/m].
-        w_press: Squared depth by which the tool presses into an object that cannot yield [1/m^2]; in the quasi-static
-            engine, as the next three: the others feel the forces that these stand for.
-        w_margin: Squared lack of clearance below ``margin`` of an object that is being pushed [1/m^2].
-        margin: [m].
-        w_lift: Squared speed at which the tip rises while it pushes, which would lift the object and tip it [s^2/m^2].
-        w_control: Squared joint velocity [s^2/rad^2].
-        w_collision: Contact force of arm and tool on obstacles and table above ``f_0`` [1/N], in engines that know it.
-        w_overhang: Squared length by which a stick that leans over the object is nearer to its rim than the tip is
-            [1/m^2]. This and the next are for objects that a push may tip (:func:`oimppi_warp.tipping.can_tip`), within
-            ``topple_near`` of them; for others they are off.
-        w_rush: Squared speed of the tool towards the object above ``rush`` [s^2/m^2].
-        rush: Share of the object's tipping speed (:func:`oimppi_warp.tipping.tipping_speed`) that costs nothing.
-        topple_near: [m].
-    """
-
-    w_d: float = 5.0
-    w_theta: float = 0.1
-    w_f: float = 0.05
-    f_0: float = 0.5
-    w_to_go: float = 0.0
-    w_reference: float = 300.0
-    w_ee: float = 5.0
-    r_0: float = 0.12
-    w_align: float = 2.0
-    gamma_0: float = 0.7
-    align_ahead: int = 10
-    align_fade: float = 0.02
-    w_tilt: float = 3.0
-
-    w_height: float = 1000.0
-    height: float = 0.012
-    w_clearance: float = 1e4
-    clearance: float = 0.01
-    w_above: float = 20.0
-    w_reach: float = 40.0
-    reach: tuple[float, float] = (0.32, 0.60)
-    w_edge: float = 40.0
-    w_press: float = 1e6
-    w_margin: float = 2e4
-    margin: float = 0.006
-    w_lift: float = 50.0
-    w_control: float = 0.0
-    w_collision: float = 0.0
-    w_overhang: float = 3e4
-    w_rush: float = 100.0
-    rush: float = 0.4
-    topple_near: float = 0.1
+    def __post_init__(self) -> None:
+        if not isinstance(self.extra, ExtraWeights):
+            object.__setattr__(self, "extra", ExtraWeights(self.extra))
 
 
 @dataclass(frozen=True)
 class Regrasp:
-    """Letting go of an object that no longer gets on, and pushing it from another side; not in the paper.
+    """Letting go of an object that makes no headway, to push it from another side; not in the paper."""
 
-    Attributes:
-        stall_seconds: Time without headway after which the arm lets go [s]; 0 turns all of this off.
-        headway: What counts as headway: less to go than ever since the arm took hold, by this much [m].
-        w_guide: Squared distance of the tip from where it is called to [1/m^2].
-        longest_seconds: Time after which a call is given up [s].
-    """
-
-    stall_seconds: float = 3.0
-    headway: float = 0.01
-    w_guide: float = 400.0
-    longest_seconds: float = 4.0
+    stall_seconds: float = setting(
+        3.0, "Time without headway after which the arm lets go; 0 turns letting go off.", unit="s"
+    )
+    headway: float = setting(
+        0.01,
+        "Decrease of the way left to the goal that counts as headway, below the least since the arm began to push.",
+        unit="m",
+    )
+    w_guide: float = setting(
+        400.0, "Weight of the tip's squared distance to where it is sent after letting go.", unit="1/m^2"
+    )
+    longest_seconds: float = setting(4.0, "Time after which the arm is no longer sent there.", unit="s")
 
 
 @dataclass(frozen=True)
 class EpisodeConfig:
-    """The closed loop.
+    """When an episode ends, and what the arm does when a plan is late."""
 
-    Attributes:
-        max_sim_seconds: Time limit [s].
-        hold_seconds: How long the object must stay within tolerance [s].
-        tight: Go on until the tight tolerance is held too (or the time is up). Success is having held the tolerance,
-            and both are reported in any case.
-        plan_expires: In real time: how long a command is kept up when the next plan is late; then the arm is told to
-            stop [s].
-    """
-
-    max_sim_seconds: float = 40.0
-    hold_seconds: float = 0.5
-    tight: bool = True
-    plan_expires: float = 0.15
+    max_sim_seconds: float = setting(40.0, "Time limit in simulated time.", unit="s", low=0.001)
+    hold_seconds: float = setting(0.5, "Time for which the object must stay within tolerance for success.", unit="s")
+    tight: bool = setting(
+        True,
+        "Whether an episode that succeeded goes on until the tight tolerance is held as well; both results are "
+        "reported in either case.",
+    )
+    plan_expires: float = setting(
+        0.15, "In real time: how long a command is kept when the next plan is late, before the arm stops.", unit="s"
+    )
 
 
 @dataclass(frozen=True)
 class Config:
-    """All settings.
+    """All settings of a run: the two levels, their costs, the episode, the laboratory and the estimator."""
 
-    Attributes:
-        preset: Name of the preset that it began as.
-        control_period: [s].
-        reference: How SOI's robot level reads the object plan: by the time since it was made (the paper) or by progress
-            (from where the object is, along the plan or back to it).
-        regrasp: When an object that no longer gets on is let go.
-        robot, object: The two levels.
-        cost: Weights of the robot level.
-        object_cost: Weights of the object level.
-        episode: The closed loop.
-        lab: The simulated lab.
-        estimator: Where the object is believed to be, in the lab and in real time.
+    preset: str = label("best", "Name of the preset that the settings began as.")
+    resolved_for: str = label("", "The task that the settings were resolved for; see oimppi_warp.resolve.")
+    control_period: float = setting(
+        0.05, "Control period: time from one plan to the next.", unit="s", low=0.001, high=1.0
+    )
+    reference: Literal["time", "progress"] = setting(
+        "progress",
+        "How SOI's robot level reads the object plan: by the time since it was made (the paper), or by progress, from "
+        "where the object is on.",
+    )
+    regrasp: Regrasp = group(Regrasp(), "When an object that makes no headway is let go.")
+    robot: RobotLevel = group(RobotLevel(), "The robot level.")
+    object: ObjectLevel = group(ObjectLevel(), "The object level.")
+    cost: RobotCost = group(RobotCost(), "Weights of the robot level.")
+    object_cost: ObjectCost = group(ObjectCost(), "Weights of the object level.")
+    episode: EpisodeConfig = group(EpisodeConfig(), "When an episode ends.")
+    lab: LabConfig = group(LabConfig(), "The simulated laboratory.")
+    estimator: EstimatorConfig = group(
+        EstimatorConfig(), "What the estimator assumes, in the laboratory and in real time."
+    )
+
+
+def check_order(name: str, bounds: tuple[float, float]) -> None:
+    """Checks that a lower bound is not above its upper one.
+
+    Raises:
+        ConfigError: It is.
     """
-
-    preset: str = "best"
-    control_period: float = 0.05
-    reference: Literal["time", "progress"] = "progress"
-    regrasp: Regrasp = field(default_factory=Regrasp)
-    robot: RobotLevel = field(default_factory=RobotLevel)
-    object: ObjectLevel = field(default_factory=ObjectLevel)
-    cost: RobotCost = field(default_factory=RobotCost)
-    object_cost: ObjectCost = field(default_factory=ObjectCost)
-    episode: EpisodeConfig = field(default_factory=EpisodeConfig)
-    lab: LabConfig = field(default_factory=LabConfig)
-    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
+    low, high = bounds
+    if low > high:
+        raise ConfigError(
+            f"{name} = {low:g},{high:g}: the lower bound is above the upper one\n  to do:   exchange the two"
+        )

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy as np
 from oimppi_warp.estimator import Estimator, Event
 from oimppi_warp.observation import Observation
 from oimppi_warp.planner import Plan
-from oimppi_warp.plant import Plant
+from oimppi_warp.plant import Plant, latency_of
 
 
 class Plans(Protocol):
@@ -52,10 +52,11 @@ class Beat:
         plan: The plan that was new in it, if one was.
         plan_seconds: How long that took [s].
         preplan_seconds: Wall time of what was planned before the first plan [s]; 0 in all beats but that plan's.
+        observed: What the plant reported at its end.
         estimate: Where the object is believed to be at its end, shape [3]; NaN where nothing is believed.
         event: What became of a detection in it.
         missed: Whether a plan was due and not there.
-        stopped: Whether the arm was told to stop because the last plan had expired.
+        stopped: Whether the arm was told to stop: the last plan had expired, or nothing could be planned.
         lag: How far the loop was behind the clock [s].
     """
 
@@ -63,6 +64,7 @@ class Beat:
     plan: Plan | None
     plan_seconds: float
     preplan_seconds: float
+    observed: Observation
     estimate: np.ndarray
     event: Event
     missed: bool = False
@@ -103,20 +105,22 @@ def lock_step(plant: Plant, planner: Plans, estimator: Estimator | None, *, dof:
         estimator: Between the two; ``None`` for a plant that tells the truth at once.
         dof: Number of joints.
     """
-    thinker, command = _Thinker(planner), np.zeros(dof)
+    thinker, command, latency = _Thinker(planner), np.zeros(dof), latency_of(plant)
     observation = plant.observe()
     known = observation if estimator is None else estimator.update(observation)
     while True:
         thought = None
-        if known is not None:
+        if known is None:
+            command = np.zeros(dof)
+        else:
             if estimator is not None:
-                known = estimator.predict(known, [(plant.latency, command)])
+                known = estimator.predict(known, [(latency, command)])
             thought = thinker.think(known)
             command = thought.plan.command
         plant.apply(command)
         observation = plant.observe()
         known = observation if estimator is None else estimator.update(observation)
-        yield _beat(command, thought, known, estimator)
+        yield _beat(command, thought, observation, known, estimator)
 
 
 def real_time(
@@ -145,6 +149,7 @@ def real_time(
     before, command, age = still, still, 0
     planned = False
     job: Future[_Thought] | None = None
+    latency = latency_of(plant)
     known = estimator.update(plant.observe())
     own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if workers is None else None
     pool = workers or own
@@ -162,7 +167,7 @@ def real_time(
                     command, stopped = still, True
             if job is None and known is not None:
                 # What is decided now is carried out before the plan that is asked for now.
-                to_come = [(plant.latency, before), (period, command)]
+                to_come = [(latency, before), (period, command)]
                 job = pool.submit(thinker.think, estimator.predict(known, to_come))
             plant.apply(command)
             due += period
@@ -171,8 +176,10 @@ def real_time(
                 sleep(left)
             else:  # the world stood still meanwhile, as a real one would not have: the clock is set anew
                 due -= left
-            known = estimator.update(plant.observe())
-            yield _beat(command, thought, known, estimator, missed=missed, stopped=stopped, lag=max(-left, 0.0))
+            observation = plant.observe()
+            known = estimator.update(observation)
+            beat = _beat(command, thought, observation, known, estimator)
+            yield replace(beat, missed=missed, stopped=stopped or beat.stopped, lag=max(-left, 0.0))
     finally:
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)
@@ -181,21 +188,17 @@ def real_time(
 def _beat(
     command: np.ndarray,
     thought: _Thought | None,
+    observed: Observation,
     known: Observation | None,
     estimator: Estimator | None,
-    *,
-    missed: bool = False,
-    stopped: bool = False,
-    lag: float = 0.0,
 ) -> Beat:
     return Beat(
         command=command,
         plan=None if thought is None else thought.plan,
         plan_seconds=math.nan if thought is None else thought.seconds,
         preplan_seconds=0.0 if thought is None else thought.preplan_seconds,
+        observed=observed,
         estimate=np.full(3, np.nan) if known is None else known.object_pose,
         event="none" if estimator is None else estimator.event,
-        missed=missed,
-        stopped=stopped,
-        lag=lag,
+        stopped=thought is not None and bool(thought.plan.problem),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
+from itertools import cycle
 from typing import Any
 
 import matplotlib
@@ -15,7 +16,9 @@ from matplotlib.path import Path as Outline
 
 INK, FAINT, WALL, GOAL, START = "#26323a", "#b8c2c9", "#5d6a73", "#c2410c", "#3b0f70"
 METHOD_COLORS = {"mppi": "#8592a6", "cloi": "#0f766e", "soi": "#d97706"}
-"""One colour a method, in every picture."""
+"""Colours of the paper's methods, in every picture."""
+FURTHER_COLORS = ("#4f46a5", "#a21caf", "#0284c7", "#65a30d", "#92400e", "#be123c")
+"""Colours of all other methods, in turn."""
 
 STYLE: Any = {
     "font.size": 9,
@@ -36,6 +39,12 @@ STYLE: Any = {
     "ytick.color": INK,
     "svg.hashsalt": "oimppi",  # the same picture is the same file
 }
+
+
+def method_colors(methods: Iterable[str]) -> dict[str, str]:
+    """A colour for each method: the paper's have their own, all others take the further ones in their order."""
+    further = cycle(FURTHER_COLORS)
+    return {name: METHOD_COLORS.get(name) or next(further) for name in methods}
 
 
 def rendered(figure: Figure, *, kind: str = "png", dpi: int = 150) -> bytes:

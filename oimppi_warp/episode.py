@@ -2,116 +2,128 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Generator
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from oimppi_warp.clearance import to_center
 from oimppi_warp.compute import core_count
-from oimppi_warp.config import Config, Method, Mode, PlantKind
+from oimppi_warp.config import Config
 from oimppi_warp.control import Beat, lock_step, real_time
 from oimppi_warp.estimator import Estimator
 from oimppi_warp.feasibility import check_task
 from oimppi_warp.kinematics import tip_frame
-from oimppi_warp.lab import LabPlant
 from oimppi_warp.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.methods import make_planner
 from oimppi_warp.metrics import hold_steps, pose_error
-from oimppi_warp.planner import Plan, Planner
-from oimppi_warp.plant import SimulatedPlant
+from oimppi_warp.observation import Observation
+from oimppi_warp.planner import Plan
+from oimppi_warp.plant import ContactPlant, Plant, TruthfulPlant, has_tipped
+from oimppi_warp.registries import PLANTS
+from oimppi_warp.resolve import resolve
+from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.scene import Scene
-from oimppi_warp.world import World
+from oimppi_warp.settings import validate
 
 _REFERENCE_EVERY = 10
-"""CLOI's object plans are logged every so many steps."""
+"""Object plans that are renewed at every step are logged every so many steps."""
 _FALLEN = 0.05
 """Depth of the object's frame below the table's top at which it has fallen off [m]."""
-_SUBSTEP = 0.0025
-"""Longest step of the plant's physics [s]; longer ones make a sliding object gain energy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """All that makes an episode, as :class:`Episode` takes it."""
+    """All that an :class:`Episode` is made from.
+
+    Attributes:
+        scene: The task, with the start and the goal to use.
+        config: All settings.
+        spec: The options of the run.
+    """
 
     scene: Scene
     config: Config
-    method: Method = "cloi"
-    engine: str = "auto"
-    device: str = "auto"
-    threads: int | None = None
-    seed: int = 0
-    plant: PlantKind = "ideal"
-    mode: Mode = "lockstep"
+    spec: RunSpec = field(default_factory=RunSpec)
+
+    def changed(self, **fields: Any) -> Setup:
+        """Returns a copy with some fields, or some options of the run, changed."""
+        own = {name: value for name, value in fields.items() if name in vars(self)}
+        options = {name: value for name, value in fields.items() if name not in own}
+        made = replace(self, **own)
+        return replace(made, spec=made.spec.changed(**options))
 
     def episode(self) -> Episode:
-        """A new episode, ready to run."""
-        return Episode(**vars(self))
+        """Makes a new episode, ready to run."""
+        return Episode(self.scene, self.config, self.spec)
 
 
 class Episode:
-    """One task, from start to success or time limit, in simulation.
+    """One task, from start to success or time limit.
 
     Args:
         scene: The task, with the start and the goal to use.
         config: All settings.
-        method, engine, device, threads, seed: As for :func:`oimppi_warp.methods.make_planner`.
-        plant: The simulated world as it is, or as a laboratory would know it and move it.
-        mode: Whether the world waits for the planner, or the planner works beside it on the wall clock.
+        spec: The options of the run.
+        plant: A plant of your own in place of the one that ``spec`` names. Its control period becomes the planner's.
+        **options: Fields of ``spec`` to change, for example ``method="soi"`` or ``seed=3``.
+
+    Attributes:
+        scene: As given.
+        spec: The options of the run, with the engine, the device and the number of threads that were chosen.
+        config: The settings as they are used for this task.
+        plant: What is moved.
+        planner: What plans.
+        log: The record so far.
 
     Raises:
         SceneError: The task cannot be done: its start or goal is in an obstacle, off the table or out of reach.
+        ConfigError: An option or a setting that cannot be used.
+        DeviceError: The device is not there.
     """
 
     def __init__(
         self,
         scene: Scene,
         config: Config,
+        spec: RunSpec | None = None,
         *,
-        method: Method = "cloi",
-        engine: str = "auto",
-        device: str = "auto",
-        threads: int | None = None,
-        seed: int = 0,
-        plant: PlantKind = "ideal",
-        mode: Mode = "lockstep",
+        plant: Plant | str | None = None,
+        **options: Any,
     ) -> None:
+        if isinstance(plant, str):
+            options["plant"], plant = plant, None
+        spec = (spec or RunSpec()).changed(**options)
         check_task(scene)
+        if spec.threads is None and spec.mode == "realtime":
+            spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
-        self.config = config
-        if threads is None and mode == "realtime":
-            threads = max(core_count() - 1, 1)  # one is left for the plant
-        self.planner: Planner = make_planner(
-            scene, config, method=method, engine=engine, device=device, threads=threads, seed=seed
-        )
+        self.plant: Plant = plant or PLANTS.get_checked(spec.plant)(scene, config, seed=spec.seed)
+        resolved = resolve(validate(config), scene, control_period=self.plant.control_period)
+        self.config = config = resolved.config
+        self.planner = make_planner(scene, config, spec)
         self.planner.warm_up()
-        period = config.control_period
-        self.plant: SimulatedPlant | LabPlant
-        if plant == "lab":
-            self.plant = LabPlant(World(scene), config.lab, start=scene.start, control_period=period, seed=seed)
-        else:
-            substeps = math.ceil(period / _SUBSTEP - 1e-6)
-            self.plant = SimulatedPlant(World(scene), start=scene.start, control_period=period, substeps=substeps)
-        self._beats = self._loop(plant, mode)
+        self.spec = replace(
+            spec,
+            engine=self.planner.engine,
+            device=self.planner.compute.device,
+            threads=self.planner.compute.threads,
+            plant=spec.plant if plant is None else type(plant).__name__,
+        )
+        self._beats = self._loop()
         self._plans = 0
+        self._problem = ""
         self.log = EpisodeLog(
             {
                 "scene": scene.name,
                 "file": str(scene.file),
-                "method": method,
-                "engine": self.planner.engine,
+                **asdict(self.spec),
                 "engine_reason": self.planner.engine_reason,
-                "threads": self.planner.compute.threads,
-                "device": self.planner.compute.device,
                 "preset": config.preset,
-                "seed": seed,
-                "plant": plant,
-                "mode": mode,
                 "config": to_json(asdict(config)),
+                "requested": {name: [change.asked, change.reason] for name, change in resolved.changes.items()},
                 "start": list(scene.start),
                 "goal": list(scene.goal),
                 "tolerance": to_json(scene.tolerance),
@@ -121,6 +133,7 @@ class Episode:
                 "cost_terms": list(self.planner.dynamics.terms),
                 "preplan_time_s": 0.0,
                 "ended": "interrupted",
+                "problems": [],
                 "versions": versions(),
             }
         )
@@ -167,7 +180,7 @@ class Episode:
                 beat = next(self._beats)
                 position_error, yaw_error = self._record(beat)
                 yield beat
-                if self.plant.tipped or self.plant.truth().object_transform[2] < -_FALLEN:
+                if self._fell():
                     self.log.header["ended"] = "object fell"
                     break
                 held = held + 1 if position_error <= wanted.position and yaw_error <= wanted.yaw else 0
@@ -180,29 +193,53 @@ class Episode:
         finally:
             self._beats.close()
 
-    def _loop(self, plant: PlantKind, mode: Mode) -> Generator[Beat]:
-        """The beats of plant and planner; the truth is good enough for the ideal plant in lock step alone."""
+    def _loop(self) -> Generator[Beat]:
+        """The beats of plant and planner; what always knows exactly where the object is needs no estimator."""
         dof = self.scene.robot.dof
-        if mode == "realtime":
+        if self.spec.mode == "realtime":
             estimator = Estimator(self.scene, self.config)
             return real_time(self.plant, self.planner, estimator, dof=dof, expires=self.config.episode.plan_expires)
-        estimator = Estimator(self.scene, self.config) if plant == "lab" else None
-        return lock_step(self.plant, self.planner, estimator, dof=dof)
+        dated = self.plant.observe().object_time is not None
+        return lock_step(self.plant, self.planner, Estimator(self.scene, self.config) if dated else None, dof=dof)
+
+    def _fell(self) -> bool:
+        """Whether the object has tipped over or fallen off the table, as far as the plant knows."""
+        if not isinstance(self.plant, TruthfulPlant):
+            return False
+        transform = self.plant.truth().object_transform
+        return has_tipped(transform) or bool(transform[2] < -_FALLEN)
+
+    def state_after(self, beat: Beat) -> Observation:
+        """Returns the state at the end of a beat: the truth, or what is believed where the plant does not know it."""
+        if isinstance(self.plant, TruthfulPlant):
+            return self.plant.truth()
+        return replace(beat.observed, object_pose=beat.estimate)
 
     def _record(self, beat: Beat) -> tuple[float, float]:
-        """Log a control step; returns the true distance [m] and angle [rad] of the object to its goal."""
+        """Log a control step; returns the object's distance [m] and angle [rad] to its goal."""
         plan = beat.plan
         if plan is not None:
             self.log.header["preplan_time_s"] += beat.preplan_seconds
             ahead = self.planner.object_plan
             if self._plans == 0 and ahead is not None:
                 self.log.add_reference(ahead)
-            elif self.planner.method == "cloi" and self._plans % _REFERENCE_EVERY == 0:
+            elif plan.object_update is not None and self._plans % _REFERENCE_EVERY == 0:
                 self.log.add_reference(plan.reference)
             self._plans += 1
-        truth = self.plant.truth()
+            if plan.problem and plan.problem != self._problem:
+                self.log.header["problems"].append([len(self.log), plan.problem])
+            self._problem = plan.problem
+        truth = self.state_after(beat)
         position_error, yaw_error = pose_error(truth.object_pose, self.scene.goal)
-        contacts, geometry = self.plant.contacts, self.planner.geometry
+        geometry = self.planner.geometry
+        forces = {}
+        if isinstance(self.plant, ContactPlant):
+            contacts = self.plant.contacts
+            forces = {
+                "contact_tool_object": contacts.tool_object,
+                "contact_object_obstacle": contacts.object_obstacle,
+                "contact_robot_obstacle": contacts.robot_obstacle,
+            }
         row = {} if plan is None else _of_plan(plan)
         self.log.append(
             time=truth.time,
@@ -216,13 +253,11 @@ class Episode:
             position_error=position_error,
             yaw_error=yaw_error,
             clearance=geometry.clearance_at(to_center(geometry.surface, truth.object_pose)),
-            contact_tool_object=contacts.tool_object,
-            contact_object_obstacle=contacts.object_obstacle,
-            contact_robot_obstacle=contacts.robot_obstacle,
             plan_ms=1e3 * beat.plan_seconds,
             missed_deadline=float(beat.missed),
             stopped=float(beat.stopped),
             lag_ms=1e3 * beat.lag,
+            **forces,
             **row,
         )
         return position_error, yaw_error

@@ -80,3 +80,7 @@ class ConfigError(OimppiError):
 
 class DeviceError(OimppiError):
     """A compute device that is not there."""
+
+
+class ObservationError(OimppiError):
+    """An observation of the wrong form: an array of another length than the robot or the object needs."""

@@ -22,7 +22,7 @@ from oimppi_warp.dynamics.packing import object_model, surroundings, velocity_bo
 from oimppi_warp.footprint import wrap_angle
 from oimppi_warp.kernels.tracking import make_track_object
 from oimppi_warp.kinematics import pack_arm
-from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.observation import FARTHEST_OBJECT, Observation, check_shapes, planar_transform
 from oimppi_warp.scene import Scene
 
 _CAPACITY = 1024
@@ -104,17 +104,28 @@ class Estimator:
 
         Returns:
             The observation with the believed pose in place of the reported one, or ``None`` as long as nothing is
-            believed: the object was not seen, or no two detections agreed yet.
+            believed: the object was not seen, no two detections agreed yet, or joint positions are not finite.
+
+        Raises:
+            ObservationError: An array has the wrong length.
         """
-        self._record(observation)
+        check_shapes(observation, self._scene.robot.dof)
         self.event = "none"
+        if not np.isfinite(observation.joint_position).all():
+            return None  # a sensor's error: what the arm has done to the object is not known
+        self._record(observation)
+        if not self._count:
+            return None
         seen = observation.object_time
         if seen is None:
             self._know(to_center(self._surface, observation.object_pose))
             return observation
         if not math.isnan(seen) and seen != self._seen:
             self._seen = seen
-            self._take(seen, to_center(self._surface, observation.object_pose))
+            if np.isfinite(observation.object_pose).all() and np.hypot(*observation.object_pose[:2]) < FARTHEST_OBJECT:
+                self._take(seen, to_center(self._surface, observation.object_pose))
+            else:
+                self.event = "rejected"
         if self._believed is None:
             return None
         return self._with_pose(observation, self._believed.poses.numpy()[self._count - 1])
@@ -158,6 +169,7 @@ class Estimator:
         rows = observation.trail
         if not len(rows):
             rows = np.concatenate([[observation.time], observation.joint_position])[None]
+        rows = rows[np.isfinite(rows).all(axis=1)]
         rows = rows[rows[:, 0] > self._times[self._count - 1]] if self._count else rows
         if self._count + len(rows) > _CAPACITY:
             self._forget(rows[-1, 0] - self._config.memory)

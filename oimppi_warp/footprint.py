@@ -77,6 +77,11 @@ def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
     )
 
 
+def quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The turn ``b`` and after it ``a``: Hamilton's product of quaternions xyzw, shape [4]."""
+    return np.concatenate([a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3]), [a[3] * b[3] - a[:3] @ b[:3]]])
+
+
 def transform_points(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points [n, 3] carried by a spatial transform [7] (position, quaternion xyzw)."""
     return np.atleast_2d(points) @ rotation_matrix(transform[3:]).T + transform[:3]

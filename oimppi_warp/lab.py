@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from oimppi_warp.camera import Camera
+from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.lab_config import LabConfig
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plant import Contacts, SimulatedPlant
-from oimppi_warp.scene import PlanarPose
+from oimppi_warp.scene import PlanarPose, Scene
 from oimppi_warp.world import World
 
 TICK = 0.01
@@ -206,3 +207,8 @@ class LabPlant:
         if wrong:
             pose = pose + np.array([away * np.cos(way), away * np.sin(way), turn])
         self._pictures.append(_Picture(self._time, self._time + config.delay, pose, wrong))
+
+
+def lab_plant(scene: Scene, config: Config, *, seed: int = 0) -> LabPlant:
+    """Makes the plant ``lab`` with the settings ``config.lab``."""
+    return LabPlant(World(scene), config.lab, start=scene.start, control_period=config.control_period, seed=seed)

@@ -4,57 +4,78 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from oimppi_warp.config_field import setting
+
 
 @dataclass(frozen=True)
 class LabConfig:
-    """How imperfect the simulated lab is (:class:`oimppi_warp.lab.LabPlant`).
+    """How imperfect the simulated laboratory is (:class:`oimppi_warp.lab.LabPlant`).
 
-    The rate is the paper's; the noise is what fitting a known shape to a depth camera's points at a metre's distance
-    gives, the limits and rates of the arm are the manufacturer's.
-
-    Attributes:
-        rate: Pictures a second.
-        delay: From taking a picture to knowing the pose [s].
-        position_noise, yaw_noise: Standard deviation of a detection in x and in y [m], and in yaw [rad].
-        outlier_probability: Share of the detections that are wrong.
-        outlier_size: Mean distance of a wrong detection from the object [m]; it may have any yaw.
-        camera: Position of the camera [m]: above the far side of the table, looking towards the arm.
-        joint_noise: Standard deviation of each joint's measured position [rad; m where it slides].
-        command_latency: From sending a command to its effect, in whole reports of the joints [s].
-        acceleration_limit: Of each joint [rad/s^2; m/s^2 where it slides]; the xArm's controller has 1145 deg/s^2.
+    The camera's rate is the paper's. Its noise is what fitting a known shape to a depth camera's points gives at a
+    distance of one metre; the limits and rates of the arm are from the xArm6's data sheet.
     """
 
-    rate: float = 1.0
-    delay: float = 0.15
-    position_noise: float = 0.005
-    yaw_noise: float = 0.03
-    outlier_probability: float = 0.05
-    outlier_size: float = 0.15
-    camera: tuple[float, float, float] = (0.9, 0.0, 0.9)
-    joint_noise: float = 0.0005
-    command_latency: float = 0.02
-    acceleration_limit: float = 19.98
+    rate: float = setting(1.0, "Rate at which the camera detects the object.", unit="1/s", low=0.01, high=100.0)
+    delay: float = setting(0.15, "Time from taking a picture until the pose found in it is known.", unit="s")
+    position_noise: float = setting(
+        0.005, "Standard deviation of a detection's position error, in x and in y each.", unit="m"
+    )
+    yaw_noise: float = setting(0.03, "Standard deviation of a detection's yaw error.", unit="rad")
+    outlier_probability: float = setting(0.05, "Probability that a detection is wrong.", high=1.0)
+    outlier_size: float = setting(
+        0.15, "Mean distance of a wrong detection from the object; its yaw is drawn from all angles.", unit="m"
+    )
+    camera: tuple[float, float, float] = setting(
+        (0.9, 0.0, 0.9),
+        "Position of the camera, which does not see the object where the arm hides it.",
+        unit="m",
+        low=-100.0,
+        high=100.0,
+    )
+    joint_noise: float = setting(
+        0.0005, "Standard deviation of each joint's measured position (m for a sliding joint).", unit="rad"
+    )
+    command_latency: float = setting(
+        0.02, "Time from sending a command until the arm follows it, rounded to whole reports of the joints.", unit="s"
+    )
+    acceleration_limit: float = setting(
+        19.98,
+        "Largest acceleration of each joint (m/s^2 for a sliding joint); the xArm's controller allows 1145 deg/s^2.",
+        unit="rad/s^2",
+        low=0.1,
+    )
 
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """What the estimator takes for granted of detections and of its own prediction; it is not told how the lab is.
+    """What the estimator assumes about detections and about its own prediction (:mod:`oimppi_warp.estimator`).
 
-    Attributes:
-        position_noise, yaw_noise: Standard deviation of a detection [m], [rad].
-        position_drift, yaw_drift: Error of the predicted push, as a share of how far the object is predicted to move.
-        touch_drift: Error that gathers while the tool is close enough to move the object unnoticed [m/sqrt(s)].
-        touch: How close that is [m].
-        gate: A detection further from the prediction than this many standard deviations of their difference is
-            rejected.
-        memory: How far back joint positions are kept at the least; a detection that is older is of no use [s].
+    It is not told the laboratory's true noise: these numbers are its own.
     """
 
-    position_noise: float = 0.005
-    yaw_noise: float = 0.03
-    position_drift: float = 0.15
-    yaw_drift: float = 0.3
-    touch_drift: float = 0.01
-    touch: float = 0.01
-    gate: float = 4.0
-    memory: float = 3.0
+    position_noise: float = setting(0.005, "Assumed standard deviation of a detection's position error.", unit="m")
+    yaw_noise: float = setting(0.03, "Assumed standard deviation of a detection's yaw error.", unit="rad")
+    position_drift: float = setting(
+        0.15, "Assumed error of the predicted position, as a fraction of the distance the object is predicted to move."
+    )
+    yaw_drift: float = setting(
+        0.3, "Assumed error of the predicted yaw, as a fraction of the angle the object is predicted to turn."
+    )
+    touch_drift: float = setting(
+        0.01,
+        "Growth of the position's uncertainty while the tool is close enough to push the object unnoticed.",
+        unit="m/sqrt(s)",
+    )
+    touch: float = setting(0.01, "Distance of tool and object below which the uncertainty grows so.", unit="m")
+    gate: float = setting(
+        4.0,
+        "Number of standard deviations from the prediction beyond which a detection is rejected as an outlier.",
+        low=0.1,
+    )
+    memory: float = setting(
+        3.0,
+        "Time for which measured joint positions are kept, so that a late detection can be applied to its moment.",
+        unit="s",
+        low=0.05,
+        high=5.0,
+    )

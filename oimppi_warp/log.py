@@ -8,11 +8,14 @@ The header is a dictionary that JSON can hold. Metrics and plots read these keys
 
 ================== ==================================================================================================
 scene, file        Short name of the scene, and the USD file it was read from
-method, engine     ``mppi``, ``soi`` or ``cloi``; the rollout engine
+method             Name of the method, one of :data:`oimppi_warp.registries.METHODS`
+engine             Rollout engine that was chosen, and in ``engine_reason`` why, if it was not asked for by name
 device             Device that planned, e.g. ``cpu`` or ``cuda:0``
+threads            Threads that planned on the CPU
 preset, seed       Name of the preset; the seed
-plant, mode        ``ideal`` or ``lab``; ``lockstep`` or ``realtime``
-config             Every setting, as nested dictionaries
+plant, mode        Name of the plant; ``lockstep`` or ``realtime``
+config             Every setting as it was used, as nested dictionaries
+requested          Settings that were changed for the task: ``{name: [value asked for, why it was changed]}``
 start, goal        Planar poses of the object (x, y [m], yaw [rad])
 tolerance          ``{"position": m, "yaw": rad}``; a yaw of ``None`` means that yaw does not count
 tight_tolerance    The same, stricter
@@ -20,9 +23,13 @@ hold_seconds       How long the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``
 preplan_time_s     Wall time of what was planned before the first step (SOI's object plan) [s]
+problems           ``[step, reason]`` wherever nothing could be planned from what was observed
 ended              Why the episode ended: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
 versions           Versions of what took part, see :func:`versions`
 ================== ==================================================================================================
+
+Records written by earlier versions lack some of these: ``threads``, ``requested``, ``engine_reason``, ``plant`` and
+``mode`` (those were of the ideal plant, in lock step). :attr:`EpisodeLog.run` knows.
 """
 
 from __future__ import annotations
@@ -33,7 +40,7 @@ import math
 import os
 import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -41,6 +48,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.errors import OimppiError
+from oimppi_warp.run_spec import RunSpec
 
 
 class LogError(OimppiError):
@@ -114,6 +122,21 @@ class EpisodeLog:
         self.references: list[tuple[int, np.ndarray]] = []
         self._rows = 0
         self._data: dict[str, np.ndarray] = {}
+
+    @property
+    def run(self) -> RunSpec:
+        """The options of the run: engine, device and threads as they were chosen (threads ``None`` if not recorded).
+
+        Raises:
+            KeyError: The header does not say which method, engine, device or seed.
+        """
+        needed = {name: self.header[name] for name in ("method", "engine", "device", "seed")}
+        return RunSpec(
+            **needed,
+            threads=self.header.get("threads"),
+            plant=self.header.get("plant", "ideal"),
+            mode=self.header.get("mode", "lockstep"),
+        )
 
     def __len__(self) -> int:
         """Number of control steps so far."""
@@ -211,6 +234,15 @@ def write_whole(path: str | Path, content: bytes) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def flat(value: Any) -> dict[str, Any]:
+    """The fields of a dataclass by name; those of dataclasses among them stand in their place, as in all JSON files."""
+    found: dict[str, Any] = {}
+    for item in fields(value):
+        inner = getattr(value, item.name)
+        found |= flat(inner) if is_dataclass(inner) else {item.name: inner}
+    return found
 
 
 def to_json(value: Any) -> Any:

@@ -7,28 +7,28 @@ from. MPPI's is the goal itself, SOI's a plan made once before the robot moves, 
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from oimppi_warp.choice import choose, median_seconds
+from oimppi_warp.choice import choose
 from oimppi_warp.clearance import from_center, to_center
 from oimppi_warp.compute import Compute, Launch, Stopwatch
-from oimppi_warp.config import Config, Method
-from oimppi_warp.dynamics.engines import ENGINES
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.config import Config
 from oimppi_warp.kernels import navigation
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.object import follow_path
-from oimppi_warp.mppi import Update
 from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import ObjectLevel, distance
 from oimppi_warp.observation import Observation
+from oimppi_warp.optimizer import Update
 from oimppi_warp.planner import Planner
+from oimppi_warp.registries import METHODS
+from oimppi_warp.resolve import resolve
+from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.scene import Scene
 from oimppi_warp.settings import validate
-
-METHODS: tuple[Method, ...] = ("mppi", "soi", "cloi")
 
 _ARRIVED = 0.01
 """Distance from the goal, turning counted, at which SOI's object plan is complete [m]."""
@@ -43,7 +43,7 @@ class SequentialPlanner(Planner):
     Where a push went astray, it leads a free way back, down a cost-to-go that is made once, with the plan.
     """
 
-    method: Method = "soi"
+    method = "soi"
 
     def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
         super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
@@ -53,9 +53,11 @@ class SequentialPlanner(Planner):
         self._object_step = alone.step(self._object.launches)
         self._path = self.goal[None]
         self._step_of_path = 0
+        if config.reference == "progress":
+            self.object_launches = self._follow_plan()
 
     @property
-    def object_plan(self) -> np.ndarray:
+    def object_plan(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The object's whole way as it was planned at the start, poses [n, 3]."""
         return from_center(self.geometry.surface, self._path)
 
@@ -90,9 +92,8 @@ class SequentialPlanner(Planner):
             self._plan.assign(plan.astype(np.float32))
         return time.perf_counter() - began + self._object.setup_seconds
 
-    def _object_launches(self, seed: int) -> list[Launch]:
-        if self.config.reference == "time":
-            return []
+    def _follow_plan(self) -> list[Launch]:
+        """Prepares reading the reference by progress: from where the object is, along the plan or back to it."""
         clearance, level = self.geometry.clearance, self.config.object
         self._to_go = PoseField()
         self._to_go.values = wp.zeros_like(clearance.values)
@@ -127,38 +128,43 @@ class SequentialPlanner(Planner):
         self._object_step()
         return self._object.path.host[0].astype(float)
 
-    def _set_reference(self, pose: np.ndarray) -> None:
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Reads the plan from the object's pose on, or from this time on."""
         if self.config.reference == "progress":
             self._start.host[0] = pose
             return
-        self._track(self._path[self._step_of_path :])
+        self.track(self._path[self._step_of_path :])
         self._step_of_path = min(self._step_of_path + 1, len(self._path) - 1)
 
-    def _reference(self) -> np.ndarray:
+    def tracked(self) -> np.ndarray:
+        """Returns the reference that was tracked in the latest step, shape [n, 3]."""
         return self._way.host[0].astype(float) if self.config.reference == "progress" else self._tracked
 
 
 class ClosedLoopPlanner(Planner):
     """CLOI-MPPI (Algorithm 2): the object plan is renewed from every observation."""
 
-    method: Method = "cloi"
+    method = "cloi"
+
+    def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
+        super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
+        reference = self.dynamics.reference
+        hand_over = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
+        self._watch = Stopwatch(self.compute.device)
+        self.object_launches = [*self._object.launches, hand_over, self._watch]
 
     def start(self, observation: Observation) -> float:
         """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""
         self._object.mppi.reset()
         return super().start(observation) + self._object.setup_seconds
 
-    def _object_launches(self, seed: int) -> list[Launch]:
-        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
-        reference = self.dynamics.reference
-        hand_over = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
-        self._watch = Stopwatch(self.compute.device)
-        return [*self._object.launches, hand_over, self._watch]
-
-    def _set_reference(self, pose: np.ndarray) -> None:
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Tells the object level where the object is; its plan becomes the reference within the step."""
         self._object.set_state(pose)
 
-    def _reference(self) -> np.ndarray:
+    def tracked(self) -> np.ndarray:
+        """Returns the object plan of the latest step, shape [n, 3]."""
         return self._object.path.host[0].astype(float)
 
     def _object_update(self) -> Update | None:
@@ -171,52 +177,29 @@ class ClosedLoopPlanner(Planner):
         return self._object.to_go_from(pose)
 
 
-def make_planner(
-    scene: Scene,
-    config: Config,
-    *,
-    method: Method = "cloi",
-    engine: str = "auto",
-    device: str = "auto",
-    threads: int | None = None,
-    seed: int = 0,
-) -> Planner:
-    """A planner for a scene.
+def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **options: Any) -> Planner:
+    """Makes a planner for a scene.
 
     Args:
         scene: The task.
         config: All settings.
-        method: ``"mppi"``, ``"soi"`` or ``"cloi"``.
-        engine: Rollout engine of the robot level: ``"quasistatic"``, ``"newton"``, or ``"auto"`` for the best one that
-            keeps up with the control period on this machine (a few plans are timed).
-        device: Warp device; ``"auto"`` takes the first GPU, or the CPU where there is none.
-        threads: Threads on the CPU; default: as many as the cores that the process may use.
-        seed: Of all noise.
+        spec: Who plans, with which engine, where; of the engine ``"auto"`` a few plans are timed.
+        **options: Fields of ``spec`` to change, for example ``method="soi"``.
 
     Raises:
         ConfigError: Unknown method or engine, or a setting that cannot be used.
         DeviceError: The device is not there.
     """
-    validate(config)
-    planners = {kind.method: kind for kind in (Planner, SequentialPlanner, ClosedLoopPlanner)}
-    if method not in planners:
-        raise ConfigError(f"method {method!r} does not exist\n  allowed: {', '.join(METHODS)}")
-    if engine not in (*ENGINES, "auto"):
-        raise ConfigError(f"engine {engine!r} does not exist\n  allowed: auto, {', '.join(ENGINES)}")
+    spec = (spec or RunSpec()).changed(**options)
+    config = resolve(validate(config), scene).config
+    kind = METHODS.get_checked(spec.method)
 
     def make(engine: str) -> Planner:
-        return planners[method](scene, config, engine=engine, compute=Compute(device, threads=threads), seed=seed)
+        compute = Compute(spec.device, threads=spec.threads)
+        return kind(scene, config, engine=engine, compute=compute, seed=spec.seed)
 
-    if engine != "auto":
-        return make(engine)
-    made: dict[str, Planner] = {}
-
-    def plan_seconds(engine: str) -> float:
-        made[engine] = make(engine)
-        made[engine].warm_up()
-        return median_seconds(made[engine].rehearse)
-
-    choice = choose(method, config.control_period, plan_seconds)
-    planner = made[choice.engine]
-    planner.engine_reason = choice.reason
-    return planner
+    if spec.engine != "auto":
+        return make(spec.engine)
+    choice = choose(spec.method, config.control_period, make)
+    choice.planner.engine_reason = choice.reason
+    return choice.planner

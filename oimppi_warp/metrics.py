@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from oimppi_warp.log import EVENTS, EpisodeLog, to_json
+from oimppi_warp.log import EVENTS, EpisodeLog, flat, to_json
+from oimppi_warp.run_spec import RunSpec
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,9 @@ class Metrics:
     """What came out of one episode. A number that the episode does not have is NaN (``null`` in JSON).
 
     Attributes:
-        scene, method, engine, device, preset, seed, plant, mode: What was run.
+        scene, preset: What was run, with which settings.
+        run: The options of the run, engine, device and threads as they were chosen. In JSON its fields stand beside the
+            others.
         start, goal: Planar poses of the object (x, y [m], yaw [rad]).
         ended: Why it ended, see :mod:`oimppi_warp.log`.
         success: The object stayed within tolerance for the hold time.
@@ -49,13 +52,8 @@ class Metrics:
     """
 
     scene: str
-    method: str
-    engine: str
-    device: str
+    run: RunSpec
     preset: str
-    seed: int
-    plant: str
-    mode: str
     start: tuple[float, float, float]
     goal: tuple[float, float, float]
     ended: str
@@ -93,7 +91,11 @@ class Metrics:
 
     def json(self) -> str:
         """One JSON object with these fields, ``null`` for NaN."""
-        return json.dumps(to_json(self), indent=2, allow_nan=False) + "\n"
+        return json.dumps(self.row(), indent=2, allow_nan=False) + "\n"
+
+    def row(self) -> dict[str, Any]:
+        """The same in types that JSON knows."""
+        return to_json(flat(self))
 
 
 def summarize(log: EpisodeLog) -> Metrics:
@@ -114,13 +116,8 @@ def summarize(log: EpisodeLog) -> Metrics:
     wall = np.maximum(np.nan_to_num(log["plan_ms"][:until]) / 1000, period)
     return Metrics(
         scene=header["scene"],
-        method=header["method"],
-        engine=header["engine"],
-        device=header["device"],
+        run=log.run,
         preset=header["preset"],
-        seed=header["seed"],
-        plant=header.get("plant", "ideal"),
-        mode=header.get("mode", "lockstep"),
         start=start,
         goal=goal,
         ended=header.get("ended", "interrupted"),

@@ -5,10 +5,8 @@ Importing Newton and MuJoCo Warp to make it anew takes two seconds.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import os
-from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
@@ -20,8 +18,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from oimppi_warp import newton_model
-from oimppi_warp.cache import cache_folder
-from oimppi_warp.newton_model import ROLES, SOLVER_OPTIONS, NewtonModel, collector_paused
+from oimppi_warp.cache import cache_folder, content_of_data
+from oimppi_warp.newton_model import ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.scene import Scene
 
 if TYPE_CHECKING:
@@ -62,12 +60,13 @@ class MujocoModel:
     sensors: np.ndarray
 
 
-def translated(scene: Scene, build: Callable[[], NewtonModel], *, sensing: bool) -> MujocoModel:
+def translated(scene: Scene, *, sensing: bool) -> MujocoModel:
     """The MuJoCo model of a scene, from the cache where that has it.
+
+    It does not depend on where the object and the arm start: both are at zero in ``qpos0``.
 
     Args:
         scene: The task.
-        build: Makes its Newton model, which must be the same from whichever start.
         sensing: With sensors of the contact forces.
     """
     file = cache_folder() / f"mujoco-{_content(scene)}{'-sensing' if sensing else ''}.npz"
@@ -75,7 +74,7 @@ def translated(scene: Scene, build: Callable[[], NewtonModel], *, sensing: bool)
         return _load(file)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         pass  # not there, or cut short: make it again
-    made = _translate(build(), sensing=sensing)
+    made = _translate(build_model(_at_zero(scene)), sensing=sensing)
     with suppress(OSError):  # a cache that cannot be written costs time, not the run
         _save(made, file)
     return made
@@ -83,11 +82,9 @@ def translated(scene: Scene, build: Callable[[], NewtonModel], *, sensing: bool)
 
 def _translate(built: NewtonModel, *, sensing: bool) -> MujocoModel:
     """The MuJoCo model of a Newton model."""
-    with collector_paused():
-        import mujoco
-        from newton.solvers import SolverMuJoCo
+    import mujoco
+    from newton.solvers import SolverMuJoCo
 
-        SolverMuJoCo.import_mujoco()
     with TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):  # it tells where it saved
         file = Path(folder) / "model.xml"
         solver = SolverMuJoCo(
@@ -175,18 +172,18 @@ def _places(values: np.ndarray, wanted: np.ndarray | int) -> np.ndarray:
     return np.argmax(values == np.asarray(wanted)[..., None], axis=-1)
 
 
-def _content(scene: Scene) -> str:
-    """Hash of all that a scene's MuJoCo model is made from: its layers, what is set here, and who translates."""
-    from oimppi_warp.usd import meshes, stage, units, upright
+def _at_zero(scene: Scene) -> Scene:
+    """The scene with the object at the origin and all joint positions zero."""
+    robot = replace(scene.robot, start=np.zeros(scene.robot.dof))
+    return replace(scene, robot=robot, start=(0.0, 0.0, 0.0))
 
-    digest = hashlib.sha256()
-    for source in (__file__, newton_model.__file__, units.__file__, upright.__file__, meshes.__file__):
-        digest.update(Path(source).read_bytes())
-    for layer in sorted(stage.SceneStage(scene.file).layers):
-        digest.update(layer.read_bytes())
-    pushed = scene.object
-    digest.update(f"{pushed.friction} {pushed.tool_friction} {version('newton')} {version('mujoco')}".encode())
-    return digest.hexdigest()[:24]
+
+def _content(scene: Scene) -> str:
+    """Hash of all that a scene's MuJoCo model is made from: the scene, what is set here, and who translates."""
+    still = _at_zero(scene)
+    sources = [Path(str(source)).read_bytes() for source in (__file__, newton_model.__file__)]
+    parts = (still.robot, still.object, still.table, still.obstacles, still.gravity)
+    return content_of_data(*sources, version("newton"), version("mujoco"), *parts)
 
 
 def _save(made: MujocoModel, file: Path) -> None:

@@ -1,4 +1,4 @@
-"""The object-level MPPI: how the object should move, as if a wrench could be put on it (equations 5, 6, 15 and 16)."""
+"""The object level: how the object should move, as if a wrench could be put on it (equations 5, 6, 15 and 16)."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
 from oimppi_warp.dynamics.object import ObjectDynamics
 from oimppi_warp.footprint import wrap_angle
-from oimppi_warp.mppi import Mppi
+from oimppi_warp.optimizer import make_optimizer
 
 
 class ObjectLevel:
-    """The object-level MPPI; all poses are of the object's friction centre.
+    """An optimizer over the object alone; all poses are of the object's friction centre.
 
     Attributes:
         launches: One update and the path that the nominal then takes, as launches.
@@ -26,7 +26,7 @@ class ObjectLevel:
         self._dynamics = ObjectDynamics(
             geometry, config.object, config.object_cost, goal=goal, dt=config.control_period, compute=compute
         )
-        self.mppi = Mppi(self._dynamics, config.object.mppi, seed=seed)
+        self.mppi = make_optimizer(self._dynamics, config.object.optimizer, seed=seed)
         self._level = config.object
         self._goal = goal
         self.path = self._dynamics.path

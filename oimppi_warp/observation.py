@@ -1,4 +1,4 @@
-"""What a plant tells a planner, all that the two share besides joint velocities."""
+"""What a plant tells a planner, all that the two share besides joint velocities, and how it is checked."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from oimppi_warp.scene import PlanarPose
+from oimppi_warp.errors import ObservationError
+from oimppi_warp.scene import PlanarPose, Robot
+
+FARTHEST_OBJECT = 10.0
+"""Distance from the robot beyond which an object's pose is taken for an error of perception [m]."""
+BEYOND_LIMITS = 0.5
+"""How far beyond its limits a joint may be reported before that is taken for an error of the sensor [rad; m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,3 +54,53 @@ def planar_pose(transform: np.ndarray) -> np.ndarray:
     """A transform (position, quaternion xyzw) seen from above: (x, y, yaw), yaw within (-pi, pi], shape [3]."""
     x, y, _, qx, qy, qz, qw = transform
     return np.array([x, y, np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))])
+
+
+def check_shapes(observation: Observation, dof: int) -> None:
+    """Checks that an observation's arrays have the lengths that a robot of ``dof`` joints and a pose need.
+
+    Raises:
+        ObservationError: One has another length; the message names it.
+    """
+    for name, length in (
+        ("joint_position", dof),
+        ("joint_velocity", dof),
+        ("object_pose", 3),
+        ("object_transform", 7),
+    ):
+        shape = np.shape(getattr(observation, name))
+        if shape != (length,):
+            raise ObservationError(f"observation.{name} has shape {shape}\n  allowed: ({length},) for this robot")
+    shape = np.shape(observation.trail)
+    if len(shape) != 2 or (shape[0] > 0 and shape[1] != 1 + dof):
+        raise ObservationError(
+            f"observation.trail has shape {shape}\n  allowed: (n, {1 + dof}): time and joint positions for this robot"
+        )
+
+
+def implausible(observation: Observation, robot: Robot) -> str:
+    """Says why nothing can be planned from an observation; empty if it can.
+
+    Numbers that are not finite, an object farther than :data:`FARTHEST_OBJECT` away and joints more than
+    :data:`BEYOND_LIMITS` outside their limits are errors of a sensor, not states to plan from.
+    """
+    values = {
+        "joint positions": observation.joint_position,
+        "joint velocities": observation.joint_velocity,
+        "the object's pose": observation.object_pose,
+        "the object's transform": observation.object_transform,
+    }
+    for name, value in values.items():
+        if not np.isfinite(value).all():
+            return f"{name} not finite: {np.round(np.asarray(value, dtype=float), 4).tolist()}"
+    distance = max(
+        float(np.hypot(*observation.object_pose[:2])), float(np.linalg.norm(observation.object_transform[:3]))
+    )
+    if distance > FARTHEST_OBJECT:
+        return f"the object is reported {distance:.4g} m away (more than {FARTHEST_OBJECT:g} m)"
+    for number, (joint, position) in enumerate(zip(robot.joints, observation.joint_position, strict=True)):
+        beyond = max(joint.lower - position, position - joint.upper)
+        if beyond > BEYOND_LIMITS:
+            unit = "rad" if joint.kind == "revolute" else "m"
+            return f"joint {number + 1} is reported {beyond:.4g} {unit} beyond its limits"
+    return ""

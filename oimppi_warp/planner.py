@@ -4,31 +4,28 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from oimppi_warp.clearance import build_geometry, from_center, pose_field_at, to_center
 from oimppi_warp.compute import Compute, Launch
-from oimppi_warp.config import Config, Method
+from oimppi_warp.config import Config
+from oimppi_warp.dynamics.base import RolloutTask
 from oimppi_warp.dynamics.engines import make_dynamics
+from oimppi_warp.errors import ObservationError
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
-from oimppi_warp.mppi import Mppi, Update
 from oimppi_warp.navigation import build_to_go
 from oimppi_warp.object_level import distance
-from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.reach import Reach, reach_of
+from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
+from oimppi_warp.optimizer import Update, make_optimizer
 from oimppi_warp.regrasp import Regrasping
 from oimppi_warp.scene import Scene
 from oimppi_warp.uncertainty import draw
 
 _DAMPING = 0.05
 """Damping of the Jacobian's pseudo-inverse: singular values below it are not inverted [m/rad]."""
-
-_USUAL_REACH = 0.717
-"""Reach of the xArm6 with its stick, for which the ring of ``cost.reach`` is given [m]."""
-_EVERYWHERE = 1e3
-"""Radius of a ring that keeps nothing out [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +42,7 @@ class Plan:
         tips: Tool tip along the nominal, shape [horizon + 1, 3] [m].
         object_poses: The object along it, shape [horizon + 1, 3].
         reference: The object plan that was tracked, from the object's present pose on, shape [n, 3].
+        problem: Why nothing could be planned, so that the command is zero; empty if a plan was made.
     """
 
     command: np.ndarray
@@ -55,6 +53,7 @@ class Plan:
     tips: np.ndarray
     object_poses: np.ndarray
     reference: np.ndarray
+    problem: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +72,16 @@ class Samples:
 
 
 class Planner:
-    """Plain MPPI, and what SOI and CLOI have in common.
+    """Plain MPPI, and what the methods that plan the object's motion have in common.
 
-    A control step is: inputs written, one :meth:`Compute.step`, outputs read.
+    A control step is: inputs written, one :meth:`Compute.step`, outputs read. A method is a subclass that says where
+    the reference comes from: it overrides :meth:`set_reference` and, where need be, :meth:`start` and :meth:`tracked`,
+    and puts what a step launches before the robot level into ``object_launches`` in its constructor. It is added to the
+    registry :data:`oimppi_warp.registries.METHODS`.
 
     Args:
         scene: The task.
-        config: All settings.
+        config: All settings, resolved for the scene (:func:`oimppi_warp.resolve.resolve`).
         engine: Rollout engine of the robot level.
         compute: Where to compute.
         seed: Of all noise; the same seed gives the same plans (on the CPU to the bit).
@@ -91,12 +93,14 @@ class Planner:
         goal: The scene's, of the friction centre.
         dynamics: The engine.
         mppi: The robot level.
+        object_launches: What a step launches before the robot level; complete before the first plan.
+        object_plan: The object's whole way as it was planned ahead, poses [n, 3]; ``None`` for methods that do not.
     """
 
-    method: Method = "mppi"
+    method: str = "mppi"
+    object_plan: np.ndarray | None = None
 
     def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
-        config = _for_task(config, scene)
         self.scene = scene
         self.config = config
         self.engine = engine
@@ -105,7 +109,7 @@ class Planner:
         self.geometry = build_geometry(scene, compute.device)
         self.goal = to_center(self.geometry.surface, np.array(scene.goal))
         level = config.robot
-        draws = draw(level.uncertainty, samples=level.mppi.samples, seed=seed)
+        draws = draw(level.uncertainty, samples=level.optimizer.samples, seed=seed)
         to_go = None
         self._to_go_values = np.zeros(0)
         began = time.perf_counter()
@@ -122,17 +126,24 @@ class Planner:
         self._setup_seconds = time.perf_counter() - began
         self.dynamics = make_dynamics(
             engine,
-            scene,
-            self.geometry,
-            level,
-            config.cost,
-            dt=config.control_period,
-            compute=compute,
-            draws=draws,
-            to_go=to_go,
+            RolloutTask(
+                scene=scene,
+                geometry=self.geometry,
+                level=level,
+                cost=config.cost,
+                dt=config.control_period,
+                compute=compute,
+                draws=draws,
+                to_go=to_go,
+            ),
         )
-        self.mppi = Mppi(self.dynamics, level.mppi, seed=2 * seed + 1)
-        robot = [*self.mppi.improve, self.dynamics.trace(self.mppi.nominal, self.mppi.costs), self.mppi.shift]
+        self.mppi = make_optimizer(self.dynamics, level.optimizer, seed=2 * seed + 1)
+        self.object_launches: list[Launch] = []
+        self._robot_launches = [
+            *self.mppi.improve,
+            self.dynamics.trace(self.mppi.nominal, self.mppi.costs),
+            self.mppi.shift,
+        ]
         self._regrasping = Regrasping(
             scene,
             self.geometry,
@@ -142,12 +153,12 @@ class Planner:
             period=config.control_period,
         )
         self._tracked = self.goal[None]
-        self._step = compute.step([*self._object_launches(seed), *robot], one_graph=self.dynamics.one_graph)
 
-    @property
-    def object_plan(self) -> np.ndarray | None:
-        """The object's whole way as it was planned ahead, poses [n, 3]; ``None`` for methods that do not."""
-        return None
+    @cached_property
+    def _step(self) -> Launch:
+        """A control step of both levels."""
+        launches = [*self.object_launches, *self._robot_launches]
+        return self.compute.step(launches, one_graph=self.dynamics.one_graph)
 
     @property
     def letting_go(self) -> bool:
@@ -166,20 +177,37 @@ class Planner:
         self.plan(Observation(0.0, joints, np.zeros_like(joints), start, transform))
 
     def start(self, observation: Observation) -> float:
-        """Prepares for an episode that begins with ``observation``; returns the wall time that planning took [s]."""
+        """Prepares for an episode that begins with ``observation``; returns the wall time that planning took [s].
+
+        Raises:
+            ObservationError: An array has the wrong length, or the observation cannot be true.
+        """
+        check_shapes(observation, self.scene.robot.dof)
+        if problem := implausible(observation, self.scene.robot):
+            raise ObservationError(f"no episode can begin here: {problem}")
         self.mppi.reset()
         self._regrasping.reset()
         return self._setup_seconds
 
     def plan(self, observation: Observation) -> Plan:
-        """Plans from an observation; each call is one control step."""
+        """Plans from an observation; each call is one control step.
+
+        From an observation that cannot be true (numbers that are not finite, an object far away, joints far beyond
+        their limits) nothing is planned: the command is zero, and :attr:`Plan.problem` says why.
+
+        Raises:
+            ObservationError: An array has the wrong length.
+        """
+        check_shapes(observation, self.scene.robot.dof)
+        if problem := implausible(observation, self.scene.robot):
+            return self._stop(problem)
         pose = to_center(self.geometry.surface, observation.object_pose)
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
-        guide = self._regrasping.guide(tip, pose, self._reference(), self._to_go_from(pose))
+        guide = self._regrasping.guide(tip, pose, self.tracked(), self._to_go_from(pose))
         self.dynamics.guide.host[0] = guide
         self.dynamics.set_state(observation, self.goal)
         self.mppi.noise.host[0] = self._noise(observation.joint_position, lifting=guide[3] > 0.0)
-        self._set_reference(pose)
+        self.set_reference(pose)
         began = time.perf_counter()
         self._step()
         trace = self.dynamics.traced()
@@ -192,7 +220,7 @@ class Planner:
             terms=trace.terms,
             tips=trace.tips,
             object_poses=from_center(surface, trace.poses),
-            reference=from_center(surface, self._reference()),
+            reference=from_center(surface, self.tracked()),
         )
 
     def samples(self, count: int) -> Samples:
@@ -209,21 +237,32 @@ class Planner:
         shares = weights[chosen[:count]] / max(float(weights.max()), 1e-30)
         return Samples(tips, shares, dict(zip(self.dynamics.terms, terms[0].tolist(), strict=True)))
 
-    def _object_launches(self, seed: int) -> list[Launch]:
-        """What a step does before the robot level."""
-        return []
+    def _stop(self, problem: str) -> Plan:
+        """A plan that stops the arm."""
+        nothing = Update(min_cost=math.nan, temperature=math.nan, effective_samples=math.nan, lost=0)
+        return Plan(
+            command=np.zeros(self.scene.robot.dof),
+            update=nothing,
+            object_update=None,
+            object_seconds=math.nan,
+            terms=np.full(len(self.dynamics.terms), math.nan),
+            tips=np.zeros((0, 3)),
+            object_poses=np.zeros((0, 3)),
+            reference=np.zeros((0, 3)),
+            problem=problem,
+        )
 
-    def _set_reference(self, pose: np.ndarray) -> None:
-        """Prepares the reference for the object's pose [3] (friction centre)."""
-        self._track(self.goal[None])
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Prepares the reference for the object's pose [3] (friction centre), before a plan."""
+        self.track(self.goal[None])
 
-    def _track(self, reference: np.ndarray) -> None:
+    def track(self, reference: np.ndarray) -> None:
         """Gives the robot level the reference [n, 3]; its last pose is held."""
         host = self.dynamics.reference.host
         self._tracked = reference
         host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
 
-    def _reference(self) -> np.ndarray:
+    def tracked(self) -> np.ndarray:
         """The reference that was tracked in the latest step, of the friction centre, shape [n, 3]."""
         return self._tracked
 
@@ -255,32 +294,3 @@ class Planner:
         if root.shape[0] != root.shape[1]:
             root = np.linalg.cholesky(root @ root.T + 1e-8 * np.eye(len(root)))
         return root
-
-
-def _for_reach(config: Config, reach: Reach) -> Config:
-    """The settings for a robot's reach: the ring in which it pushes well is as much larger; none without a centre."""
-
-    def ring(given: tuple[float, float]) -> tuple[float, float]:
-        if reach.border is not None:
-            return (0.0, _EVERYWHERE)
-        scale = round(reach.radius / _USUAL_REACH, 2)
-        return (scale * given[0], scale * given[1])
-
-    return replace(
-        config,
-        cost=replace(config.cost, reach=ring(config.cost.reach)),
-        object_cost=replace(config.object_cost, reach=ring(config.object_cost.reach)),
-    )
-
-
-def _for_task(config: Config, scene: Scene) -> Config:
-    """The settings for a task: with the robot's reach, and where every yaw is allowed, none is asked for."""
-    config = _for_reach(config, reach_of(scene.robot))
-    if np.isfinite(scene.tolerance.yaw):
-        return config
-    return replace(
-        config,
-        object=replace(config.object, turn=False),
-        cost=replace(config.cost, w_theta=0.0),
-        object_cost=replace(config.object_cost, w_theta=0.0),
-    )

@@ -9,17 +9,21 @@ import math
 from copy import copy
 from dataclasses import dataclass
 from itertools import product
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from oimppi_warp.config import Config
 from oimppi_warp.newton_model import ROLES
 from oimppi_warp.observation import Observation, planar_pose, planar_transform
-from oimppi_warp.scene import PlanarPose
+from oimppi_warp.scene import PlanarPose, Scene
 from oimppi_warp.world import World
 
 UPRIGHT = math.cos(0.35)
 """Upward part of the object's own z axis below which it counts as tipped."""
+
+LONGEST_STEP = 0.0025
+"""Longest step of the plant's physics [s]; longer ones make a sliding object gain energy."""
 
 _TOUCHES = (
     (("tool",), ("object",)),
@@ -48,23 +52,72 @@ class Contacts:
 
 
 class Plant(Protocol):
-    """Something with an arm that takes joint velocities.
+    """Something with an arm that takes joint velocities: all that a planner needs of the world.
+
+    These three are enough. A plant may also have ``latency``, the time from a command to its effect [s]
+    (:func:`latency_of`), and take part in :class:`TruthfulPlant`, :class:`ContactPlant` and :class:`MovablePlant`.
 
     Attributes:
-        control_period: Time that one command lasts [s].
-        latency: Time from a command to its effect [s].
+        control_period: Time that one command lasts [s]; planners plan in steps of it.
     """
 
     control_period: float
-    latency: float
 
     def observe(self) -> Observation:
-        """What is known of the present state."""
+        """Returns what is known of the present state."""
         ...
 
     def apply(self, joint_velocity: np.ndarray) -> None:
-        """Move with joint velocities [rad/s], shape [dof], for one control period."""
+        """Moves with joint velocities [rad/s], shape [dof], for one control period."""
         ...
+
+
+@runtime_checkable
+class TruthfulPlant(Protocol):
+    """A plant that knows its exact state, for the record; a simulator, say. Nothing that plans may ask for it."""
+
+    def truth(self) -> Observation:
+        """Returns the exact state."""
+        ...
+
+
+@runtime_checkable
+class ContactPlant(Protocol):
+    """A plant that measures contact forces."""
+
+    @property
+    def contacts(self) -> Contacts:
+        """Largest contact forces within the last control period."""
+        ...
+
+
+@runtime_checkable
+class MovablePlant(Protocol):
+    """A plant that can be meddled with, as the viewer does."""
+
+    def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
+        """Puts the arm at joint positions [dof] [rad] and the object at a transform [7], at rest."""
+        ...
+
+    def knock(self, impulse: np.ndarray) -> None:
+        """Knocks at the object with an impulse [3] [N s]."""
+        ...
+
+    @property
+    def touches(self) -> np.ndarray:
+        """Contact points and normal forces now, shape [n, 6] [m, N]."""
+        ...
+
+
+def latency_of(plant: Plant) -> float:
+    """Returns the time from a command to its effect [s]; 0 for a plant that does not say."""
+    return float(getattr(plant, "latency", 0.0))
+
+
+def has_tipped(object_transform: np.ndarray) -> bool:
+    """Returns whether an object with this transform [7] (position, quaternion xyzw) no longer lies flat."""
+    x, y = object_transform[3:5]
+    return bool(1 - 2 * (x * x + y * y) < UPRIGHT)
 
 
 class SimulatedPlant:
@@ -202,8 +255,7 @@ class SimulatedPlant:
     @property
     def tipped(self) -> bool:
         """Whether the object no longer lies flat."""
-        _, x, y, _ = self.data.qpos[self._map.object_qpos[3:]]
-        return bool(1 - 2 * (x * x + y * y) < UPRIGHT)
+        return has_tipped(self.truth().object_transform)
 
     def _normal_forces(self) -> np.ndarray:
         """Sum of the normal forces of each pair in :data:`_TOUCHES`, shape [pair] [N]."""
@@ -212,6 +264,13 @@ class SimulatedPlant:
         pair = self._touch[tuple(self._map.roles[contact.geom[active]].T)]
         normal = self.data.efc_force[contact.efc_address[active]]
         return np.bincount(pair, weights=normal, minlength=len(_TOUCHES) + 1)[:-1]
+
+
+def ideal_plant(scene: Scene, config: Config, *, seed: int = 0) -> SimulatedPlant:
+    """Makes the plant ``ideal``, the simulation without any imperfection; the seed changes nothing in it."""
+    period = config.control_period
+    substeps = math.ceil(period / LONGEST_STEP - 1e-6)
+    return SimulatedPlant(World(scene), start=scene.start, control_period=period, substeps=substeps)
 
 
 def _touch_table() -> np.ndarray:

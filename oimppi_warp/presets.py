@@ -9,7 +9,6 @@ from dataclasses import replace
 from oimppi_warp.config import (
     Config,
     EpisodeConfig,
-    Method,
     Mppi,
     ObjectCost,
     ObjectLevel,
@@ -19,17 +18,20 @@ from oimppi_warp.config import (
 )
 
 
-def best(method: Method = "cloi") -> Config:
-    """The preset ``best``: the best settings that we found for a method (`docs/results.md` has the ablation)."""
+def best(method: str = "cloi") -> Config:
+    """The preset ``best``: the best settings that we found for a method (`docs/results.md` has the ablation).
+
+    A method from outside the package begins with the settings of ``cloi``, in every preset.
+    """
     base = Config()
     if method == "mppi":  # nothing to track but the goal, by the shortest free way
         return replace(base, cost=replace(base.cost, w_d=0.0, w_to_go=60.0, w_reference=0.0))
     if method == "soi":
-        return replace(base, object=replace(base.object, mppi=replace(base.object.mppi, horizon=90)))
+        return replace(base, object=replace(base.object, optimizer=replace(base.object.optimizer, horizon=90)))
     return base
 
 
-def paper(method: Method = "cloi") -> Config:
+def paper(method: str = "cloi") -> Config:
     """The preset ``paper``: Algorithms 1-3 and equations 9-19 as printed, with the paper's K and horizons.
 
     The paper prints K, both horizons, white noise in joint space, one update a step and a reference read by time. Where
@@ -43,8 +45,8 @@ def paper(method: Method = "cloi") -> Config:
     in the exact goal.
     """
     samples = 1200
-    horizon = {"mppi": 25, "soi": 25, "cloi": 15}[method]
-    object_horizon = {"mppi": 60, "soi": 90, "cloi": 60}[method]
+    horizon = {"mppi": 25, "soi": 25}.get(method, 15)
+    object_horizon = {"soi": 90}.get(method, 60)
     mppi = Mppi(
         samples=samples,
         horizon=horizon,
@@ -56,8 +58,8 @@ def paper(method: Method = "cloi") -> Config:
         preset="paper",
         reference="time",
         regrasp=Regrasp(stall_seconds=0.0),
-        robot=RobotLevel(mppi=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
-        object=ObjectLevel(mppi=replace(mppi, horizon=object_horizon), noise_range=0.0),
+        robot=RobotLevel(optimizer=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
+        object=ObjectLevel(optimizer=replace(mppi, horizon=object_horizon), noise_range=0.0),
         cost=RobotCost(
             w_d=100.0,
             w_theta=0.08,
@@ -79,7 +81,7 @@ def paper(method: Method = "cloi") -> Config:
     )
 
 
-def lab(method: Method = "cloi") -> Config:
+def lab(method: str = "cloi") -> Config:
     """The preset ``lab``: ``best``, but less is asked of perception and of the processor.
 
     Joint velocities stay within 0.4 rad/s (the baseline's authors have 0.2 and later 0.5 on their arm): what moves less
@@ -90,9 +92,9 @@ def lab(method: Method = "cloi") -> Config:
     return replace(
         base,
         preset="lab",
-        robot=replace(base.robot, mppi=replace(base.robot.mppi, samples=512), joint_velocity_limit=0.4),
+        robot=replace(base.robot, optimizer=replace(base.robot.optimizer, samples=512), joint_velocity_limit=0.4),
         regrasp=replace(base.regrasp, stall_seconds=7.5, longest_seconds=8.0),
-        object=replace(base.object, mppi=replace(base.object.mppi, samples=512)),
+        object=replace(base.object, optimizer=replace(base.object.optimizer, samples=512)),
     )
 
 

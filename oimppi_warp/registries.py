@@ -20,7 +20,9 @@ METHODS: Registry[Any] = Registry(
 )
 """Who replans when: subclasses of :class:`oimppi_warp.planner.Planner`."""
 
-OPTIMIZERS: Registry[Any] = Registry("optimizer", "oimppi_warp.optimizers", {"mppi": "oimppi_warp.mppi:Mppi"})
+OPTIMIZERS: Registry[Any] = Registry(
+    "optimizer", "oimppi_warp.optimizers", {"mppi": "oimppi_warp.mppi:Mppi", "cem": "oimppi_warp.cem:Cem"}
+)
 """Sampling-based optimisers of a control sequence, for either level."""
 
 ENGINES: Registry[Any] = Registry(

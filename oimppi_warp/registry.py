@@ -18,7 +18,6 @@ from typing import Any, Generic, Literal, TypeVar
 from oimppi_warp.errors import ConfigError
 
 T = TypeVar("T")
-V = TypeVar("V")
 
 
 class Registry(Mapping[str, T], Generic[T]):
@@ -36,7 +35,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._targets: dict[str, str] = dict(shipped)
         self._loaded: dict[str, T] = {}
 
-    def register(self, name: str, value: V | None = None) -> Any:
+    def register(self, name: str, value: Any = None) -> Any:
         """Adds an entry; without ``value``, a decorator that does.
 
         Raises:
@@ -46,7 +45,7 @@ class Registry(Mapping[str, T], Generic[T]):
             return lambda decorated: self.register(name, decorated)
         if name in self and self._loaded.get(name) is not value:
             raise ConfigError(f"{self.kind} {name!r} is registered already\n  to do:   choose another name")
-        self._loaded[name] = value  # pyright: ignore[reportArgumentType]
+        self._loaded[name] = value
         return value
 
     def unregister(self, name: str) -> None:
@@ -78,6 +77,10 @@ class Registry(Mapping[str, T], Generic[T]):
             near = difflib.get_close_matches(str(name), known, n=1)
             hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
             raise ConfigError(f"{self.kind} {name!r} does not exist\n  allowed: {', '.join(known)}{hint}")
+
+    def is_local(self, name: str) -> bool:
+        """Whether an entry was added by :meth:`register`, so that other processes do not know it."""
+        return name in self._loaded and name not in self._targets and name not in self._installed
 
     def choice(self, *others: str) -> Any:
         """The names as a ``Literal`` type, for command lines; ``others`` come first."""

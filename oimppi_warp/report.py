@@ -154,7 +154,7 @@ def _draw_way(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Norm
     """Tool path, first object plan, path of the object, and its footprint at intervals."""
     time, poses, tool = log["time"], log["object_pose"], log["tool_position"]
     axes.plot(tool[:, 0], tool[:, 1], color="#8b98a1", lw=0.6, label="tool", zorder=1)
-    if log.references and log.header["method"] == "soi":
+    if len(log.references) == 1:  # it was made once, ahead, and not anew on the way
         plan = log.references[0][1]
         axes.plot(plan[:, 0], plan[:, 1], color=INK, lw=1.0, ls=(0, (1, 1.5)), label="object plan", zorder=4)
     for row in _rows_along(poses, count=12):

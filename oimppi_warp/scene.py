@@ -1,17 +1,25 @@
 """A task as data: what stands where, what is pushed, and where it should go.
 
-A :class:`Scene` is read from USD by :func:`oimppi_warp.usd.load_scene`, is frozen, and is all that the planner and the
-plant know of a task. SI units and radians; spatial transforms are arrays ``[7]`` (position, quaternion xyzw), planar
-poses are ``(x, y, yaw)`` in the world frame (z up, origin at the centre of the arm's base, table top at z = 0).
+A :class:`Scene` is read from USD by :func:`oimppi_warp.usd.load_scene`, and is all that planner, plant, viewer and
+caches know of a task. It cannot be changed, its arrays included; ``dataclasses.replace`` and the ``with_`` methods make
+another one, and whatever is built from that one follows the change:
+
+    heavy = replace(scene, object=replace(scene.object, mass=5.0), obstacles=())
+
+SI units and radians; spatial transforms are arrays ``[7]`` (position, quaternion xyzw), planar poses are
+``(x, y, yaw)`` in the world frame (z up, origin at the centre of the arm's base, table top at z = 0).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+
+from oimppi_warp.errors import SceneError
 
 PlanarPose = tuple[float, float, float]
 """Planar pose (x [m], y [m], yaw [rad])."""
@@ -21,8 +29,20 @@ JointKind = Literal["revolute", "prismatic"]
 _LETTERS: dict[JointKind, str] = {"revolute": "R", "prismatic": "P"}
 
 
+class _ReadOnly:
+    """A dataclass whose arrays are copies that cannot be written to: caches rely on what they were made from."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # pyright: ignore[reportArgumentType]
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                value = value.copy()
+                value.setflags(write=False)
+                object.__setattr__(self, field.name, value)
+
+
 @dataclass(frozen=True, eq=False)
-class Collider:
+class Collider(_ReadOnly):
     """One convex collision shape.
 
     Attributes:
@@ -32,6 +52,8 @@ class Collider:
         size: Box: half extents (3) [m]. Sphere: (radius,). Cylinder and capsule: (radius, half height of the straight
             part), along the shape's local z. Mesh: empty.
         vertices: Mesh vertices in the shape's frame, shape [n, 3] [m]; ``None`` for the other kinds.
+        faces: Triangles of a mesh, indices into ``vertices``, shape [m, 3]. They enclose what it weighs, which may have
+            hollows; ``None``: the hull is solid.
     """
 
     path: str
@@ -39,25 +61,61 @@ class Collider:
     transform: np.ndarray
     size: tuple[float, ...] = ()
     vertices: np.ndarray | None = None
+    faces: np.ndarray | None = None
+
+    def scaled(self, factor: float) -> Collider:
+        """The shape with all its lengths, its distance from the frame's origin included, multiplied by a factor."""
+        return replace(
+            self,
+            transform=np.concatenate([factor * self.transform[:3], self.transform[3:]]),
+            size=tuple(factor * length for length in self.size),
+            vertices=None if self.vertices is None else factor * self.vertices,
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class Welded(_ReadOnly):
+    """A body that is welded to a link, such as the tool. The link has its colliders and, in its sum, its mass.
+
+    Attributes:
+        path: Prim path; colliders of the link whose paths lie below it are this body's.
+        transform: The body's frame in the link's, shape [7].
+        mass: [kg].
+        center_of_mass, unit_inertia: As those of :class:`Link`, in the body's frame.
+    """
+
+    path: str
+    transform: np.ndarray
+    mass: float
+    center_of_mass: np.ndarray | None = None
+    unit_inertia: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Link(_ReadOnly):
     """A rigid link of the robot.
 
     Attributes:
         path: Prim path.
-        mass: [kg].
-        colliders: Shapes in the link's frame.
+        mass: With all that is welded to it [kg].
+        colliders: Shapes in the link's frame, those of welded bodies too.
+        center_of_mass: Of the link without what is welded to it, in its frame, shape [3] [m]; ``None``: that of its
+            colliders.
+        unit_inertia: Rotational inertia of the same about its centre of mass, divided by its mass, in the axes of the
+            link's frame, shape [3, 3] [m^2]; ``None``: that of its colliders, all of one density.
+        welded: Bodies welded to it.
     """
 
     path: str
     mass: float
     colliders: tuple[Collider, ...]
+    center_of_mass: np.ndarray | None = None
+    unit_inertia: np.ndarray | None = None
+    welded: tuple[Welded, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
+class Joint(_ReadOnly):
     """A joint that turns about its own local z axis, or slides along it.
 
     Wherever this package says rad, rad/s or N m of a joint, it is m, m/s or N for one that slides.
@@ -70,6 +128,8 @@ class Joint:
         velocity_limit: [rad/s].
         effort_limit: [N m].
         kind: ``"revolute"`` turns, ``"prismatic"`` slides.
+        friction: Torque of dry friction in the joint [N m].
+        damping: Torque of viscous friction over velocity [N m s/rad].
     """
 
     path: str
@@ -79,10 +139,12 @@ class Joint:
     velocity_limit: float
     effort_limit: float
     kind: JointKind = "revolute"
+    friction: float = 0.0
+    damping: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(_ReadOnly):
     """A serial arm with a stick as its tool, base fixed at the world's origin: any chain of turning or sliding joints.
 
     Attributes:
@@ -117,7 +179,7 @@ class Robot:
 
 
 @dataclass(frozen=True, eq=False)
-class PushedObject:
+class PushedObject(_ReadOnly):
     """The object to be pushed: it slides on the table and is never held.
 
     Attributes:
@@ -128,6 +190,9 @@ class PushedObject:
         center_of_mass: In the body's frame, shape [3] [m].
         colliders: Shapes in the body's frame.
         rest_height: z of the body's frame when the object lies on the table [m].
+        unit_inertia: Rotational inertia about the centre of mass, divided by the mass, in the axes of the body's frame,
+            shape [3, 3] [m^2]; ``None``: that of the colliders, all of one density. It goes with the shape: give new
+            colliders together with ``unit_inertia=None`` and the rest height.
     """
 
     path: str
@@ -137,6 +202,17 @@ class PushedObject:
     center_of_mass: np.ndarray
     colliders: tuple[Collider, ...]
     rest_height: float
+    unit_inertia: np.ndarray | None = None
+
+    def scaled(self, factor: float) -> PushedObject:
+        """The object larger or smaller by a factor, of the same mass."""
+        return replace(
+            self,
+            center_of_mass=factor * self.center_of_mass,
+            colliders=tuple(collider.scaled(factor) for collider in self.colliders),
+            rest_height=factor * self.rest_height,
+            unit_inertia=None if self.unit_inertia is None else factor**2 * self.unit_inertia,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,19 +222,38 @@ class Obstacle:
     path: str
     colliders: tuple[Collider, ...]
 
+    @property
+    def center(self) -> np.ndarray:
+        """Mean of its colliders' origins, shape [3] [m]."""
+        return np.mean([collider.transform[:3] for collider in self.colliders], axis=0)
+
+    def moved(self, by: PlanarPose) -> Obstacle:
+        """The obstacle elsewhere on the table.
+
+        Args:
+            by: How far along x and y [m], and how far it is turned about the vertical through its centre [rad].
+        """
+        x, y, turn = by
+        center = self.center
+        return replace(self, colliders=tuple(_carried(shape, center, (x, y), turn) for shape in self.colliders))
+
 
 @dataclass(frozen=True)
 class Table:
-    """The table top at z = 0, a rectangle aligned with the world's axes.
+    """The table: a box whose top is at z = 0 and whose sides are aligned with the world's axes.
 
     Attributes:
         path: Prim path.
-        lower, upper: Corners (x, y) [m].
+        lower, upper: Corners of the top (x, y) [m].
+        thickness: Height of the box [m].
+        others: What else of the table collides, such as its legs, in the world frame. The planner does not know of it.
     """
 
     path: str
     lower: tuple[float, float]
     upper: tuple[float, float]
+    thickness: float = 0.04
+    others: tuple[Collider, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -175,17 +270,18 @@ class Tolerance:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(_ReadOnly):
     """One task.
 
     Attributes:
-        file: The USD file it was read from.
+        file: The USD file it was read from. It says how things look; what they are is said here.
         name: Its short name (the file's stem).
         title: One line about it.
         start: Where the object starts; ``starts`` lists the task's ten default ones, shape [n, 3].
         spread: Half widths of the box around ``start`` that a seed draws starts from: (position [m], yaw [rad]).
         goal: Where the object should go.
         tolerance, tight_tolerance: Success as the paper defines it, and a stricter one that is reported beside it.
+        gravity: Acceleration, in the world frame [m/s^2]. The plant obeys it; planners take 9.81 m/s^2 downwards.
     """
 
     file: Path
@@ -201,6 +297,7 @@ class Scene:
     goal: PlanarPose
     tolerance: Tolerance
     tight_tolerance: Tolerance
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
     def with_start(self, start: PlanarPose) -> Scene:
         """The same task from another start; nothing is checked (see :func:`oimppi_warp.feasibility.check_task`)."""
@@ -209,3 +306,57 @@ class Scene:
     def with_goal(self, goal: PlanarPose) -> Scene:
         """The same task to another goal; nothing is checked (see :func:`oimppi_warp.feasibility.check_task`)."""
         return replace(self, goal=goal)
+
+    def with_obstacle(self, obstacle: Obstacle) -> Scene:
+        """The same task with another obstacle, in the place of one with the same path if there is one."""
+        others = {each.path: each for each in self.obstacles} | {obstacle.path: obstacle}
+        return replace(self, obstacles=tuple(others.values()))
+
+    def without_obstacle(self, path: str) -> Scene:
+        """The same task without one of its obstacles.
+
+        Raises:
+            SceneError: There is no obstacle of that path.
+        """
+        gone = self.obstacle(path)
+        return replace(self, obstacles=tuple(each for each in self.obstacles if each is not gone))
+
+    def with_obstacle_moved(self, path: str, by: PlanarPose) -> Scene:
+        """The same task with an obstacle elsewhere, see :meth:`Obstacle.moved`; nothing is checked.
+
+        Raises:
+            SceneError: There is no obstacle of that path.
+        """
+        return self.with_obstacle(self.obstacle(path).moved(by))
+
+    def obstacle(self, path: str) -> Obstacle:
+        """The obstacle of a path.
+
+        Raises:
+            SceneError: There is none.
+        """
+        for each in self.obstacles:
+            if each.path == path:
+                return each
+        raise SceneError(
+            f"no obstacle <{path}>",
+            file=self.file,
+            allowed=", ".join(f"<{each.path}>" for each in self.obstacles) or "none, as the scene has no obstacle",
+            fix="give the path of one of the scene's obstacles",
+        )
+
+
+def _carried(shape: Collider, center: np.ndarray, by: tuple[float, float], turn: float) -> Collider:
+    """A shape in the world, turned about the vertical through a point [3] and then moved."""
+    c, s = math.cos(turn), math.sin(turn)
+    x, y = shape.transform[:2] - center[:2]
+    half_c, half_s = math.cos(turn / 2.0), math.sin(turn / 2.0)
+    qx, qy, qz, qw = shape.transform[3:]
+    position = (center[0] + c * x - s * y + by[0], center[1] + s * x + c * y + by[1], shape.transform[2])
+    turned = (
+        half_c * qx - half_s * qy,
+        half_c * qy + half_s * qx,
+        half_c * qz + half_s * qw,
+        half_c * qw - half_s * qz,
+    )
+    return replace(shape, transform=np.array([*position, *turned]))

@@ -1,17 +1,17 @@
 """What a run is made of, from words: a preset with changes becomes a config, a scene with a start becomes a task.
 
 The commands ``run`` and ``bench`` share it, so that a trial of a benchmark is exactly the run that its command makes.
+The rest of a run's options are a :class:`oimppi_warp.run_spec.RunSpec`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oimppi_warp.config import Config, Method
+from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.presets import PRESETS
 from oimppi_warp.settings import set_option, validate
@@ -23,34 +23,41 @@ RANDOMIZED_DRAWS = 4
 """Draws of the world that ``--randomize`` asks for."""
 
 
-def make_config(
-    preset: str,
-    method: Method,
-    *,
-    assignments: Iterable[str] = (),
-    max_sim_seconds: float | None = None,
-    randomize: bool = False,
-) -> Config:
-    """A preset with changes, validated.
+@dataclass(frozen=True)
+class SettingsRequest:
+    """Which settings are asked for: a preset, and what is changed of it.
 
-    Args:
+    Attributes:
         preset: Name of the preset.
-        method: Who plans.
         assignments: Settings as ``NAME=VALUE``, in the order in which they are applied.
-        max_sim_seconds: Time limit in simulated seconds, if another than the preset's.
-        randomize: Try each sample in :data:`RANDOMIZED_DRAWS` draws of the world.
-
-    Raises:
-        ConfigError: A setting is wrong.
+        max_sim_seconds: Time limit of an episode [simulated s], if another than the preset's.
     """
-    config = PRESETS[preset](method)
-    if randomize:
-        config = set_option(config, f"robot.uncertainty.draws={RANDOMIZED_DRAWS}")
-    for assignment in assignments:
-        config = set_option(config, assignment)
-    if max_sim_seconds is not None:
-        config = replace(config, episode=replace(config.episode, max_sim_seconds=max_sim_seconds))
-    return validate(config)
+
+    preset: str = "best"
+    assignments: tuple[str, ...] = ()
+    max_sim_seconds: float | None = None
+
+    def config(self, method: str, *, randomize: bool = False) -> Config:
+        """The settings for a method, validated.
+
+        Args:
+            method: Name of the method that plans.
+            randomize: Try each sample in :data:`RANDOMIZED_DRAWS` draws of the world, unless an assignment says
+                otherwise.
+
+        Raises:
+            ConfigError: A setting is wrong.
+        """
+        if self.preset not in PRESETS:
+            raise ConfigError(f"preset {self.preset!r} does not exist\n  allowed: {', '.join(PRESETS)}")
+        config = PRESETS[self.preset](method)  # pyright: ignore[reportArgumentType]
+        if randomize:
+            config = set_option(config, f"robot.uncertainty.draws={RANDOMIZED_DRAWS}")
+        for assignment in self.assignments:
+            config = set_option(config, assignment)
+        if self.max_sim_seconds is not None:
+            config = replace(config, episode=replace(config.episode, max_sim_seconds=self.max_sim_seconds))
+        return validate(config)
 
 
 def make_task(

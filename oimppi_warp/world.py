@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from oimppi_warp.mujoco_model import MujocoModel, translated
-from oimppi_warp.newton_model import NewtonModel, import_scene
+from oimppi_warp.newton_model import NewtonModel, build_model
 from oimppi_warp.scene import Scene
 
 
@@ -15,7 +15,7 @@ class World:
     """A scene's physics, built when it is asked for.
 
     Attributes:
-        scene: What it is built from.
+        scene: What it is built from, and all that it is built from.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -23,24 +23,18 @@ class World:
 
     @cached_property
     def newton(self) -> NewtonModel:
-        """The Newton model of the scene's USD file."""
-        return import_scene(self.scene)
+        """The Newton model of the scene."""
+        return build_model(self.scene)
 
     @cached_property
     def mujoco(self) -> MujocoModel:
         """The same for MuJoCo's C engine, as Newton's SolverMuJoCo translates it."""
-        return translated(self.scene, lambda: self._nominal, sensing=False)
+        return translated(self.scene, sensing=False)
 
     @cached_property
     def mujoco_sensing(self) -> MujocoModel:
         """:attr:`mujoco` with sensors of the contact forces, for rollouts."""
-        return translated(self.scene, lambda: self._nominal, sensing=True)
-
-    @cached_property
-    def _nominal(self) -> NewtonModel:
-        """The Newton model from the first of the task's starts: what is kept for later must not know of another."""
-        x, y, yaw = map(float, self.scene.starts[0])
-        return import_scene(self.scene.with_start((x, y, yaw)))
+        return translated(self.scene, sensing=True)
 
     def link_transforms(self, joint_position: np.ndarray) -> np.ndarray:
         """Poses of the arm's moving links from Newton's forward kinematics (float32).

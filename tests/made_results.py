@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from functools import cache
 from typing import Any
 
@@ -9,7 +10,9 @@ from synthetic import make_log
 
 from oimppi_warp.bench.place import place_of
 from oimppi_warp.bench.results import Result, ResultSet, make_result
+from oimppi_warp.bench.suite import RUN
 from oimppi_warp.bench.trial import Trial
+from oimppi_warp.task import SettingsRequest
 from oimppi_warp.usd import load_scene
 
 LEFT = 0.6
@@ -17,24 +20,27 @@ LEFT = 0.6
 
 
 def make_trial(task: str = "task01", method: str = "cloi", number: int = 0, **changes: Any) -> Trial:
-    facts: dict[str, Any] = {
-        "task": task,
-        "scene": task,
-        "content": "c0",
-        "method": method,
-        "number": number,
-        "seed": number,
-        "start": (0.3, -0.45, 0.1 * number),
-        "preset": "best",
-        "engine": "quasistatic",
-        "device": "cpu",
-        "threads": 1,
-        "assignments": (),
-        "max_sim_seconds": None,
-        "mode": "lockstep",
-        "plant": "ideal",
-    }
-    return Trial(**(facts | changes))
+    """A trial in which any field is changed, be it its own, of its options or of its settings."""
+    trial = Trial(
+        task=task,
+        scene=task,
+        content="c0",
+        number=number,
+        start=(0.3, -0.45, 0.1 * number),
+        run=replace(RUN, method=method, seed=number),
+        settings=SettingsRequest(),
+    )
+    return changed(trial, **changes)
+
+
+def changed(trial: Trial, **changes: Any) -> Trial:
+    """A trial with some fields changed, be they its own, of its options or of its settings."""
+
+    def part(of: Any) -> Any:
+        return replace(of, **{item.name: changes.pop(item.name) for item in fields(of) if item.name in changes})
+
+    trial = replace(trial, run=part(trial.run), settings=part(trial.settings))
+    return replace(trial, **changes)
 
 
 def make_one(

@@ -7,7 +7,7 @@ No ``from __future__ import annotations`` here: Warp reads the annotations.
 import warp as wp
 
 from oimppi_warp.kernels.clearance import Pieces, piece_distance
-from oimppi_warp.kernels.cost import CostTerms, ObjectWeights, RobotWeights, object_cost, robot_cost
+from oimppi_warp.kernels.cost import ObjectWeights, make_robot_cost, object_cost, terms_vector
 from oimppi_warp.kernels.geometry import (
     PlanarField,
     PoseField,
@@ -19,33 +19,13 @@ from oimppi_warp.kernels.geometry import (
 )
 from oimppi_warp.kernels.kinematics import turn_about_z
 from oimppi_warp.kernels.pushing import ObjectModel, push, settle
+from oimppi_warp.kernels.terms import RobotWeights, Stage
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.struct
-class RobotCase:
-    """The arguments of ``robot_cost`` after its weights."""
-
-    tip: wp.vec3
-    up: wp.vec3
-    lean: wp.vec2
-    velocity: wp.vec2
-    pose: wp.vec3
-    top: float
-    goal: wp.vec3
-    reference: wp.vec3
-    target: wp.vec3
-    to_go: float
-    force: float
-    room: float
-    above: float
-    pressed: float
-    gap: float
-    rise: float
-    speed_squared: float
-    collision: float
-    guide: wp.vec4
+CostTerms = terms_vector()
+robot_cost = make_robot_cost(())
 
 
 @wp.struct
@@ -134,28 +114,6 @@ def object_cost_probe(weights: ObjectWeights, cases: wp.array[ObjectCase], out: 
 
 
 @wp.kernel
-def robot_cost_probe(weights: RobotWeights, cases: wp.array[RobotCase], out: wp.array[CostTerms]):
+def robot_cost_probe(weights: RobotWeights, cases: wp.array[Stage], out: wp.array[CostTerms]):
     n = wp.tid()
-    case = cases[n]
-    out[n] = robot_cost(
-        weights,
-        case.tip,
-        case.up,
-        case.lean,
-        case.velocity,
-        case.pose,
-        case.top,
-        case.goal,
-        case.reference,
-        case.target,
-        case.to_go,
-        case.force,
-        case.room,
-        case.above,
-        case.pressed,
-        case.gap,
-        case.rise,
-        case.speed_squared,
-        case.collision,
-        case.guide,
-    )
+    out[n] = robot_cost(weights, cases[n])

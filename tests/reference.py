@@ -523,3 +523,29 @@ def robot_rollout(
         out.tips.append(frame[:3, 3])
         out.poses.append(pose)
     return out
+
+
+# The cross-entropy method
+
+
+def elite_weights(costs: np.ndarray, elites: int) -> np.ndarray:
+    """Equal weights for the cheapest of the costs [sample]; those as dear as the last of them share what is left."""
+    costs = np.where(np.isfinite(costs) & (costs < 1e30), costs, np.inf)
+    elites = min(elites, int(np.isfinite(costs).sum()))
+    if elites == 0:
+        return np.zeros(len(costs))
+    last = np.sort(costs)[elites - 1]
+    cheaper, equal = costs < last, costs == last
+    return (cheaper + equal * (elites - cheaper.sum()) / equal.sum()) / elites
+
+
+def elite_fit(
+    controls: np.ndarray, perturbations: np.ndarray, weights: np.ndarray, old: np.ndarray, *, smoothing: float,
+    least: float,
+) -> np.ndarray:  # fmt: skip
+    """Nominal and deviation [2, horizon, m] fitted to weighted controls and perturbations [sample, horizon, m]."""
+    mean = np.einsum("k,khi->hi", weights, controls)
+    apart = perturbations - np.einsum("k,khi->hi", weights, perturbations)
+    spread = np.sqrt(np.einsum("k,khi->hi", weights, apart**2))
+    nominal, deviation = smoothing * old + (1.0 - smoothing) * np.stack([mean, spread])
+    return np.stack([nominal, np.clip(deviation, least, 1.0)])

@@ -14,20 +14,43 @@ from scipy.spatial.transform import Rotation
 
 from oimppi_warp.clearance import Geometry, build_geometry, from_center
 from oimppi_warp.compute import Compute
-from oimppi_warp.config import Config, ObjectCost, ObjectLevel, RobotCost
-from oimppi_warp.dynamics.base import control_type
+from oimppi_warp.config import Config, ObjectCost, ObjectLevel, RobotCost, RobotLevel
+from oimppi_warp.dynamics.base import RolloutTask, control_type
 from oimppi_warp.dynamics.object import ObjectDynamics
 from oimppi_warp.dynamics.quasistatic import QuasistaticDynamics
 from oimppi_warp.footprint import footprint, outline, planar_points
-from oimppi_warp.kernels.cost import TERMS, CostTerms
+from oimppi_warp.kernels.cost import TERMS, terms_vector
 from oimppi_warp.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.observation import Observation
+from oimppi_warp.resolve import resolve
 from oimppi_warp.scene import Collider, Obstacle, PushedObject, Robot, Scene, Table
-from oimppi_warp.tipping import can_tip, tipping_speed
+from oimppi_warp.tipping import tipping_speed
+from oimppi_warp.uncertainty import CERTAIN, Draws
 from oimppi_warp.usd import load_scene
 
 DT = 0.05
 """Control period [s]."""
+
+
+def rollout_task(
+    scene: Scene,
+    *,
+    level: RobotLevel | None = None,
+    cost: RobotCost | None = None,
+    geometry: Geometry | None = None,
+    threads: int | None = None,
+    draws: Draws = CERTAIN,
+) -> RolloutTask:
+    """What an engine is made for, on the CPU."""
+    return RolloutTask(
+        scene=scene,
+        geometry=geometry or build_geometry(scene, "cpu"),
+        level=level or RobotLevel(),
+        cost=cost or effective_cost(scene),
+        dt=DT,
+        compute=Compute("cpu", threads=threads),
+        draws=draws,
+    )
 
 
 @lru_cache
@@ -150,16 +173,14 @@ class Pushing:
     @classmethod
     def on(cls, scene: Scene, config: Config | None = None, **cost: Any) -> Pushing:
         config = config or Config()
-        config = replace(config, cost=replace(config.cost, **cost))
+        config = resolve(replace(config, cost=replace(config.cost, **cost)), scene).config
         geometry = build_geometry(scene, "cpu")
-        dynamics = QuasistaticDynamics(scene, geometry, config.robot, config.cost, dt=DT, compute=Compute("cpu"))
+        dynamics = QuasistaticDynamics(rollout_task(scene, level=config.robot, cost=config.cost, geometry=geometry))
         return cls(scene, geometry, config, dynamics)
 
     def twin(self) -> reference.World:
         """The same for the engine's twin."""
         weights = self.config.cost
-        if not can_tip(self.scene.object):
-            weights = replace(weights, w_overhang=0.0, w_rush=0.0)
         return reference.World(
             robot=self.scene.robot,
             speed=self.dynamics.bound,
@@ -184,7 +205,7 @@ class Pushing:
         self.dynamics.reference.host[:] = reference
         samples, horizon, dof = controls.shape
         costs = wp.zeros(samples, dtype=float, device="cpu")
-        terms = wp.zeros(samples, dtype=CostTerms, device="cpu")
+        terms = wp.zeros(samples, dtype=terms_vector(), device="cpu")
         tips, poses = (wp.zeros((samples, horizon + 1), dtype=wp.vec3, device="cpu") for _ in range(2))
         packed = wp.array(controls.astype(np.float32), dtype=control_type(dof), device="cpu")
         self.dynamics.launch(packed, costs, terms, tips, poses, self.dynamics._worlds)()
@@ -227,6 +248,11 @@ def roll_wrenches(dynamics: ObjectDynamics, pose: np.ndarray, wrenches: np.ndarr
     poses = wp.zeros((wrenches.shape[0], wrenches.shape[1] + 1), dtype=wp.vec3, device="cpu")
     dynamics.launch(wp.array(wrenches.astype(np.float32), dtype=wp.vec3, device="cpu"), costs, poses)()
     return costs.numpy(), poses.numpy().astype(float)
+
+
+def effective_cost(scene: Scene) -> RobotCost:
+    """The default weights as they take effect on a scene."""
+    return resolve(Config(), scene).config.cost
 
 
 def robot_weights(**cost: float) -> RobotCost:

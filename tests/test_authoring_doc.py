@@ -15,7 +15,15 @@ from oimppi_warp.usd import load_scene
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "authoring.md").read_text()
 BLOCKS = re.findall(r"^```(\w+) ?([\w.]*)\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
-SHORT = ["--max-sim-seconds", "0.5", "--set", "robot.mppi.samples=64", "object.mppi.samples=64", "--device", "cpu"]
+SHORT = [
+    "--max-sim-seconds",
+    "0.5",
+    "--set",
+    "robot.optimizer.samples=64",
+    "object.optimizer.samples=64",
+    "--device",
+    "cpu",
+]
 
 
 def follow(line: str) -> None:

@@ -36,7 +36,7 @@ def test_a_planner_that_loses_samples_does_not_count(monkeypatch):
     from oimppi_warp.settings import set_option
     from oimppi_warp.usd import load_scene
 
-    config = set_option(best("mppi"), "robot.mppi.samples=32")
+    config = set_option(best("mppi"), "robot.optimizer.samples=32")
     loop = PlannerLoop(load_scene("task01"), config, method="mppi", engine="quasistatic", device="cpu", threads=1)
     assert race({"sane": loop}, 2)["sane"].problems == []
     loop.seen.joint_position[:] = float("nan")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -11,11 +12,24 @@ import pytest
 from made_results import make_one, make_set
 
 from oimppi_warp.bench import paper
+from oimppi_warp.bench.figures import every_figure
 from oimppi_warp.bench.markdown import facts
 from oimppi_warp.bench.report import write_report
 from oimppi_warp.bench.results import ResultSet, load_results
-from oimppi_warp.bench.tables import every_table, failures, paper_table
+from oimppi_warp.bench.tables import (
+    every_table,
+    failures,
+    paper_table,
+    safety_table,
+    shown_methods,
+    success_table,
+    time_table,
+)
+from oimppi_warp.drawing import method_colors
 from oimppi_warp.log import LogError
+from oimppi_warp.run_spec import RunSpec
+
+RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results"
 
 TRACE = 'Traceback (most recent call last):\n  File "a.py", line 1\nRuntimeError: the <sky> fell\n'
 
@@ -72,7 +86,7 @@ def test_every_failure_is_in_both_with_its_cause_and_command(results: ResultSet,
     for result in failed:
         assert result.cause and result.command in markdown
         assert result.command in page
-        assert f"- **{result.task}, {result.method.upper()}, start {result.number}**: {result.cause}" in markdown
+        assert f"- **{result.task}, {result.run.method.upper()}, start {result.number}**: {result.cause}" in markdown
     assert page.count("<details>") == len(failed)
     assert "the &lt;sky&gt; fell" in page
 
@@ -89,6 +103,12 @@ def test_changed_settings_are_said(results: ResultSet):
     text = "\n".join(facts(replace(results, entries=entries)))
     assert "Changed settings: `cost.w_d=3`, at most 5 simulated seconds (short)." in text
     assert "Changed settings" not in "\n".join(facts(results))
+
+
+def test_trials_that_are_not_the_first_are_said(results: ResultSet):
+    text = "\n".join(facts(replace(results, entries=[{"first": 10, "trials": 5, "seed": 3}])))
+    assert "Trials number 10 to 14, seed 3." in text
+    assert "Trials" not in "\n".join(facts(results))
 
 
 def test_results_of_two_codes_are_said(results: ResultSet):
@@ -133,6 +153,64 @@ def test_results_are_read_back_as_they_were(results: ResultSet, tmp_path: Path):
     assert len(again.results) == len(results.results)
     assert [table.rows for table in every_table(again)] == [table.rows for table in every_table(results)]
     assert (tmp_path / "results.json").stat().st_size < 8000 * len(results.results)
+
+
+def test_results_of_earlier_versions_are_read_and_have_device_and_threads(results: ResultSet, tmp_path: Path):
+    results.save(tmp_path / "results.json")
+    facts = json.loads((tmp_path / "results.json").read_text())
+    for row in facts["results"]:
+        del row["device"], row["threads"]
+        row["metrics"].pop("threads", None)
+    (tmp_path / "results.json").write_text(json.dumps(facts))
+    again = load_results(tmp_path)
+    assert again.results[0].run == results.results[0].run == RunSpec("mppi", "quasistatic", "cpu", 1, 0)
+    assert [table.rows for table in every_table(again)] == [table.rows for table in every_table(results)]
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in RESULTS.glob("*.json") if '"suite"' in path.read_text()))
+def test_the_committed_results_are_read_and_reported(name: str):
+    results = load_results(RESULTS / name)
+    assert len(results.results) == results.planned
+    (success, *_) = every_table(results)
+    assert len(success.rows) == len(results.tasks) * len(results.methods)
+    assert all(result.run.device == "cpu" and result.run.threads == 1 for result in results.results)
+    times = {row[1]: row[4] for row in time_table(results).rows if row[4] != "-"}
+    assert all(("(" in text) is (method == "SOI") for method, text in times.items())
+
+
+def test_methods_that_are_not_the_papers_are_shown_after_them_with_colours_of_their_own(tmp_path: Path):
+    methods = ("soi", "mine", "mppi", "yours", "cloi")
+    found = make_set([make_one(method=method, number=number) for method in methods for number in range(2)])
+    shown = ["mppi", "cloi", "soi", "mine", "yours"]
+    assert shown_methods(found) == shown
+    colors = method_colors(shown)
+    assert len(set(colors.values())) == 5
+    titles = [method.upper() for method in shown]
+    for table in (success_table(found), paper_table(found, "I"), time_table(found), safety_table(found)):
+        assert [row[1] for row in table.rows] == titles
+    mine = paper_table(found, "I").rows[3]
+    assert mine[2::2] == ("-", "-", "-", "-")
+    assert mine[3].startswith("1.00")
+    figures = {name: figure for name, (_, figure) in every_figure(found).items()}
+    for figure in (figures["success"], figures["errors"]):
+        legend = figure.legends[0] if figure.legends else figure.axes[0].get_legend()
+        assert legend is not None
+        assert [text.get_text() for text in legend.get_texts() if text.get_text() != "paper"] == titles
+    assert [axes.get_title(loc="left") for axes in figures["plan_times"].axes] == titles
+    assert [axes.get_title(loc="left").split()[0] for axes in figures["ways_task01"].axes] == titles
+    page, markdown = (file.read_text() for file in write_report(found, tmp_path))
+    assert page.index(">SOI<b>") < page.index(">MINE<b>") < page.index(">YOURS<b>")
+    assert page.count(f"--color: {colors['mine']}") == 1
+    assert f'background: {colors["yours"]}"></span>YOURS</td>' in page
+    assert "| task01 | MINE | 2/2 |" in markdown
+
+
+def test_what_was_planned_ahead_is_told_whoever_did_it():
+    ahead = make_one(method="mine")
+    ahead = replace(ahead, metrics=ahead.metrics | {"preplan_time_s": 3.0, "total_time_s": 8.0})
+    rows = {row[1]: row[4] for row in time_table(make_set([ahead, make_one(method="cloi")])).rows}
+    assert rows["MINE"] == "8.0 (3.0)"
+    assert "(" not in rows["CLOI"]
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"format": 99}', "[1]"])

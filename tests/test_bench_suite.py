@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_results import make_trial
+from made_results import changed, make_trial
 
-from oimppi_warp.bench.suite import SUITES, Suite, load_suite, shipped_suites
-from oimppi_warp.bench.trial import make_trials
+from oimppi_warp.bench.suite import SUITES, Entry, Suite, _keys, load_suite, shipped_suites
+from oimppi_warp.bench.trial import make_trials, trial_seed
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.run_spec import LARGEST_SEED
 from oimppi_warp.usd import load_scene
 
 SMALL = """
@@ -35,9 +35,9 @@ def test_the_shipped_suites_have_the_trials_that_they_promise():
         trials, scenes = make_trials(found[name])
         assert len(trials) == 6 * 3 * 10
         assert set(scenes) == {"task01", "task02", "task03", "task03_wide", "task04", "task05"}
-        assert {(trial.preset, trial.engine, trial.mode) for trial in trials} == {(preset, "quasistatic", "lockstep")}
+        assert {(t.settings.preset, t.run.engine, t.run.mode) for t in trials} == {(preset, "quasistatic", "lockstep")}
     lab, _ = make_trials(found["lab"])
-    assert all(trial.real_time and trial.plant == "lab" for trial in lab)
+    assert all(trial.real_time and trial.run.plant == "lab" for trial in lab)
     assert lab[0].config.preset == "lab"
 
 
@@ -47,11 +47,11 @@ def test_the_first_trials_use_the_scenes_own_starts_and_all_methods_share_them(t
     for task, scene in scenes.items():
         for number in range(13):
             found = [trial for trial in trials if (trial.task, trial.number) == (task, number)]
-            assert len({trial.start for trial in found}) == len({trial.seed for trial in found}) == 1
-            assert {trial.method for trial in found} == {"soi", "mppi"}
+            assert len({trial.start for trial in found}) == len({trial.run.seed for trial in found}) == 1
+            assert {trial.run.method for trial in found} == {"soi", "mppi"}
             if number < 10:
                 assert found[0].start == tuple(map(float, scene.starts[number]))
-    assert len({trial.seed for trial in trials}) == 13
+    assert len({trial.run.seed for trial in trials}) == 13
     starts = {trial.start for trial in trials if trial.task == "task01" and trial.number >= 10}
     assert len(starts) == 3
     again, _ = make_trials(suite_of(tmp_path, SMALL + "seed = 7\n").changed(trials=13))
@@ -60,13 +60,77 @@ def test_the_first_trials_use_the_scenes_own_starts_and_all_methods_share_them(t
     assert starts.isdisjoint(trial.start for trial in other)
 
 
+def test_trials_can_be_numbered_from_ten_on_so_that_none_has_a_listed_start(tmp_path: Path):
+    suite = suite_of(tmp_path, SMALL + "first = 10\n").changed(trials=5)
+    trials, scenes = make_trials(suite)
+    assert [trial.number for trial in trials if trial.task == "task01"] == [10, 10, 11, 11, 12, 12, 13, 13, 14, 14]
+    assert {trial.run.seed for trial in trials} == {10, 11, 12, 13, 14}
+    for trial in trials:
+        listed = [tuple(map(float, start)) for start in scenes[trial.task].starts]
+        assert len(listed) == 10
+        assert trial.start not in listed
+    from_zero, _ = make_trials(suite.changed(first=0, trials=15))
+    assert [trial for trial in from_zero if trial.number >= 10 and trial.task == "task01"] == trials[:10]
+    assert "task01-soi-010-" in trials[0].name
+
+
+def test_trials_of_two_seeds_share_no_start_from_number_ten_on(tmp_path: Path):
+    suite = suite_of(tmp_path, 'tasks = ["task01"]\nmethods = ["mppi"]\ntrials = 20\nfirst = 10\n')
+    starts = [
+        {trial.start for trial in make_trials(suite.changed(seed=seed))[0]} for seed in (0, 1, 20261126, LARGEST_SEED)
+    ]
+    assert [len(found) for found in starts] == [20] * 4
+    assert len(set.union(*starts)) == 80
+
+
+def test_a_trial_of_an_earlier_version_keeps_its_seed_and_its_start(tmp_path: Path):
+    for seed, number in ((0, 0), (7, 12), (100_000, 9_999)):
+        assert trial_seed(seed, number) == 10_000 * seed + number
+    suite = suite_of(tmp_path, 'tasks = ["task01"]\nmethods = ["mppi"]\ntrials = 2\nfirst = 10\nseed = 7\n')
+    trials, _ = make_trials(suite)
+    assert [trial.run.seed for trial in trials] == [70010, 70011]
+    assert [trial.start for trial in trials] == [(0.341, -0.3887, -0.0601), (0.2501, -0.4264, 0.3227)]
+
+
+def test_every_other_trial_has_a_32_bit_seed_of_its_own_above_those():
+    seeds = (100_001, 20261126, LARGEST_SEED)
+    found = [trial_seed(seed, number) for seed in seeds for number in range(1000)]
+    found += [trial_seed(3, number) for number in range(10_000, 11_000)]
+    assert len(set(found)) == 4000
+    assert min(found) > 10_000 * 100_000 + 9_999
+    assert max(found) <= LARGEST_SEED
+    assert max(found) - min(found) > 0.99 * (LARGEST_SEED - 10_000 * 100_001)
+    assert trial_seed(20261126, 10) == 1_479_739_914
+
+
+def test_the_last_number_of_a_trial_has_a_bound(tmp_path: Path):
+    suite = suite_of(tmp_path, SMALL)
+    assert suite.changed(first=999_990, trials=10).entries[0].numbers[-1] == 999_999
+    with pytest.raises(ConfigError, match=r"number 1000000\n  allowed: first \+ trials up to 1000000"):
+        suite.changed(first=999_990, trials=11)
+
+
+def test_the_keys_of_a_suite_are_the_fields_of_an_entry():
+    assert set(Entry().row()) == set(_keys())
+
+
+def test_a_trial_is_written_with_its_options_beside_its_other_fields():
+    row = make_trial(assignments=("cost.w_d=3",)).row()
+    assert set(row) == {
+        *("task", "scene", "content", "number", "start", "method", "engine", "device", "threads", "seed", "plant"),
+        *("mode", "preset", "assignments", "max_sim_seconds"),
+    }
+    assert (row["method"], row["assignments"]) == ("cloi", ["cost.w_d=3"])
+
+
 def test_an_entry_has_what_stands_at_the_top_unless_it_says_otherwise(tmp_path: Path):
     suite = suite_of(
         tmp_path, SMALL + '[[entry]]\n[[entry]]\nmethods = ["cloi"]\nmode = "realtime"\nset = ["cost.w_d=3"]\n'
     )
     first, second = suite.entries
-    assert (first.methods, first.mode, first.set) == (("soi", "mppi"), "lockstep", ())
-    assert (second.methods, second.mode, second.set) == (("cloi",), "realtime", ("cost.w_d=3",))
+    assert (first.methods, first.run.mode, first.settings.assignments) == (("soi", "mppi"), "lockstep", ())
+    assert (second.methods, second.run.mode) == (("cloi",), "realtime")
+    assert second.settings.assignments == ("cost.w_d=3",)
     assert second.tasks == first.tasks
 
 
@@ -94,8 +158,8 @@ def test_a_scene_beside_the_suite_is_found(tmp_path: Path, monkeypatch: pytest.M
 
     used = tmp_path / "objects" / "t_block.usda"
     used.write_text(used.read_text() + "\n# a file that the scene refers to\n")
-    (changed,), _ = make_trials(suite)
-    assert changed.key != trial.key
+    (other,), _ = make_trials(suite)
+    assert other.key != trial.key
 
 
 @pytest.mark.parametrize(
@@ -115,17 +179,17 @@ def test_a_scene_beside_the_suite_is_found(tmp_path: Path, monkeypatch: pytest.M
     ],
 )
 def test_what_decides_the_result_changes_the_key(change: dict):
-    assert replace(make_trial(), **change).key != make_trial().key
+    assert make_trial(**change).key != make_trial().key
 
 
 def test_what_does_not_decide_the_result_leaves_the_key():
     trial = make_trial()
-    assert replace(trial, threads=8).key == trial.key
-    assert replace(trial, scene="elsewhere/task01.usda").key == trial.key
-    same = f"robot.mppi.samples={trial.config.robot.mppi.samples}"
-    assert replace(trial, assignments=(same,)).key == trial.key
-    clock = replace(trial, mode="realtime")
-    assert replace(clock, threads=8).key != clock.key
+    assert changed(trial, threads=8).key == trial.key
+    assert changed(trial, scene="elsewhere/task01.usda").key == trial.key
+    same = f"robot.optimizer.samples={trial.config.robot.optimizer.samples}"
+    assert changed(trial, assignments=(same,)).key == trial.key
+    clock = changed(trial, mode="realtime")
+    assert changed(clock, threads=8).key != clock.key
 
 
 def test_the_command_says_everything_and_mode_and_plant_only_when_they_are_special():
@@ -146,11 +210,15 @@ BAD = {
     "unknown method": ('tasks = ["task01"]\nmethods = ["rrt"]', "a list out of mppi, soi, cloi"),
     "no trials": (SMALL.replace("3", "0"), "a whole number from 1"),
     "trials that are none": (SMALL.replace("3", "true"), "a whole number from 1"),
+    "seed of 33 bits": (SMALL + "seed = 4294967296", "a whole number from 0 to 4294967295"),
+    "trials beyond the last": (SMALL + "first = 999999", "first + trials up to 1000000"),
+    "first before zero": (SMALL + "first = -1", "a whole number from 0 to 999999"),
+    "unknown plant": (SMALL + 'plant = "real"', '"ideal" or "lab"'),
     "timed engine": (SMALL + 'engine = "auto"', '"quasistatic" or "newton"'),
     "unknown mode": (SMALL + 'mode = "fast"', '"lockstep" or "realtime"'),
     "unknown preset": (SMALL + 'preset = "bset"', '"best" or "paper"'),
     "unknown setting": (SMALL + 'set = ["cost.w_aling=2"]', "did you mean cost.w_align"),
-    "bad setting of one method": (SMALL + 'set = ["robot.mppi.horizon=3"]', "no such spline"),
+    "bad setting of one method": (SMALL + 'set = ["robot.optimizer.horizon=3"]', "no such spline"),
     "time that is none": (SMALL + "max_sim_seconds = 0", "above zero"),
     "entry that is a table": (SMALL + "[entry]\nseed = 1", "[[entry]]"),
     "bad key in an entry": (SMALL + "[[entry]]\n[[entry]]\nseed = -1", "entry 2: seed = -1"),

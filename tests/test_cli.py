@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from oimppi_warp.cli import main
 from oimppi_warp.device import CompileNotice, pick_device
 from oimppi_warp.errors import DeviceError, SceneError
 from oimppi_warp.log import EpisodeLog
+from oimppi_warp.run_spec import RunSpec
 
 
 class Stage:
@@ -38,9 +40,9 @@ class Stage:
         if scene.start[0] > 1.0:
             raise SceneError("the start is off the table", file="synthetic.usda")
 
-    def setup(self, **fields: Any) -> Any:
-        self.asked = fields
-        return SimpleNamespace(**fields, episode=lambda: self)
+    def setup(self, scene: Any, config: Any, spec: RunSpec) -> Any:
+        self.asked = {"scene": scene, "config": config, **asdict(spec)}
+        return SimpleNamespace(scene=scene, config=config, spec=spec, episode=lambda: self)
 
     def run(self, on_step: Any = None) -> EpisodeLog:
         if on_step is not None:
@@ -119,7 +121,7 @@ def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[s
     status(
         *("run", "synthetic", "--method", "soi", "--seed", "4", "--device", "cpu", "--preset", "paper"),
         *("--engine", "newton", "--threads", "3", "--randomize"),
-        *("--set", "cost.w_align=3", "robot.mppi.samples=64", "--set", "reference=progress"),
+        *("--set", "cost.w_align=3", "robot.optimizer.samples=64", "--set", "reference=progress"),
         *("--goal", "-0.1,0.2,-3", "--max-sim-seconds", "12"),
     )
     config = stage.asked["config"]
@@ -127,8 +129,8 @@ def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[s
     assert (stage.asked["engine"], stage.asked["threads"]) == ("newton", 3)
     assert "engine quasistatic: a plan takes 9 ms of 50 ms" in capsys.readouterr().err
     assert config.robot.uncertainty.draws == 4
-    assert (config.preset, config.object.mppi.horizon) == ("paper", 90)
-    assert (config.cost.w_align, config.robot.mppi.samples, config.reference) == (3.0, 64, "progress")
+    assert (config.preset, config.object.optimizer.horizon) == ("paper", 90)
+    assert (config.cost.w_align, config.robot.optimizer.samples, config.reference) == (3.0, 64, "progress")
     assert config.episode.max_sim_seconds == 12.0
     assert stage.asked["scene"].goal == (-0.1, 0.2, -3.0)
 
@@ -159,12 +161,12 @@ BAD_INPUT = {
     "unknown method": (["run", "t", "--method", "rrt"], "mppi"),
     "unknown preset": (["run", "t", "--preset", "bset"], "paper"),
     "seed that is no number": (["run", "t", "--seed", "x"], "--seed"),
-    "negative seed": (["run", "t", "--seed", "-1"], "0 or more"),
+    "negative seed": (["run", "t", "--seed", "-1"], "0 to 4294967295"),
     "no threads": (["run", "t", "--threads", "0"], "1 or more"),
     "unknown engine": (["run", "t", "--engine", "bullet"], "newton"),
     "unknown setting": (["run", "t", "--set", "cost.w_aling=2"], "cost.w_align"),
-    "no samples": (["run", "t", "--set", "robot.mppi.samples=0"], "robot.mppi.samples = 0"),
-    "no horizon": (["run", "t", "--set", "object.mppi.horizon=0"], "object.mppi.horizon = 0"),
+    "no samples": (["run", "t", "--set", "robot.optimizer.samples=0"], "robot.optimizer.samples = 0"),
+    "no horizon": (["run", "t", "--set", "object.optimizer.horizon=0"], "object.optimizer.horizon = 0"),
     "no time": (["run", "t", "--max-sim-seconds", "0"], "max_sim_seconds"),
     "goal that is no pose": (["run", "t", "--goal", "1,2"], "x,y,yaw"),
     "goal that is not finite": (["run", "t", "--goal", "nan,0,0"], "x,y,yaw"),

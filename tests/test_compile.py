@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 
 import oimppi_warp.kernels
+from oimppi_warp.kernels.cost import TERMS
 
 ARCHITECTURES = (80, 90, 120)
 """Ampere, Hopper and Blackwell."""
@@ -17,9 +18,11 @@ CHAINS = ("RRRRRR", "PP", "RRRRRRR")
 """The xArm6, the point robot and the arm of seven joints."""
 ARGUMENTS = {
     "make_place_arm": [(chain,) for chain in CHAINS],
-    "make_robot_rollout": [(chain,) for chain in CHAINS],
+    "make_robot_cost": [((),)],
+    "make_robot_rollout": [(chain, ()) for chain in CHAINS],
+    "make_pick_trace": [(len(TERMS),)],
     "make_track_object": [(chain,) for chain in CHAINS],
-    "make_stage_costs": [(chain, precision) for chain in CHAINS for precision in (wp.float32, wp.float64)],
+    "make_stage_costs": [(chain, precision, ()) for chain in CHAINS for precision in (wp.float32, wp.float64)],
 }
 """What a factory is asked for; controls of 2, 3, 6 and 7 numbers where nothing is said."""
 

@@ -73,7 +73,8 @@ class Clock:
     def plan(self, observation: Observation) -> Any:
         self.asked.append(observation)
         number = len(self.asked)
-        return SimpleNamespace(command=np.full(6, 0.01 * number), takes=self._takes[min(number, len(self._takes)) - 1])
+        takes = self._takes[min(number, len(self._takes)) - 1]
+        return SimpleNamespace(command=np.full(6, 0.01 * number), problem="", takes=takes)
 
 
 def run(takes: list[int], beats: int, *, expires: float = 0.12) -> tuple[list[Beat], FakePlant, Clock]:
@@ -173,7 +174,7 @@ def test_in_lock_step_every_beat_has_its_plan():
 
 def lab_episode(*options: str, seed: int = 0, mode: Any = "lockstep") -> Episode:
     scene, config = load_scene("lab01"), best("cloi")
-    for option in ("robot.mppi.samples=256", "object.mppi.samples=256", *options):
+    for option in ("robot.optimizer.samples=256", "object.optimizer.samples=256", *options):
         config = set_option(config, option)
     scene = scene.with_goal((0.38, 0.12, 0.0))
     return Episode(
@@ -194,7 +195,7 @@ def test_an_episode_in_the_lab_reaches_its_goal_without_the_planner_knowing_the_
     log = episode.run(lambda log: truths.append(episode.plant.truth().object_pose))
     metrics = summarize(log)
     assert metrics.success, metrics.position_error_m
-    assert metrics.plant == "lab"
+    assert metrics.run.plant == "lab"
     assert metrics.detections >= 3
     truth, told = (np.array(each) for each in zip(*asked, strict=True))
     assert (np.linalg.norm(truth[:, :2] - told[:, :2], axis=1) > 1e-5).all()
@@ -214,7 +215,7 @@ def test_the_same_seed_gives_the_same_lab_episode_to_the_bit():
 @pytest.mark.parametrize("plant", ["ideal", "lab"])
 def test_real_time_keeps_to_the_wall_clock(plant: Any):
     config = best("cloi")
-    for option in ("robot.mppi.samples=64", "object.mppi.samples=64", "episode.max_sim_seconds=2.5"):
+    for option in ("robot.optimizer.samples=64", "object.optimizer.samples=64", "episode.max_sim_seconds=2.5"):
         config = set_option(config, option)
     episode = Episode(
         load_scene("lab01"), config, engine="quasistatic", device="cpu", threads=1, plant=plant, mode="realtime"

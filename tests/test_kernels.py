@@ -19,7 +19,7 @@ from oimppi_warp.clearance import pack_pieces, pose_field_at
 from oimppi_warp.config import ObjectCost, RobotCost
 from oimppi_warp.dynamics.packing import object_model, pack_weights
 from oimppi_warp.footprint import Piece
-from oimppi_warp.kernels.cost import TERMS, CostTerms
+from oimppi_warp.kernels.cost import TERMS
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.scene import Scene
@@ -212,7 +212,7 @@ def test_the_objects_stage_cost_is_equation_15():
 @pytest.mark.parametrize("fade", [0.0, 0.5])
 def test_the_robots_stage_cost_is_equations_15_to_19_term_by_term(fade):
     weights = replace(different_weights(RobotCost), align_fade=fade)
-    cases = [random_case(probes.RobotCase) for _ in range(100)]
+    cases = [random_case(probes.Stage) for _ in range(100)]
     rotations = Rotation.random(100, rng=np.random.default_rng(5)).as_matrix()
     for case, rotation in zip(cases, rotations, strict=True):
         case["up"] = rotation[2]
@@ -223,8 +223,8 @@ def test_the_robots_stage_cost_is_equations_15_to_19_term_by_term(fade):
     edge = (np.array([-0.2, -0.3]), np.array([0.4, 0.1]))
     packed = pack_weights(weights, edge)
     packed.topple_speed, packed.size = 0.15, 0.2
-    inputs = [packed, packed_cases(cases, probes.RobotCase)]
-    (found,) = launch(probes.robot_cost_probe, inputs, 100, CostTerms)
+    inputs = [packed, packed_cases(cases, probes.Stage)]
+    (found,) = launch(probes.robot_cost_probe, inputs, 100, probes.CostTerms)
     for terms, case, rotation in zip(found, cases, rotations, strict=True):
         known = {name: value for name, value in case.items() if name not in ("up", "lean")}
         known |= {"topple_speed": 0.15, "size": 0.2}

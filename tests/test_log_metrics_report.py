@@ -13,6 +13,7 @@ from synthetic import GOAL, START, make_log, make_scene
 from oimppi_warp.log import COLUMNS, EpisodeLog, LogError, to_json
 from oimppi_warp.metrics import first_hold, hold_steps, pose_error, summarize
 from oimppi_warp.report import draw
+from oimppi_warp.run_spec import RunSpec
 
 REQUIRED = """scene method engine device preset seed start goal success success_tight position_error_m yaw_error_rad
     mean_position_error_m min_clearance_m steps sim_time_s preplan_time_s plan_ms_median plan_ms_p95 control_hz
@@ -29,6 +30,23 @@ def test_a_saved_log_is_read_back_to_the_bit(tmp_path: Path):
     assert [step for step, _ in again.references] == list(range(0, 300, 10))
     for (_, path), (_, other) in zip(log.references, again.references, strict=True):
         np.testing.assert_array_equal(path, other)
+
+
+def test_a_record_of_an_earlier_version_is_read_with_what_it_knows_of_its_run(tmp_path: Path):
+    made = make_log(steps=3)
+    assert not made.header.keys() & {"threads", "requested", "plant", "mode"}
+    log = EpisodeLog.load(made.save(tmp_path))
+    assert log.run == RunSpec("cloi", "quasistatic", "cpu", None, 3, "ideal", "lockstep")
+    assert summarize(log).run == log.run
+
+
+def test_the_options_of_a_run_stand_beside_the_other_numbers_in_json():
+    made = make_log(steps=3)
+    made.header |= {"threads": 2, "plant": "lab", "mode": "realtime", "requested": {"cost.w_theta": [0.3, "any yaw"]}}
+    found = json.loads(summarize(made).json())
+    assert "run" not in found
+    names = ("method", "engine", "device", "threads", "seed", "plant", "mode")
+    assert [found[name] for name in names] == ["cloi", "quasistatic", "cpu", 2, 3, "lab", "realtime"]
 
 
 def test_a_log_without_steps_can_be_saved_and_read(tmp_path: Path):

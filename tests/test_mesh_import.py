@@ -356,7 +356,7 @@ def test_an_imported_bracket_is_pushed_around_a_box_to_its_goal(tmp_path):
     obstacle = ["--obstacle", "box:0.1,0.1,0.1@0.45,-0.1"]
     assert main(["scene", "new", "push", *options, *obstacle, "--out", str(tmp_path)]) == 0
     scene = load_scene(tmp_path / "push.usda")
-    config = set_option(set_option(best("cloi"), "robot.mppi.samples=512"), "object.mppi.samples=512")
+    config = set_option(set_option(best("cloi"), "robot.optimizer.samples=512"), "object.optimizer.samples=512")
     log = Episode(scene, config, method="cloi", engine="quasistatic", device="cpu").run()
     metrics = summarize(log)
     assert metrics.success_tight, (metrics.position_error_m, metrics.yaw_error_rad)

@@ -14,10 +14,11 @@ from scipy.interpolate import CubicSpline
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import Mppi as Settings
 from oimppi_warp.dynamics.base import control_type
-from oimppi_warp.kernels.cost import TERMS, CostTerms
-from oimppi_warp.kernels.stage import pick_trace
+from oimppi_warp.kernels.cost import TERMS, terms_vector
+from oimppi_warp.kernels.stage import make_pick_trace
 from oimppi_warp.kernels.update import WeightStats, make_shift_nominal, make_update_nominal, weigh_samples
-from oimppi_warp.mppi import Mppi, Update, noise_basis
+from oimppi_warp.mppi import Mppi
+from oimppi_warp.optimizer import Update, noise_basis
 
 ROOT = np.array([[0.30, 0.0], [0.12, 0.05]])
 """A square root of the noise's covariance, its two entries correlated."""
@@ -359,18 +360,19 @@ def test_threads_in_blocks_find_what_one_thread_finds(monkeypatch):
     costs = wp.array(random.gamma(2.0, 3.0, 300).astype(np.float32), dtype=float, device="cpu")
     controls = wp.array(random.normal(size=(300, 5, 2)).astype(np.float32), dtype=control_type(2), device="cpu")
     tips = wp.array(random.normal(size=(300, 5, 3)).astype(np.float32), dtype=wp.vec3, device="cpu")
-    terms = wp.array(random.normal(size=(300, len(TERMS))).astype(np.float32), dtype=CostTerms, device="cpu")
+    terms = wp.array(random.normal(size=(300, len(TERMS))).astype(np.float32), dtype=terms_vector(), device="cpu")
     for few, many in ((0.0, 0.0), (5.0, 10.0)):
         found = []
         for block in (1, 64):
             weights = wp.zeros(300, dtype=float, device="cpu")
             stats = wp.zeros(1, dtype=STATS, device="cpu")
             nominal = wp.zeros(5, dtype=control_type(2), device="cpu")
-            best = [wp.zeros(n, dtype=kind, device="cpu") for n, kind in ((1, CostTerms), (5, wp.vec3), (5, wp.vec3))]
+            outputs = ((1, terms_vector()), (5, wp.vec3), (5, wp.vec3))
+            best = [wp.zeros(n, dtype=kind, device="cpu") for n, kind in outputs]
             for kernel, dim, inputs, outputs in (
                 (weigh_samples, block, [costs, 0.5, few, many], [weights, stats]),
                 (make_update_nominal(2), (5, block), [controls, weights], [nominal]),
-                (pick_trace, block, [costs, 1, terms, tips, tips], best),
+                (make_pick_trace(len(TERMS)), block, [costs, 1, terms, tips, tips], best),
             ):
                 wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device="cpu", block_dim=block)
             numbers = stats.numpy()[0]

@@ -12,8 +12,7 @@ import warp as wp
 from test_parity import SPEED, tip_before
 
 from oimppi_warp.clearance import build_geometry, from_center, to_center
-from oimppi_warp.compute import Compute
-from oimppi_warp.config import RobotCost, RobotLevel, Uncertainty
+from oimppi_warp.config import RobotLevel, Uncertainty
 from oimppi_warp.dynamics.base import control_type
 from oimppi_warp.dynamics.newton import NewtonDynamics, contact_softness
 from oimppi_warp.dynamics.newton_threads import NewtonThreads
@@ -54,11 +53,9 @@ def make(
     **more: int,
 ) -> NewtonDynamics:
     """An engine on a scene."""
-    mppi = replace(RobotLevel().mppi, samples=samples, horizon=steps)
-    level = RobotLevel(mppi=mppi, substeps=substeps)
-    geometry = build_geometry(scene, "cpu")
-    compute = Compute("cpu", threads=threads)
-    return engine(scene, geometry, level, RobotCost(), dt=tasks.DT, compute=compute, draws=draws, **more)
+    mppi = replace(RobotLevel().optimizer, samples=samples, horizon=steps)
+    level = RobotLevel(optimizer=mppi, substeps=substeps)
+    return engine(tasks.rollout_task(scene, level=level, threads=threads, draws=draws), **more)
 
 
 def roll(engine: NewtonDynamics, seen: Observation, controls: np.ndarray) -> np.ndarray:
@@ -66,7 +63,7 @@ def roll(engine: NewtonDynamics, seen: Observation, controls: np.ndarray) -> np.
     costs = wp.zeros(len(controls), dtype=float, device="cpu")
     packed = wp.array(controls.astype(np.float32), dtype=control_type(controls.shape[2]), device="cpu")
     run = engine.rollout(packed, costs)
-    goal = to_center(engine._surface, np.array(engine._scene.goal))
+    goal = to_center(engine.task.geometry.surface, np.array(engine.task.scene.goal))
     engine.set_state(seen, goal)
     engine.reference.host[:] = goal
     run()
@@ -75,7 +72,7 @@ def roll(engine: NewtonDynamics, seen: Observation, controls: np.ndarray) -> np.
 
 def ends(engine: NewtonDynamics) -> np.ndarray:
     """Where the object's frame ends up, shape [rollout, 3]."""
-    return from_center(engine._surface, engine.poses.numpy()[:, -1].astype(float))
+    return from_center(engine.task.geometry.surface, engine.poses.numpy()[:, -1].astype(float))
 
 
 def plant_at(scene: Scene, seen: Observation) -> SimulatedPlant:
@@ -300,15 +297,12 @@ def test_costs_are_those_of_the_quasistatic_engine_on_the_same_motion(engine):
     controls = np.tile([0.05, 0.02, 0.02, 0.0, 0.02, 0.05], (STEPS, 1))
     dynamics = make(engine, scene, 1)
     cost = roll(dynamics, seen, controls[None])[0]
-    mppi = replace(RobotLevel().mppi, samples=1, horizon=STEPS)
-    geometry = build_geometry(scene, "cpu")
-    twin = QuasistaticDynamics(
-        scene, geometry, RobotLevel(mppi=mppi), RobotCost(), dt=tasks.DT, compute=Compute("cpu", threads=1)
-    )
+    mppi = replace(RobotLevel().optimizer, samples=1, horizon=STEPS)
+    twin = QuasistaticDynamics(tasks.rollout_task(scene, level=RobotLevel(optimizer=mppi), threads=1))
     costs = wp.zeros(1, dtype=float, device="cpu")
     packed = wp.array(controls[None].astype(np.float32), dtype=control_type(6), device="cpu")
     run = twin.rollout(packed, costs)
-    goal = to_center(geometry.surface, np.array(scene.goal))
+    goal = to_center(twin.task.geometry.surface, np.array(scene.goal))
     twin.set_state(seen, goal)
     twin.reference.host[:] = goal
     run()

@@ -175,7 +175,7 @@ def test_a_point_that_passes_over_the_object_is_refused():
 
 @pytest.mark.parametrize(("name", "scale"), [("task01", 1.0), ("arm7_01", 1.06), ("point01", 0.0)])
 def test_the_ring_in_which_an_arm_pushes_grows_with_its_reach(name, scale):
-    config = set_option(best("cloi"), "robot.mppi.samples=16")
+    config = set_option(best("cloi"), "robot.optimizer.samples=16")
     planner: Planner = make_planner(shipped(name), config, method="mppi", device="cpu", engine="quasistatic")
     for given, found in ((config.cost, planner.config.cost), (config.object_cost, planner.config.object_cost)):
         expected = (scale * given.reach[0], scale * given.reach[1]) if scale else (0.0, 1e3)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import oimppi_warp
+from oimppi_warp.bench.provenance import NO_PART
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -30,6 +31,22 @@ def modules_after(code: str) -> set[str]:
 )
 def test_importing_stays_light(code: str):
     assert not modules_after(code) & HEAVY
+
+
+def test_an_episode_imports_nothing_that_the_hash_of_its_code_leaves_out():
+    script = """
+import sys
+import oimppi_warp.episode, oimppi_warp.lab, oimppi_warp.task, oimppi_warp.usd
+import oimppi_warp.dynamics.newton_threads, oimppi_warp.dynamics.newton_worlds
+from oimppi_warp.registries import METHODS
+list(METHODS.values())
+print(*(name for name in sys.modules if name.startswith("oimppi_warp.")))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    imported = {name.split(".")[1] for name in done.stdout.split()}
+    assert {"episode", "methods", "run_spec", "registry", "log", "metrics"} <= imported
+    assert not imported & {name.removesuffix(".py") for name in NO_PART}
+    assert all((ROOT / "oimppi_warp" / name).exists() for name in NO_PART)
 
 
 def test_importing_takes_less_than_two_seconds():

@@ -12,8 +12,7 @@ import tasks
 import warp as wp
 
 from oimppi_warp.clearance import build_geometry, from_center
-from oimppi_warp.compute import Compute
-from oimppi_warp.config import RobotCost, RobotLevel
+from oimppi_warp.config import RobotLevel
 from oimppi_warp.dynamics.base import control_type
 from oimppi_warp.dynamics.quasistatic import QuasistaticDynamics
 from oimppi_warp.footprint import footprint, outline, planar_points, wrap_angle
@@ -39,8 +38,8 @@ def pushes() -> np.ndarray:
     """Random pushes: friction centre at first, at last in the plant, and at last in the engine; shape [n, 3, 3]."""
     scene = tasks.shipped("task01")
     geometry = build_geometry(scene, "cpu")
-    level = RobotLevel(mppi=replace(RobotLevel().mppi, horizon=STEPS))
-    engine = QuasistaticDynamics(scene, geometry, level, RobotCost(), dt=tasks.DT, compute=Compute("cpu"))
+    level = RobotLevel(optimizer=replace(RobotLevel().optimizer, horizon=STEPS))
+    engine = QuasistaticDynamics(tasks.rollout_task(scene, level=level, geometry=geometry))
     world = World(scene)
     rng = np.random.default_rng(5)
     found = []

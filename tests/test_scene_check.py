@@ -342,8 +342,8 @@ def test_a_run_says_that_something_in_its_file_may_not_be_meant(tmp_path, capsys
         "--max-sim-seconds",
         "0.05",
         "--set",
-        "robot.mppi.samples=16",
-        "object.mppi.samples=16",
+        "robot.optimizer.samples=16",
+        "object.optimizer.samples=16",
     ]
     assert main(["run", str(file), *options]) == 1
     assert f"1 warning, which `oimppi scene check {file}` tells" in capsys.readouterr().err

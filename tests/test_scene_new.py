@@ -407,7 +407,7 @@ def run_ten_steps(options: dict) -> None:
         assume(scene is not None)
         assert [problem for problem in check_scene(scene.file) if problem.severity == "error"] == []
         config = best("cloi")
-        for option in ("robot.mppi.samples=64", "object.mppi.samples=64", "episode.max_sim_seconds=0.5"):
+        for option in ("robot.optimizer.samples=64", "object.optimizer.samples=64", "episode.max_sim_seconds=0.5"):
             config = set_option(config, option)
         log = Episode(scene, config, method="cloi", engine="quasistatic", device="cpu").run()
         assert len(log) == 10

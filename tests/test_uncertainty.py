@@ -73,10 +73,10 @@ def test_a_robust_plan_heeds_the_worst_draw(shared):
     for measure in ("mean", "worst"):
         config = best("mppi")
         asked = Uncertainty(draws=3, shared=shared, measure=measure)
-        mppi = replace(config.robot.mppi, samples=64)
+        mppi = replace(config.robot.optimizer, samples=64)
         planner = make_planner(
             scene,
-            replace(config, robot=replace(config.robot, mppi=mppi, uncertainty=asked)),
+            replace(config, robot=replace(config.robot, optimizer=mppi, uncertainty=asked)),
             method="mppi",
             engine="quasistatic",
             device="cpu",

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from oimppi_warp.episode import Episode, Setup
 from oimppi_warp.presets import best
+from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.settings import set_option
 from oimppi_warp.usd import load_scene
 from oimppi_warp.view.browser import open_viewer
@@ -30,7 +31,7 @@ FLAGS = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftsh
 
 
 def small():
-    config = set_option(set_option(best("cloi"), "robot.mppi.samples=64"), "object.mppi.samples=64")
+    config = set_option(set_option(best("cloi"), "robot.optimizer.samples=64"), "object.optimizer.samples=64")
     return replace(config, episode=replace(config.episode, max_sim_seconds=600.0, hold_seconds=600.0))
 
 
@@ -91,11 +92,11 @@ class Served:
 
 
 @pytest.fixture
-def live(tmp_path):
-    setup = Setup(load_scene("task02"), small(), engine="quasistatic", device="cpu", threads=1)
+def live():
+    setup = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device="cpu", threads=1))
     session = Session(setup)
     viewer = open_viewer(port=8470)
-    served = Served(viewer, LiveView(viewer, session, tmp_path))
+    served = Served(viewer, LiveView(viewer, session))
     served.session = session
     yield served
     session.close()

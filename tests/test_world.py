@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -35,8 +37,11 @@ def cache(tmp_path, monkeypatch):
 
 def test_what_is_kept_does_not_depend_on_the_start(cache):
     scene = load_scene("task02")
-    elsewhere = World(scene.with_start((0.31, -0.4, 0.3))).mujoco.model
-    np.testing.assert_allclose(elsewhere.qpos0[-7:-4], [*scene.start[:2], scene.object.rest_height], atol=1e-6)
+    elsewhere = replace(scene.with_start((0.31, -0.4, 0.3)), robot=replace(scene.robot, start=np.full(6, -0.1)))
+    models = [World(each).mujoco.model for each in (scene, elsewhere)]
+    assert len(list(cache.glob("mujoco-*.npz"))) == 1
+    np.testing.assert_array_equal(*(model.qpos0 for model in models))
+    np.testing.assert_array_equal(models[0].qpos0[-7:-4], np.float32([0.0, 0.0, scene.object.rest_height]))
 
 
 @pytest.mark.parametrize(

@@ -12,18 +12,18 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.compute import Compute
-from oimppi_warp.config import Config, Method
+from oimppi_warp.config import Config
 from oimppi_warp.methods import make_planner
-from oimppi_warp.mppi import Mppi
 from oimppi_warp.object_level import ObjectLevel
 from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.optimizer import Optimizer
 from oimppi_warp.planner import Planner
 from oimppi_warp.scene import Scene
 
 WARM_UP = 3
 """Plans that are not counted."""
 STAGES = ("sample", "rollout", "weigh", "update")
-"""Stages of one update, in the order of ``Mppi.improve``."""
+"""Stages of one update, in the order of ``Optimizer.improve``."""
 
 
 @dataclass
@@ -63,12 +63,12 @@ class PlannerLoop:
     """
 
     def __init__(
-        self, scene: Scene, config: Config, *, method: Method, engine: str, device: str, threads: int | None = None
+        self, scene: Scene, config: Config, *, method: str, engine: str, device: str, threads: int | None = None
     ) -> None:
         self.planner: Planner = make_planner(
             scene, config, method=method, engine=engine, device=device, threads=threads, seed=1
         )
-        self.mppi: Mppi = self.planner.mppi
+        self.mppi: Optimizer = self.planner.mppi
         self.first = self.seen = first_observation(scene)
         self.planner.warm_up()
         self.planner.start(self.first)

@@ -38,8 +38,8 @@ MOST_TO_ONE_CORE = 0.6
 
 def with_mppi(config: Config, *, samples: int, horizon: int = 25, **level: Any) -> Config:
     """The settings with this K and H at the robot level, and these of ``RobotLevel``."""
-    mppi = replace(config.robot.mppi, samples=samples, horizon=horizon, iterations=1)
-    return replace(config, robot=replace(config.robot, mppi=mppi, **level))
+    mppi = replace(config.robot.optimizer, samples=samples, horizon=horizon, iterations=1)
+    return replace(config, robot=replace(config.robot, optimizer=mppi, **level))
 
 
 class Benchmark:
@@ -82,8 +82,8 @@ class Benchmark:
         from bench_loops import ObjectLoop
 
         config = with_mppi(self.config, samples=self.samples)
-        object_mppi = replace(config.object.mppi, samples=self.samples, horizon=60, iterations=1)
-        config = replace(config, object=replace(config.object, mppi=object_mppi))
+        object_mppi = replace(config.object.optimizer, samples=self.samples, horizon=60, iterations=1)
+        config = replace(config, object=replace(config.object, optimizer=object_mppi))
         makers: dict[str, Callable[[int], Callable[[], None]]] = {
             "robot level": lambda threads: self.loop(config, "quasistatic", threads),
             "object level": lambda threads: ObjectLoop(self.scene, config, device="cpu", threads=threads),
@@ -181,9 +181,7 @@ class Benchmark:
 
         threads = self.loop(with_mppi(self.config, samples=64), "newton", 1).planner.dynamics
         arrays = sum(value.nbytes for value in vars(threads).values() if hasattr(value, "nbytes"))
-        level = with_mppi(self.config, samples=64).robot
-        geometry = self.loop(with_mppi(self.config, samples=64), "quasistatic", 1).planner.geometry
-        worlds = NewtonWorlds(self.scene, geometry, level, self.config.cost, dt=0.05, compute=Compute("cpu"))
+        worlds = NewtonWorlds(replace(threads.task, compute=Compute("cpu")))
         data, model = worlds.solver.mjw_data, worlds.solver.mjw_model
         return {
             "newton, C threads [B/rollout]": round(arrays / 64),

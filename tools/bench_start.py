@@ -20,7 +20,7 @@ def start_seconds(engine: str, *, repeats: int = 3) -> dict[str, float]:
 def _run(engine: str, caches: Path) -> float:
     environment = os.environ | {"WARP_CACHE_PATH": str(caches / "warp"), "OIMPPI_CACHE": str(caches / "fields")}
     command = [sys.executable, "-m", "oimppi_warp", "run", "task02", "--engine", engine, "--max-sim-seconds", "0.05"]
-    command += ["--device", "cpu", "--set", "robot.mppi.samples=64"]
+    command += ["--device", "cpu", "--set", "robot.optimizer.samples=64"]
     began = time.perf_counter()
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode not in (0, 1):

@@ -4,3 +4,10 @@ One stair here as well; every import goes down::
 
     commands -> runner, page, markdown -> tables, figures -> causes, statistics, comparison, paper -> results -> suite
 """
+
+from __future__ import annotations
+
+from typing import Literal
+
+Backend = Literal["loky", "dask"]
+"""What runs trials side by side: processes of this machine, or a cluster."""

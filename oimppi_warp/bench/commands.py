@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
+from oimppi_warp.bench import Backend
 from oimppi_warp.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -42,10 +43,13 @@ class Bench:
     """Where records, results and report go."""
 
     trials: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """Trials of each task and method: the scene's own starts first, then drawn ones."""
+    """Number of trials of each task and method."""
+
+    first: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
+    """Number of the first trial. From 10 on, no start is one that a shipped scene lists: all are drawn by the seed."""
 
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """From which the seeds of all trials come."""
+    """From which the seeds of all trials come, a 32-bit number."""
 
     tasks: Annotated[tuple[str, ...], arg(metavar="TASK", help_behavior_hint="(default: all)")] = ()
     """Run these tasks of the suite only."""
@@ -60,13 +64,13 @@ class Bench:
     """Time limit of an episode in simulated seconds."""
 
     jobs: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: every core; 1 in real time)")] = None
-    """Trials at the same time."""
+    """Trials at the same time, each in a process of its own; a single one runs in this process."""
 
-    backend: Literal["loky", "dask", "ray"] = "loky"
+    backend: Backend = "loky"
     """What runs them: processes here, or a cluster."""
 
     cluster: Annotated[str, arg(metavar="ADDRESS", help_behavior_hint="(default: a local one)")] = ""
-    """Address of a running cluster, for dask and ray."""
+    """Address of a running cluster, for dask."""
 
     retry: FlagCreatePairsOff[bool] = False
     """Run trials again that raised an error."""
@@ -82,15 +86,16 @@ class Bench:
         from oimppi_warp.bench.suite import check_value, load_suite
 
         suite = load_suite(self.suite).only(tasks=self.tasks, methods=self.methods)
-        for key in ("trials", "seed", "max_sim_seconds"):
-            if getattr(self, key) is not None:
-                check_value(key, getattr(self, key), "--")
+        changes = {name: getattr(self, name) for name in ("trials", "first", "seed", "max_sim_seconds")}
+        for key, value in changes.items():
+            if value is not None:
+                check_value(key, value, "--")
         if self.jobs is not None and self.jobs < 1:
             raise ConfigError(f"--jobs {self.jobs}: cannot be used\n  allowed: 1 or more")
         if self.cluster and self.backend == "loky":
-            raise ConfigError(f"--cluster {self.cluster}: loky has no cluster\n  to do:   --backend dask or ray")
-        suite = suite.changed(trials=self.trials, seed=self.seed, max_sim_seconds=self.max_sim_seconds)
-        suite = suite.assigned(tuple(assignment for group in self.assignments for assignment in group))
+            raise ConfigError(f"--cluster {self.cluster}: loky has no cluster\n  to do:   --backend dask")
+        assignments = tuple(assignment for group in self.assignments for assignment in group)
+        suite = suite.changed(**changes).assigned(assignments)
 
         from rich.console import Console
 
@@ -205,8 +210,8 @@ def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], No
     def state() -> str:
         results = list(run.finished.values())
         rates = []
-        for method in dict.fromkeys(trial.method for trial in run.trials):
-            found = [result.success for result in results if result.method == method]
+        for method in dict.fromkeys(trial.run.method for trial in run.trials):
+            found = [result.success for result in results if result.run.method == method]
             if found:
                 rates.append(f"{method.upper()} {100 * sum(found) / len(found):.0f} %")
         pace = f"{(time.monotonic() - began) / here:.1f} s a trial" if here else ""

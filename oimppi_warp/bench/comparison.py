@@ -69,7 +69,7 @@ def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
     Raises:
         ConfigError: They have no task, method and start in common.
     """
-    pairs = _matched(first.results, second.results, lambda r: (r.task, r.method, r.start))
+    pairs = _matched(first.results, second.results, lambda r: (r.task, r.run.method, r.start))
     if not pairs:
         raise ConfigError(
             f"{first.suite} and {second.suite} have nothing in common\n"
@@ -77,7 +77,7 @@ def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
         )
     groups: dict[tuple[str, str], list[Pair]] = {}
     for pair in pairs:
-        groups.setdefault((pair[0].task, pair[0].method), []).append(pair)
+        groups.setdefault((pair[0].task, pair[0].run.method), []).append(pair)
     parts = [compare(f"{task}, {method.upper()}", found) for (task, method), found in groups.items()]
     return (compare("all", pairs), *parts)
 
@@ -95,7 +95,7 @@ def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
                 [result for result in results.of(method=method) if result.task == firsts[result.scene]]
                 for method in (first, second)
             )
-            pairs = _matched(one, other, lambda r: (r.task, r.start, r.seed))
+            pairs = _matched(one, other, lambda r: (r.task, r.start, r.run.seed))
             if pairs:
                 found.append(compare(f"{first.upper()} and {second.upper()}", pairs))
     return tuple(found)
@@ -105,12 +105,12 @@ def compare_labels(results: ResultSet) -> tuple[Comparison, ...]:
     """Compare each labelled entry of one set with the first one of the same scene and method."""
     groups: dict[tuple[str, str], dict[str, list[Result]]] = {}
     for result in results.results:
-        groups.setdefault((result.scene, result.method), {}).setdefault(result.task, []).append(result)
+        groups.setdefault((result.scene, result.run.method), {}).setdefault(result.task, []).append(result)
     found = []
     for (_, method), entries in groups.items():
         first, *others = entries
         for other in others:
-            pairs = _matched(entries[first], entries[other], lambda r: (r.start, r.seed))
+            pairs = _matched(entries[first], entries[other], lambda r: (r.start, r.run.seed))
             found.append(compare(f"{first} and {other}, {method.upper()}", pairs))
     return tuple(found)
 

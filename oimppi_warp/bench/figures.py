@@ -19,8 +19,8 @@ from oimppi_warp.bench.paper import REPORTED
 from oimppi_warp.bench.place import moved
 from oimppi_warp.bench.results import PLAN_BINS, Result, ResultSet
 from oimppi_warp.bench.statistics import summarize_results
-from oimppi_warp.bench.tables import ORDER
-from oimppi_warp.drawing import FAINT, GOAL, INK, METHOD_COLORS, STYLE, WALL, add_rings
+from oimppi_warp.bench.tables import shown_methods
+from oimppi_warp.drawing import FAINT, GOAL, INK, STYLE, WALL, add_rings, method_colors
 
 FAILED = "#b91c1c"
 """Colour of what failed."""
@@ -57,13 +57,14 @@ def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
 
 def success_figure(results: ResultSet) -> Figure:
     """Bars of the success rates with intervals, by task and method."""
-    tasks, methods = results.tasks, [method for method in ORDER if method in results.methods]
+    tasks, colors = results.tasks, _colors(results)
+    methods = list(colors)
     figure = Figure(figsize=(max(5.0, 1.6 + 1.5 * len(tasks)), 3.6), layout="constrained")
     axes = figure.add_subplot()
     width = 0.8 / len(methods)
     beside = False
     for index, method in enumerate(methods):
-        color = METHOD_COLORS[method]
+        color = colors[method]
         for place, task in enumerate(tasks):
             if not (found := results.of(task, method)):
                 continue
@@ -92,7 +93,7 @@ def success_figure(results: ResultSet) -> Figure:
     axes.tick_params(axis="x", length=0, pad=14)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.grid(visible=False, axis="x")
-    handles: list[Any] = [Patch(color=METHOD_COLORS[method], label=method.upper()) for method in methods]
+    handles: list[Any] = [Patch(color=color, label=method.upper()) for method, color in colors.items()]
     if beside:
         handles.append(Line2D([], [], marker="D", ms=5, mfc="white", mec=INK, ls="", label="paper"))
     axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(handles))
@@ -102,43 +103,43 @@ def success_figure(results: ResultSet) -> Figure:
 def errors_figure(results: ResultSet) -> Figure:
     """Position error over time, by task."""
     figure, panels = _panels(len(results.tasks), each=(3.4, 2.4))
+    colors = _colors(results)
     for axes, task in zip(panels, results.tasks, strict=False):
         end = max((result.time[-1] for result in results.of(task) if result.time), default=1.0)
         grid = np.linspace(0.0, end, 120)
-        for method in ORDER:
+        for method, color in colors.items():
             runs = [result for result in results.of(task, method) if result.time]
             if not runs:
                 continue
             curves = np.array([np.interp(grid, run.time, run.position_error) for run in runs])
             low, high = np.percentile(curves, (25, 75), axis=0)
-            color = METHOD_COLORS[method]
             axes.fill_between(grid, low, high, color=color, alpha=0.18, lw=0)
             axes.plot(grid, curves.mean(axis=0), color=color, lw=1.8, label=method.upper())
         axes.axhline(results.places[task]["tolerance"], color=GOAL, lw=1.0, ls=":")
         axes.set(title=task, xlim=(0, end), ylim=(0, None))
     figure.supxlabel("simulated time [s]", fontsize=9)
     figure.supylabel("distance to the goal [m]", fontsize=9)
-    handles = [Line2D([], [], color=METHOD_COLORS[m], lw=2, label=m.upper()) for m in ORDER if m in results.methods]
+    handles = [Line2D([], [], color=color, lw=2, label=method.upper()) for method, color in colors.items()]
     figure.legend(handles=handles, loc="outside upper right", ncols=len(handles))
     return figure
 
 
 def plan_figure(results: ResultSet) -> Figure:
     """Histograms of the plan times, one panel a method."""
-    methods = [method for method in ORDER if method in results.methods]
-    figure = Figure(figsize=(6.4, 0.7 + 1.15 * len(methods)), layout="constrained")
-    panels = figure.subplots(len(methods), 1, sharex=True, squeeze=False)[:, 0]
+    colors = _colors(results)
+    figure = Figure(figsize=(6.4, 0.7 + 1.15 * len(colors)), layout="constrained")
+    panels = figure.subplots(len(colors), 1, sharex=True, squeeze=False)[:, 0]
     shown: list[float] = []
-    for axes, method in zip(panels, methods, strict=True):
+    for axes, (method, color) in zip(panels, colors.items(), strict=True):
         counts = [result.plan_counts for result in results.of(method=method) if result.plan_counts]
         share = np.sum(counts, axis=0) if counts else np.zeros(len(PLAN_BINS) - 1)
-        axes.set_title(method.upper(), color=METHOD_COLORS[method])
+        axes.set_title(method.upper(), color=color)
         axes.grid(visible=False, axis="y")
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
         if not share.sum():
             continue
-        axes.stairs(share / share.sum(), PLAN_BINS, fill=True, color=METHOD_COLORS[method], alpha=0.8)
+        axes.stairs(share / share.sum(), PLAN_BINS, fill=True, color=color, alpha=0.8)
         middle = int(np.searchsorted(np.cumsum(share), share.sum() / 2))
         at = math.sqrt(PLAN_BINS[middle] * PLAN_BINS[middle + 1])
         axes.axvline(at, color=INK, lw=1.2)
@@ -159,23 +160,28 @@ def plan_figure(results: ResultSet) -> Figure:
 def ways_figure(results: ResultSet, task: str) -> Figure:
     """Ways of the object seen from above, one panel a method."""
     place = results.places[task]
-    methods = [method for method in ORDER if results.of(task, method)]
+    colors = {method: color for method, color in _colors(results).items() if results.of(task, method)}
     low, high = _frame(place, results.of(task))
     width, height = high - low
     size = 3.0
-    figure = Figure(figsize=(0.5 + size * len(methods), 0.6 + min(size * height / width, 5.0)), layout="constrained")
-    panels = figure.subplots(1, len(methods), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, method in zip(panels, methods, strict=True):
+    figure = Figure(figsize=(0.5 + size * len(colors), 0.6 + min(size * height / width, 5.0)), layout="constrained")
+    panels = figure.subplots(1, len(colors), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (method, color) in zip(panels, colors.items(), strict=True):
         runs = results.of(task, method)
         _draw_place(axes, place)
         for run in sorted(runs, key=lambda result: not result.success):
             if run.pose:
-                _draw_run(axes, place, run)
+                _draw_run(axes, place, run, color if run.success else FAILED)
         axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]")
         rate = summarize_results(runs).success
-        axes.set_title(f"{method.upper()}  {rate.count}/{rate.total}", color=METHOD_COLORS[method])
+        axes.set_title(f"{method.upper()}  {rate.count}/{rate.total}", color=color)
     panels[0].set_ylabel("y [m]")
     return figure
+
+
+def _colors(results: ResultSet) -> dict[str, str]:
+    """The methods in the order in which they are shown, each with its colour."""
+    return method_colors(shown_methods(results))
 
 
 def _draw_place(axes: Axes, place: dict[str, Any]) -> None:
@@ -190,8 +196,7 @@ def _draw_place(axes: Axes, place: dict[str, Any]) -> None:
     axes.add_patch(Circle((goal[0], goal[1]), place["tolerance"], fill=False, ec=GOAL, lw=0.9, ls=":", zorder=1))
 
 
-def _draw_run(axes: Axes, place: dict[str, Any], run: Result) -> None:
-    color = METHOD_COLORS[run.method] if run.success else FAILED
+def _draw_run(axes: Axes, place: dict[str, Any], run: Result, color: str) -> None:
     way = np.vstack([run.start, *run.pose])
     axes.plot(way[:, 0], way[:, 1], color=color, lw=1.1, alpha=0.8, zorder=4)
     axes.plot(*way[0, :2], marker="o", ms=2.5, color=color, zorder=4)

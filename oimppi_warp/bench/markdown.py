@@ -58,7 +58,9 @@ def facts(results: ResultSet) -> list[str]:
             f"**Made by {len(results.codes)} versions of the code** ({', '.join(results.codes)}); run the suite into a "
             "new folder to have them all by one."
         )
-    kinds = dict.fromkeys(f"{r.preset}, engine {r.engine}, {r.mode}, {r.plant} plant" for r in found)
+    if drawn := dict.fromkeys(filter(None, map(_numbers, results.entries))):
+        text.append(f"Trials {'; '.join(drawn)}.")
+    kinds = dict.fromkeys(f"{r.preset}, engine {r.run.engine}, {r.run.mode}, {r.run.plant} plant" for r in found)
     changed = dict.fromkeys(filter(None, map(_changed, results.entries)))
     if changed:
         text.append(f"Changed settings: {'; '.join(changed)}.")
@@ -66,6 +68,12 @@ def facts(results: ResultSet) -> list[str]:
     packages = ", ".join(f"{name} {version}" for name, version in results.versions.items())
     text.append(f"Preset {'; '.join(kinds)}. On {'; '.join(machines)}. Code {', '.join(results.codes)}; {packages}.")
     return text
+
+
+def _numbers(entry: dict[str, Any]) -> str:
+    """Which trials an entry has, where they are not the first ones with the seed 0."""
+    first, seed = entry.get("first", 0), entry.get("seed", 0)
+    return f"number {first} to {first + entry['trials'] - 1}, seed {seed}" if first or seed else ""
 
 
 def _changed(entry: dict[str, Any]) -> str:
@@ -84,8 +92,9 @@ def _failures(results: ResultSet) -> list[str]:
         return ["None."]
     lines = ["The cause is what the log suggests. Each command runs its trial again, with the same result.", ""]
     for result in found:
+        name = f"{result.task}, {result.run.method.upper()}, start {result.number}"
         lines += [
-            f"- **{result.task}, {result.method.upper()}, start {result.number}**: {result.cause} ({result.evidence})",
+            f"- **{name}**: {result.cause} ({result.evidence})",
             "",
             f"      {result.command}",
             "",

@@ -9,8 +9,8 @@ from html import escape
 from oimppi_warp.bench.markdown import facts
 from oimppi_warp.bench.results import Result, ResultSet
 from oimppi_warp.bench.statistics import summarize_results
-from oimppi_warp.bench.tables import ORDER, Table, every_table, failures, interval
-from oimppi_warp.drawing import METHOD_COLORS
+from oimppi_warp.bench.tables import Table, every_table, failures, interval, shown_methods
+from oimppi_warp.drawing import method_colors
 
 _STYLE = """
 :root { --ink: #26323a; --soft: #5d6a73; --line: #dfe5e9; --ground: #f6f8f9; }
@@ -55,16 +55,18 @@ def write_page(results: ResultSet, pictures: dict[str, tuple[str, bytes]]) -> st
     """
     parts = [f"<h1>{escape(results.title)}</h1>"]
     parts += [f'<p class="facts">{_plain(fact)}</p>' for fact in facts(results)]
-    parts.append(_cards(results))
+    colors = method_colors(shown_methods(results))
+    dots = {method.upper(): _dot(color) for method, color in colors.items()}
+    parts.append(_cards(results, colors))
     tables = every_table(results)
     figures = {name: _figure(*picture) for name, picture in pictures.items()}
     for table in tables:
-        parts.append(_table(table))
+        parts.append(_table(table, dots))
         if table is tables[0]:
             parts.append(figures.pop("success", ""))
     parts += ["<h2>Errors and plan times</h2>", figures.pop("errors", ""), figures.pop("plan_times", "")]
     parts += ["<h2>Ways of the object</h2>", *figures.values()]
-    parts.append(_failures(results))
+    parts.append(_failures(results, dots))
     body = "\n".join(part for part in parts if part)
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -83,27 +85,27 @@ def _plain(text: str) -> str:
     return found
 
 
-def _cards(results: ResultSet) -> str:
+def _cards(results: ResultSet, colors: dict[str, str]) -> str:
     """The success of each method over everything, in large letters."""
     cards = []
-    for method in ORDER:
-        if found := results.of(method=method):
-            stats = summarize_results(found)
-            tight = f"{100 * stats.tight.share:.0f} % tight" if stats.tight_counts else "tight not tried"
-            cards.append(
-                f'<div class="card" style="--color: {METHOD_COLORS[method]}">{method.upper()}'
-                f"<b>{100 * stats.success.share:.0f} %</b>"
-                f"<span>{stats.success.count} of {stats.success.total}, 95 %: {interval(stats.success)}</span>"
-                f"<span>{tight}</span></div>"
-            )
+    for method, color in colors.items():
+        stats = summarize_results(results.of(method=method))
+        tight = f"{100 * stats.tight.share:.0f} % tight" if stats.tight_counts else "tight not tried"
+        cards.append(
+            f'<div class="card" style="--color: {color}">{escape(method.upper())}'
+            f"<b>{100 * stats.success.share:.0f} %</b>"
+            f"<span>{stats.success.count} of {stats.success.total}, 95 %: {interval(stats.success)}</span>"
+            f"<span>{tight}</span></div>"
+        )
     return f'<div class="cards">{"".join(cards)}</div>'
 
 
-def _table(table: Table) -> str:
+def _table(table: Table, dots: dict[str, str]) -> str:
+    """A table; ``dots`` stand before the cells that they are for."""
     head = "".join(f"<th>{escape(name)}</th>" for name in table.header)
     rows, last = [], None
     for row in table.rows:
-        cells = "".join(f"<td>{_dot(cell)}{escape(cell)}</td>" for cell in row)
+        cells = "".join(f"<td>{dots.get(cell, '')}{escape(cell)}</td>" for cell in row)
         rows.append(f'<tr class="first">{cells}</tr>' if row[0] != last else f"<tr>{cells}</tr>")
         last = row[0]
     return (
@@ -112,9 +114,8 @@ def _table(table: Table) -> str:
     )
 
 
-def _dot(cell: str) -> str:
-    color = METHOD_COLORS.get(cell.lower())
-    return f'<span class="dot" style="background: {color}"></span>' if color else ""
+def _dot(color: str) -> str:
+    return f'<span class="dot" style="background: {color}"></span>'
 
 
 def _figure(caption: str, picture: bytes) -> str:
@@ -124,23 +125,24 @@ def _figure(caption: str, picture: bytes) -> str:
     return f"<figure>{image}<figcaption>{text}</figcaption></figure>"
 
 
-def _failures(results: ResultSet) -> str:
+def _failures(results: ResultSet, dots: dict[str, str]) -> str:
     found = failures(results)
     if not found:
         return "<h2>Failures</h2>\n<p>None.</p>"
-    causes = Counter((result.cause, result.method) for result in found)
+    causes = Counter((result.cause, result.run.method) for result in found)
     items = [
-        f"<li>{escape(cause)}: {count} of {method.upper()}</li>" for (cause, method), count in causes.most_common()
+        f"<li>{escape(cause)}: {count} of {escape(method.upper())}</li>"
+        for (cause, method), count in causes.most_common()
     ]
     intro = "The cause is what the log suggests. Each command runs its trial again, with the same result."
     return f'<h2>Failures</h2>\n<p class="note">{intro}</p>\n<ul class="causes">{"".join(items)}</ul>\n' + "\n".join(
-        map(_failure, found)
+        _failure(result, dots[result.run.method.upper()]) for result in found
     )
 
 
-def _failure(result: Result) -> str:
+def _failure(result: Result, dot: str) -> str:
     trace = f"<pre>{escape(result.error)}</pre>" if result.error else ""
-    head = f"{_dot(result.method)}{escape(result.task)}, {result.method.upper()}, start {result.number}"
+    head = f"{dot}{escape(result.task)}, {escape(result.run.method.upper())}, start {result.number}"
     return (
         f"<details><summary>{head}: {escape(result.cause)} <small>{escape(result.evidence)}</small></summary>"
         f"<pre>{escape(result.command)}</pre>{trace}</details>"

@@ -9,17 +9,24 @@ from functools import cache
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-_NO_PART = ("bench", "cli.py", "doctor.py", "report.py", "drawing.py", "upkeep.py", "ahead.py", "scenes")
-"""What takes no part in a result; scenes count one by one."""
+NO_PART = (
+    *("authoring", "bench", "scenes", "view"),
+    *("ahead.py", "cli.py", "doctor.py", "drawing.py", "film.py", "options.py", "report.py", "upkeep.py"),
+)
+"""Folders and modules of the package that take no part in a result: an episode imports none of them. Whatever is not
+named here counts. Scenes count one by one, in the key of a trial."""
 
 
 @cache
 def code_content() -> str:
-    """Hash of the source that decides results, kernels included: results of two hashes were made by different code."""
+    """Hash of the source that decides results, kernels included: results of two hashes were made by different code.
+
+    It is of this package only; methods, engines and plants of other packages are not in it.
+    """
     digest = hashlib.sha256()
     files = [*_PACKAGE.rglob("*.py"), *(_PACKAGE / "kernels").glob("*.py")]  # kernels may be a link, which rglob skips
     for name, file in sorted({file.relative_to(_PACKAGE).as_posix(): file for file in files}.items()):
-        if name.split("/")[0] not in _NO_PART:
+        if name.split("/")[0] not in NO_PART:
             digest.update(name.encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()[:12]
 

@@ -10,7 +10,8 @@ import json
 import math
 import shlex
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ import numpy as np
 
 from oimppi_warp.bench.causes import RAISED, Cause, likely_cause
 from oimppi_warp.bench.trial import Trial
-from oimppi_warp.log import EpisodeLog, LogError, to_json, write_whole
+from oimppi_warp.log import EpisodeLog, LogError, flat, to_json, write_whole
 from oimppi_warp.metrics import first_hold, hold_steps, summarize, within
+from oimppi_warp.run_spec import RunSpec
 
 FORMAT = 1
 """Version of the file; a reader refuses others."""
@@ -39,7 +41,8 @@ class Result:
 
     Attributes:
         key: Hash of what decides the result, see :class:`Trial`.
-        task, method, number, seed, start, preset, engine, mode, plant: Of the trial.
+        task, number, start, run: Of the trial. In JSON the fields of ``run`` stand beside the others.
+        preset: Of the trial's settings.
         command: Runs it again.
         code, machine: See :mod:`oimppi_warp.bench.provenance`.
         wall_s: How long it took.
@@ -56,14 +59,10 @@ class Result:
 
     key: str
     task: str
-    method: str
     number: int
-    seed: int
     start: tuple[float, float, float]
+    run: RunSpec
     preset: str
-    engine: str
-    mode: str
-    plant: str
     command: str
     code: str
     machine: str
@@ -130,11 +129,11 @@ class ResultSet:
     @property
     def methods(self) -> list[str]:
         """In the order of the suite."""
-        return list(dict.fromkeys(result.method for result in self.results))
+        return list(dict.fromkeys(result.run.method for result in self.results))
 
     def of(self, task: str | None = None, method: str | None = None) -> list[Result]:
         """The results of a task and a method; ``None`` means all."""
-        return [r for r in self.results if task in (None, r.task) and method in (None, r.method)]
+        return [r for r in self.results if task in (None, r.task) and method in (None, r.run.method)]
 
     def groups(self) -> Iterator[tuple[str, str, list[Result]]]:
         """Task, method and results, for all that there are."""
@@ -150,9 +149,9 @@ class ResultSet:
 
     def save(self, path: Path) -> None:
         """Write the file, whole."""
-        facts = {"format": FORMAT} | to_json({item.name: getattr(self, item.name) for item in fields(self)})
-        head = {name: value for name, value in facts.items() if name != "results"}
-        rows = ",\n".join("  " + json.dumps(row, allow_nan=False) for row in facts["results"])
+        facts = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "results"}
+        head = {"format": FORMAT} | to_json(facts)
+        rows = ",\n".join("  " + json.dumps(result_row(result), allow_nan=False) for result in self.results)
         text = json.dumps(head, indent=1, allow_nan=False).removesuffix("\n}")
         write_whole(path, f'{text},\n "results": [\n{rows}\n ]\n}}\n'.encode())
 
@@ -181,8 +180,9 @@ def load_results(path: str | Path) -> ResultSet:
 
 
 def result_from(row: dict[str, Any]) -> Result:
-    """A result from its JSON; the opposite of :func:`dataclasses.asdict`."""
-    row = dict(row)
+    """A result from its JSON, the opposite of :func:`result_row`."""
+    row = _told_by(row["command"]) | row  # rows of earlier versions lack the device and the threads
+    row["run"] = RunSpec(**{item.name: row.pop(item.name) for item in fields(RunSpec)})
     row["start"] = tuple(row["start"])
     for name in ("success_steps", "error_until_success_m"):
         row[name] = math.nan if row[name] is None else row[name]
@@ -190,8 +190,16 @@ def result_from(row: dict[str, Any]) -> Result:
 
 
 def result_row(result: Result) -> dict[str, Any]:
-    """A result as JSON knows it."""
-    return to_json(asdict(result))
+    """A result in types that JSON knows, the options of its run beside the other fields."""
+    return to_json(flat(result))
+
+
+def _told_by(command: str) -> dict[str, Any]:
+    """Device and threads from a trial's command."""
+    words = shlex.split(command)
+    told: dict[str, Any] = dict(pairwise(words))
+    threads = told.get("--threads")
+    return {"device": told.get("--device", "auto"), "threads": None if threads is None else int(threads)}
 
 
 def make_result(
@@ -208,15 +216,12 @@ def make_result(
         reach: How far the arm gets [m].
     """
     common: dict[str, Any] = {
-        name: getattr(trial, name)
-        for name in (
-            *("key", "task", "method", "number", "seed", "start", "preset", "engine", "mode", "plant", "command"),
-        )
+        name: getattr(trial, name) for name in ("key", "task", "number", "start", "run", "command")
     }
-    common |= {"code": code, "machine": machine, "wall_s": round(wall_s, 2)}
+    common |= {"preset": trial.settings.preset, "code": code, "machine": machine, "wall_s": round(wall_s, 2)}
     if log is None:
         return Result(**common, cause=RAISED, evidence=error.strip().rpartition("\n")[2], error=error)
-    metrics = to_json(summarize(log))
+    metrics = summarize(log).row()
     cause = Cause("", "") if metrics["success"] else likely_cause(log, reach=reach)
     held = hold_steps(log.header["hold_seconds"], log.header["control_period"])
     arrived = first_hold(within(log, log.header["tolerance"]), held)

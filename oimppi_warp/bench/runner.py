@@ -12,18 +12,18 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from oimppi_warp.bench import Backend
 from oimppi_warp.bench.results import FILE, Result, ResultSet, make_result, result_from, result_row
 from oimppi_warp.bench.suite import Suite
 from oimppi_warp.bench.trial import Trial, make_trials
 from oimppi_warp.bench.worker import Outcome, run_trial
 from oimppi_warp.errors import OimppiError
 from oimppi_warp.log import to_json, versions, write_whole
-
-BACKENDS = ("loky", "dask", "ray")
+from oimppi_warp.registries import ENGINES, METHODS, PLANTS
 
 SAVE_EVERY = 10.0
 """``results.json`` is written no more often than that while trials run [s]."""
@@ -77,24 +77,28 @@ class SuiteRun:
         self,
         *,
         jobs: int | None = None,
-        backend: str = "loky",
+        backend: Backend = "loky",
         cluster: str = "",
         on_result: Callable[[Result], None] | None = None,
     ) -> ResultSet:
         """Run what is open, and write the results.
 
         Args:
-            jobs: Trials at the same time; by default as many as there are cores, and one in real time.
-            backend: Of joblib.
-            cluster: Address of a running cluster; without one, dask and ray start a local one.
+            jobs: Trials at the same time; by default as many as there are cores, and one in real time. With ``1`` (and
+                loky) trials run in this process, one after the other.
+            backend: What runs them.
+            cluster: Address of a running cluster; without one, dask starts a local one.
             on_result: Called after each trial.
 
         Raises:
-            BenchError: The backend is not there, or a worker process dies again and again.
+            BenchError: The backend is not there, a trial needs what other processes do not know, or a worker process
+                dies again and again.
             KeyboardInterrupt: Ctrl-C; what is finished is written.
         """
         if backend != "loky" and any(trial.real_time for trial in self.open):
             raise BenchError("trials in real time need the machine for themselves\n  to do:   --backend loky")
+        if jobs != 1 or backend != "loky":
+            _check_known_elsewhere(self.open)
         self.folder.mkdir(parents=True, exist_ok=True)
         saved = 0.0
         try:
@@ -130,7 +134,7 @@ class SuiteRun:
         folder.mkdir(parents=True, exist_ok=True)
         if outcome.log is not None:
             outcome.log.save(folder)
-        facts = {"trial": asdict(trial), "result": result_row(result), "versions": versions()}
+        facts = {"trial": trial.row(), "result": result_row(result), "versions": versions()}
         write_whole(folder / _TRIAL, (json.dumps(to_json(facts), indent=1, allow_nan=False) + "\n").encode())
         self.finished[trial.key] = result
         return result
@@ -142,7 +146,7 @@ class SuiteRun:
             title=self.suite.title,
             planned=len(self.trials),
             versions=versions(),
-            entries=[to_json(asdict(entry)) for entry in self.suite.entries],
+            entries=[entry.row() for entry in self.suite.entries],
             places=self.places,
             results=[self.finished[trial.key] for trial in self.trials if trial.key in self.finished],
         )
@@ -170,13 +174,13 @@ def prepare(trials: Iterable[Trial]) -> None:
     from oimppi_warp.device import kernels_are_cached
 
     if not kernels_are_cached():
-        for trial in {(trial.method, trial.engine): trial for trial in trials}.values():
+        for trial in {(trial.run.method, trial.run.engine): trial for trial in trials}.values():
             make_episode(trial)
 
 
 @contextmanager
-def cluster_backend(backend: str, cluster: str, jobs: int | None) -> Iterator[None]:
-    """Connects to a cluster of dask or ray, or starts a local one, and makes it joblib's backend while it lasts.
+def cluster_backend(backend: Backend, cluster: str, jobs: int | None) -> Iterator[None]:
+    """Connects to a cluster of dask, or starts a local one, and makes it joblib's backend while it lasts.
 
     Raises:
         BenchError: The backend is not installed, or the cluster is not there.
@@ -198,25 +202,30 @@ def cluster_backend(backend: str, cluster: str, jobs: int | None) -> Iterator[No
                     }
                 )
                 stack.enter_context(distributed.Client(**options))
-            elif backend == "ray":
-                import ray  # pyright: ignore[reportMissingImports]
-                from ray.util.joblib import register_ray  # pyright: ignore[reportMissingImports]
-
-                options = {"address": cluster} if cluster else {"num_cpus": jobs or joblib.cpu_count()}
-                ray.init(**options, include_dashboard=False, log_to_driver=False)
-                stack.callback(ray.shutdown)
-                register_ray()
         except ImportError as error:
             raise BenchError(
                 f"--backend {backend}: {error.name} is not installed\n  allowed: loky, or what is installed\n"
-                f"  to do:   pip install {'ray' if backend == 'ray' else 'oimppi-warp[cluster]'}"
+                "  to do:   pip install oimppi-warp[cluster]"
             ) from None
         except (OSError, ConnectionError, RuntimeError) as error:
             raise BenchError(f"--cluster {cluster}: no cluster there ({error})") from None
         yield
 
 
-def _outcomes(trials: list[Trial], *, jobs: int, backend: str) -> Iterator[Outcome]:
+def _check_known_elsewhere(trials: Iterable[Trial]) -> None:
+    """Raise BenchError for trials that only this process can run, because of what was registered in it."""
+    for trial in trials:
+        used = ((METHODS, trial.run.method), (ENGINES, trial.run.engine), (PLANTS, trial.run.plant))
+        for registry, name in used:
+            if registry.is_local(name):
+                raise BenchError(
+                    f"the {registry.kind} {name} was registered in this process and is unknown to others\n"
+                    f"  to do:   --jobs 1 (with --backend loky), or declare it in a package, as an entry point of the "
+                    f"group {registry.group}"
+                )
+
+
+def _outcomes(trials: list[Trial], *, jobs: int, backend: Backend) -> Iterator[Outcome]:
     """Runs trials and yields what came out, as soon as it is there.
 
     Raises:
@@ -232,13 +241,12 @@ def _outcomes(trials: list[Trial], *, jobs: int, backend: str) -> Iterator[Outco
         try:
             with parallel_config(backend=backend, n_jobs=jobs), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message=".*tasks which were still being processed")  # after Ctrl-C
-                for batch, way in _batches(list(todo.values()), backend):
-                    calls = (delayed(run_trial)(trial, os.getpid()) for trial in batch)
-                    one: Any = 1  # a trial at a time
-                    parallel: Any = Parallel(return_as=way, batch_size=one, pre_dispatch="2*n_jobs")
-                    for outcome in parallel(calls):
-                        del todo[outcome.trial.key]
-                        yield outcome
+                calls = (delayed(run_trial)(trial, os.getpid()) for trial in list(todo.values()))
+                one: Any = 1  # a trial at a time
+                parallel: Any = Parallel(return_as="generator_unordered", batch_size=one, pre_dispatch="2*n_jobs")
+                for outcome in parallel(calls):
+                    del todo[outcome.trial.key]
+                    yield outcome
         except TerminatedWorkerError as error:
             if died and len(todo) == before:
                 reason = str(error).split("\n")[0]
@@ -247,15 +255,3 @@ def _outcomes(trials: list[Trial], *, jobs: int, backend: str) -> Iterator[Outco
                     "  to do:   fewer of them (--jobs 1), in case memory runs out; finished trials are kept"
                 ) from None
             died = len(todo) == before
-
-
-def _batches(trials: list[Trial], backend: str) -> Iterator[tuple[list[Trial], str]]:
-    """Trials that go to joblib together, and how it gives results back: ray's backend cannot do so one by one."""
-    import joblib
-
-    if backend != "ray":
-        yield trials, "generator_unordered"
-        return
-    step = 2 * max(1, joblib.cpu_count())
-    for first in range(0, len(trials), step):
-        yield trials[first : first + step], "list"

@@ -1,72 +1,90 @@
 """A suite: which tasks, methods and starts to try, with which settings, as a TOML file that a person can copy.
 
-The keys of :class:`Entry` may stand at the top of the file, and again in each ``[[entry]]``, where they count for that
-entry only. A file without entries is one entry.
+The keys may stand at the top of the file, and again in each ``[[entry]]``, where they count for that entry only. A file
+without entries is one entry. The keys are the fields of :class:`Entry`, those of its run options and those of its
+settings; `docs/bench.md` lists them.
 """
 
 from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from oimppi_warp.config import Method
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.log import flat, to_json
 from oimppi_warp.presets import PRESETS
-from oimppi_warp.task import make_config
+from oimppi_warp.registries import ENGINES, METHODS, PLANTS
+from oimppi_warp.run_spec import LARGEST_SEED, MODES, RunSpec
+from oimppi_warp.task import SettingsRequest
 
 SUITES = Path(__file__).parent / "suites"
 """Where the shipped suites are."""
 
-ENGINES = ("quasistatic", "newton")
-"""Engines that a suite may name: ``auto`` is left out, because it depends on how busy the machine is."""
+MOST_TRIALS = 10_000
+"""Trials of a task and method in one suite at the most."""
 
-MODES = ("lockstep", "realtime")
-"""Whether the plant waits for the planner, or not."""
+NUMBERS = 1_000_000
+"""Trials are numbered from 0 to one less than that."""
 
-PLANTS = ("ideal", "lab")
-"""The plant as it is, or with the lab's imperfections."""
+RUN = RunSpec(engine="quasistatic", device="cpu", threads=1)
+"""Options of a run where a suite does not say otherwise; the same on every machine."""
 
-MOST = 10_000
-"""Trials of a task and method at the most; the seeds of trials are this far apart from suite seed to suite seed."""
+SETTINGS = SettingsRequest()
+"""Settings where a suite does not say otherwise."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Some tasks with some methods, all with the same settings.
+    """Some tasks with some methods, all with the same options and settings.
 
     Attributes:
         tasks: Names of shipped scenes, or USD files (a relative path counts from the suite's file).
-        methods: Who plans.
-        trials: Starts of each task: the scene's own first, then drawn ones.
-        preset: Settings to begin with.
-        engine: What rolls samples out.
-        device: Where the planner computes; another device gives other results.
-        threads: Of a planner on the CPU; they change no result, only how long plans take.
-        seed: From which the seeds of all trials come.
-        set: Changes of settings, ``NAME=VALUE``.
-        max_sim_seconds: Time limit of an episode [simulated s], if another than the preset's.
-        mode: ``lockstep``, or ``realtime``: trials that run against the clock run one at a time.
-        plant: ``ideal`` or ``lab``.
+        methods: Names of methods; by default all that are registered.
+        trials: Number of trials of each task and method.
+        first: Number of the first one. The scene's own starts belong to the first numbers; all others are drawn.
+        run: Options of all runs. Its seed is the one from which the seeds of the trials come, its method is replaced by
+            each of ``methods``; its engine is never ``"auto"``, which depends on how busy the machine is.
+        settings: Settings of all runs.
         label: Tells entries with the same tasks and methods apart: it is put behind the task's name.
     """
 
     tasks: tuple[str, ...] = ()
-    methods: tuple[Method, ...] = get_args(Method)
+    methods: tuple[str, ...] = field(default_factory=lambda: tuple(METHODS))
     trials: int = 10
-    preset: str = "best"
-    engine: str = "quasistatic"
-    device: str = "cpu"
-    threads: int = 1
-    seed: int = 0
-    set: tuple[str, ...] = ()
-    max_sim_seconds: float | None = None
-    mode: str = "lockstep"
-    plant: str = "ideal"
+    first: int = 0
+    run: RunSpec = RUN
+    settings: SettingsRequest = SETTINGS
     label: str = ""
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of the trials of each task and method."""
+        return range(self.first, self.first + self.trials)
+
+    def changed(self, values: Mapping[str, Any]) -> Entry:
+        """The entry with other values at some keys of a suite's file."""
+        values = {_FIELDS.get(key, key): value for key, value in values.items()}
+
+        def part(of: Any) -> dict[str, Any]:
+            return {item.name: values[item.name] for item in fields(of) if item.name in values}
+
+        run, settings = replace(self.run, **part(self.run)), replace(self.settings, **part(self.settings))
+        return replace(self, **part(self), run=run, settings=settings)
+
+    def row(self) -> dict[str, Any]:
+        """The entry as it would stand in a file, in types that JSON knows."""
+        names = {name: key for key, name in _FIELDS.items()}
+        found = {names.get(name, name): value for name, value in flat(self).items()}
+        del found["method"]
+        return to_json(found)
+
+
+_FIELDS = {"set": "assignments"}
+"""Keys of a suite's file whose field has another name."""
 
 
 @dataclass(frozen=True)
@@ -86,17 +104,23 @@ class Suite:
     entries: tuple[Entry, ...]
 
     def changed(self, **changes: Any) -> Suite:
-        """The suite with the same changes in all entries; those that are ``None`` are left out."""
+        """The suite with other values at some keys of all entries; those that are ``None`` are left out.
+
+        Raises:
+            ConfigError: The suite cannot be run so.
+        """
         wanted = {name: value for name, value in changes.items() if value is not None}
-        suite = replace(self, entries=tuple(replace(entry, **wanted) for entry in self.entries))
-        _check_settings(suite)
-        return suite
+        return self._checked(entry.changed(wanted) for entry in self.entries)
 
     def assigned(self, assignments: tuple[str, ...]) -> Suite:
-        """The suite with settings (``NAME=VALUE``) changed in all entries, after their own."""
-        suite = replace(self, entries=tuple(replace(each, set=(*each.set, *assignments)) for each in self.entries))
-        _check_settings(suite)
-        return suite
+        """The suite with settings (``NAME=VALUE``) changed in all entries, after their own.
+
+        Raises:
+            ConfigError: There is no such setting, or it cannot have that value.
+        """
+        return self._checked(
+            entry.changed({"set": (*entry.settings.assignments, *assignments)}) for entry in self.entries
+        )
 
     def only(self, *, tasks: tuple[str, ...] = (), methods: tuple[str, ...] = ()) -> Suite:
         """The part of the suite with these tasks and methods; an empty tuple means all.
@@ -121,6 +145,11 @@ class Suite:
             for entry in self.entries
         ]
         return replace(self, entries=tuple(entry for entry in kept if entry.tasks and entry.methods))
+
+    def _checked(self, entries: Iterable[Entry]) -> Suite:
+        suite = replace(self, entries=tuple(entries))
+        _check(suite)
+        return suite
 
 
 def shipped_suites() -> list[Suite]:
@@ -154,22 +183,28 @@ def load_suite(suite: str | Path) -> Suite:
     entries = []
     for number, table in enumerate(tables):
         where = f"{file}: " if len(tables) == 1 else f"{file}, entry {number + 1}: "
-        entry = Entry(**(common | _values(table, where)))
+        entry = Entry().changed(common | _values(table, where))
         if not entry.tasks:
             fix = 'tasks = ["task01", "task02"]'
             raise ConfigError(f"{where}no tasks\n  to do:   name some at the top or in the entry: {fix}")
         entries.append(entry)
     made = Suite(file.stem, title, file, tuple(entries))
-    _check_settings(made)
+    _check(made)
     return made
 
 
-def _check_settings(suite: Suite) -> None:
-    """Raise ConfigError for settings that no planner can be made from."""
+def _check(suite: Suite) -> None:
+    """Raise ConfigError for what no trials can be made from, although each value may stand where it does."""
     for entry in suite.entries:
+        where = f"{suite.file}, {', '.join(entry.tasks)}"
+        if entry.numbers.stop > NUMBERS:
+            raise ConfigError(
+                f"{where}: the last trial would have the number {entry.numbers.stop - 1}\n"
+                f"  allowed: first + trials up to {NUMBERS}"
+            )
         for method in entry.methods:
             try:
-                make_config(entry.preset, method, assignments=entry.set, max_sim_seconds=entry.max_sim_seconds)
+                entry.settings.config(method)
             except ConfigError as error:
                 raise ConfigError(f"{suite.file}, {method} on {', '.join(entry.tasks)}: {error}") from None
 
@@ -211,43 +246,47 @@ def _one_of(names: Any) -> tuple[Callable[[Any], bool], str]:
 
 _JOINTS = str.maketrans("", "", "_-")
 
-_METHODS = get_args(Method)
-_KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "tasks": (lambda value: _texts(value) and bool(value), 'a list of scenes, like ["task01", "my_task.usda"]'),
-    "methods": (
-        lambda value: _texts(value) and bool(value) and set(value) <= set(_METHODS),
-        f"a list out of {', '.join(_METHODS)}",
-    ),
-    "trials": _whole(1, MOST),
-    "preset": _one_of(PRESETS),
-    "engine": _one_of(ENGINES),
-    "device": (lambda value: isinstance(value, str), '"cpu", "cuda:0", ... or "auto"'),
-    "threads": _whole(1, 1024),
-    "seed": _whole(0, 100_000),
-    "set": (_texts, 'a list of settings, like ["robot.mppi.samples=512"]'),
-    "max_sim_seconds": (lambda value: _number(value) and value > 0, "a number of seconds above zero"),
-    "mode": _one_of(MODES),
-    "plant": _one_of(PLANTS),
-    "label": (lambda value: isinstance(value, str) and value.translate(_JOINTS).isalnum(), "letters, digits, _ and -"),
-}
-"""For each key: whether a value may stand there, and what is allowed."""
 
-assert _KEYS.keys() == {field.name for field in fields(Entry)}
+def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
+    """For each key: whether a value may stand there, and what is allowed."""
+    return {
+        "tasks": (lambda value: _texts(value) and bool(value), 'a list of scenes, like ["task01", "my_task.usda"]'),
+        "methods": (
+            lambda value: _texts(value) and bool(value) and all(name in METHODS for name in value),
+            f"a list out of {', '.join(METHODS)}",
+        ),
+        "trials": _whole(1, MOST_TRIALS),
+        "first": _whole(0, NUMBERS - 1),
+        "preset": _one_of(PRESETS),
+        "engine": _one_of(ENGINES),
+        "device": (lambda value: isinstance(value, str), '"cpu", "cuda:0", ... or "auto"'),
+        "threads": _whole(1, 1024),
+        "seed": _whole(0, LARGEST_SEED),
+        "set": (_texts, 'a list of settings, like ["robot.optimizer.samples=512"]'),
+        "max_sim_seconds": (lambda value: _number(value) and value > 0, "a number of seconds above zero"),
+        "mode": _one_of(MODES),
+        "plant": _one_of(PLANTS),
+        "label": (
+            lambda value: isinstance(value, str) and value.translate(_JOINTS).isalnum(),
+            "letters, digits, _ and -",
+        ),
+    }
 
 
 def check_value(key: str, value: Any, where: str) -> None:
     """Raise ConfigError where a value cannot stand at a key; ``where`` comes first in the message."""
-    fits, allowed = _KEYS[key]
+    fits, allowed = _keys()[key]
     if not fits(value):
         raise ConfigError(f"{where}{key} = {value!r}: cannot be used\n  allowed: {allowed}")
 
 
 def _values(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """The keys of a table as values of an entry."""
+    """The keys of a table, checked, with tuples for lists."""
+    known = _keys()
     for key, value in table.items():
-        if key not in _KEYS:
-            near = difflib.get_close_matches(key, [*_KEYS, "title", "entry"], n=1)
+        if key not in known:
+            near = difflib.get_close_matches(key, [*known, "title", "entry"], n=1)
             hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
-            raise ConfigError(f"{where}{key}: no such key\n  allowed: title, entry, {', '.join(_KEYS)}{hint}")
+            raise ConfigError(f"{where}{key}: no such key\n  allowed: title, entry, {', '.join(known)}{hint}")
         check_value(key, value, where)
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from oimppi_warp.bench.comparison import Comparison, compare_labels, compare_methods
-from oimppi_warp.bench.paper import MEANS, REPORTED, TABLES, Reported
+from oimppi_warp.bench.paper import MEANS, METHODS, REPORTED, TABLES, Reported
 from oimppi_warp.bench.results import Result, ResultSet
 from oimppi_warp.bench.statistics import Rate, Statistics, summarize_results
 
-ORDER = ("mppi", "cloi", "soi")
-"""Methods in the order of the paper's tables."""
+PLANNED_AHEAD = 0.5
+"""Mean wall time of planning before the first step from which on it is told [s]; fields of costs take a tenth of it."""
+
+_NOT_REPORTED = Reported("", math.nan)
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,12 @@ class Table:
     note: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+
+
+def shown_methods(results: ResultSet) -> list[str]:
+    """The methods of a result set as they are shown: the paper's in its order, then all others in the suite's."""
+    others = [method for method in results.methods if method not in METHODS]
+    return [*(method for method in METHODS if method in results.methods), *others]
 
 
 def every_table(results: ResultSet) -> list[Table]:
@@ -81,16 +89,18 @@ def paper_table(results: ResultSet, table: str) -> Table:
     """One of the paper's tables with ours beside it."""
     rows = []
     tasks = [task for task in TABLES[table] if task in results.tasks]
-    methods = _methods(results)
+    methods = shown_methods(results)
     for task in tasks:
         for method in methods:
             if found := results.of(task, method):
-                rows.append((task, method.upper(), *_beside(REPORTED[task, method], summarize_results(found))))
+                reported = REPORTED.get((task, method), _NOT_REPORTED)
+                rows.append((task, method.upper(), *_beside(reported, summarize_results(found))))
     if len(tasks) == len(TABLES[table]):
         for method in methods:
             groups = [summarize_results(results.of(task, method)) for task in tasks]
             if all(group.success.total for group in groups):
-                rows.append(("mean", method.upper(), *_beside(MEANS[table, method], *groups)))
+                reported = MEANS.get((table, method), _NOT_REPORTED)
+                rows.append(("mean", method.upper(), *_beside(reported, *groups)))
     where = "in simulation" if table == "I" else "on the real arm; ours are simulated"
     return Table(
         f"The paper's Table {table}",
@@ -117,15 +127,14 @@ def time_table(results: ResultSet) -> Table:
     """Times to success and of plans."""
     rows = []
     for task, method, s in _groups(results):
-        total = number(s.total_time, 1) + (f" ({number(s.preplan_time, 1)})" if method == "soi" else "")
-        cells = (number(s.steps, 0), number(s.time, 1), total, number(s.plan_ms, 1), number(s.plan_ms_p95, 1))
+        cells = (number(s.steps, 0), number(s.time, 1), _total([s]), number(s.plan_ms, 1), number(s.plan_ms_p95, 1))
         samples = (number(s.samples, 1), number(s.object_samples, 1))
         rows.append((task, method.upper(), *cells, number(s.control_hz, 1), *samples))
     return Table(
         "Time and planning",
         "Steps and simulated time to success are medians over successful trials, T is the mean of their times with "
-        "planning (in brackets what SOI planned ahead). Plan times are medians over trials of each trial's median and "
-        "95th percentile. The effective sample sizes are means.",
+        "planning (in brackets what was planned ahead, as SOI does). Plan times are medians over trials of each "
+        "trial's median and 95th percentile. The effective sample sizes are means.",
         (
             *("task", "method", "steps", "time [s]", "T [s]", "plan [ms]", "p95 [ms]", "f [Hz]"),
             *("effective samples", "of the object level"),
@@ -179,7 +188,7 @@ def differing(found: Comparison) -> Table:
     for pairs, side in ((found.only_first, "A"), (found.only_second, "B")):
         for a, b in pairs:
             failed = b if side == "A" else a
-            rows.append((f"{a.task}, {a.method.upper()}", f"{a.number}", side, failed.cause, failed.command))
+            rows.append((f"{a.task}, {a.run.method.upper()}", f"{a.number}", side, failed.cause, failed.command))
     return Table(
         "Pairs that differ",
         "Which side succeeded, why the other failed, and what runs the failed trial again.",
@@ -215,40 +224,42 @@ def p_value(p: float) -> str:
     return "< 0.001" if p < 0.001 else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
 
 
-def _methods(results: ResultSet) -> list[str]:
-    return [method for method in ORDER if method in results.methods]
-
-
 def _groups(results: ResultSet) -> list[tuple[str, str, Statistics]]:
     return [
         (task, method, summarize_results(found))
         for task in results.tasks
-        for method in _methods(results)
+        for method in shown_methods(results)
         if (found := results.of(task, method))
     ]
 
 
 def _beside(reported: Reported, *groups: Statistics) -> tuple[str, ...]:
     """The paper's numbers and the mean of ours, in pairs."""
-
-    def mean(values: list[float]) -> float:
-        known = [value for value in values if math.isfinite(value)]
-        return sum(known) / len(known) if known else math.nan
-
     total = _reported(reported.total_time_s, 0)
-    ours = number(mean([group.total_time for group in groups]), 1)
     if reported.preplan_time_s is not None:
         total += f" ({reported.preplan_time_s:.0f})"
-        ours += f" ({number(mean([group.preplan_time for group in groups]), 1)})"
-    success = f"{mean([group.success.share for group in groups]):.2f}"
+    success = f"{_mean([group.success.share for group in groups]):.2f}"
     if len(groups) == 1:
         success += f" ({interval(groups[0].success)})"
     return (
-        *(f"{reported.success:.2f}" if len(groups) > 1 else f"{reported.success:.1f}", success),
-        *(_reported(reported.error_m, 2), number(mean([group.error_until for group in groups]), 2)),
-        *(_reported(reported.control_hz, 2), number(mean([group.control_hz for group in groups]), 1)),
-        *(total, ours),
+        *(number(reported.success, 2 if len(groups) > 1 else 1), success),
+        *(_reported(reported.error_m, 2), number(_mean([group.error_until for group in groups]), 2)),
+        *(_reported(reported.control_hz, 2), number(_mean([group.control_hz for group in groups]), 1)),
+        *(total, _total(groups)),
     )
+
+
+def _total(groups: Sequence[Statistics]) -> str:
+    """The mean total time to success of some groups, in brackets what of it was planned ahead."""
+    ahead = _mean([group.preplan_time for group in groups])
+    text = number(_mean([group.total_time for group in groups]), 1)
+    return f"{text} ({number(ahead, 1)})" if ahead >= PLANNED_AHEAD else text
+
+
+def _mean(values: Sequence[float]) -> float:
+    """The mean of those that are known."""
+    known = [value for value in values if math.isfinite(value)]
+    return sum(known) / len(known) if known else math.nan
 
 
 def _reported(value: float | None, digits: int) -> str:

@@ -6,18 +6,24 @@ import hashlib
 import json
 import os
 import shlex
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from oimppi_warp.bench.suite import MODES, MOST, PLANTS, Entry, Suite
-from oimppi_warp.config import Config, Method
+import numpy as np
+
+from oimppi_warp.bench.suite import Suite
+from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.log import to_json
-from oimppi_warp.task import make_config, make_task
+from oimppi_warp.log import flat, to_json
+from oimppi_warp.run_spec import LARGEST_SEED, RunSpec
+from oimppi_warp.task import SettingsRequest, make_task
 
 if TYPE_CHECKING:
     from oimppi_warp.episode import Episode
     from oimppi_warp.scene import PlanarPose, Scene
+
+_SEEDS, _NUMBERS = 100_000, 10_000
+"""Up to this seed of a suite and below this number of a trial, seeds of trials are counted."""
 
 
 @dataclass(frozen=True)
@@ -28,75 +34,62 @@ class Trial:
         task: Short name of the scene, with the entry's label behind it if it has one.
         scene: What to load it by: the name of a shipped scene, or a file.
         content: Hash of the scene's files.
-        method, preset, engine, device, threads, mode, plant: As in the suite.
         number: From 0; the same number is the same start and the same seed for every method.
-        seed: Of the planner's noise.
         start: Planar pose of the object.
-        assignments: Settings that differ from the preset, ``NAME=VALUE``.
-        max_sim_seconds: Time limit, if another than the preset's.
+        run: Options of the run, with the trial's own seed.
+        settings: Settings that are asked for.
     """
 
     task: str
     scene: str
     content: str
-    method: Method
     number: int
-    seed: int
     start: PlanarPose
-    preset: str
-    engine: str
-    device: str
-    threads: int
-    assignments: tuple[str, ...]
-    max_sim_seconds: float | None
-    mode: str
-    plant: str
+    run: RunSpec
+    settings: SettingsRequest
 
     @property
     def real_time(self) -> bool:
         """Whether it runs against the clock, and must have the machine for itself."""
-        return self.mode != MODES[0]
+        return self.run.mode == "realtime"
 
     @property
     def config(self) -> Config:
         """All settings."""
-        return make_config(self.preset, self.method, assignments=self.assignments, max_sim_seconds=self.max_sim_seconds)
+        return self.settings.config(self.run.method)
 
     @property
     def key(self) -> str:
-        """Hash of what decides the result: the scene's content, all settings, method, engine, device, start, seed.
+        """Hash of what decides the result: the scene's content, all settings, the start, and the options of the run.
 
         Threads count only in real time: they change no bit of a plan.
         """
-        facts = asdict(self) | {"config": to_json(self.config)}
-        for name in (
-            "scene",
-            "number",
-            "preset",
-            "assignments",
-            "max_sim_seconds",
-            *(["threads"] * (not self.real_time)),
-        ):
+        facts = flat(self) | {"config": to_json(self.config)}
+        for name in ("scene", "number", *flat(self.settings), *(["threads"] * (not self.real_time))):
             del facts[name]
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def name(self) -> str:
         """Name of its folder."""
-        return f"{self.task}-{self.method}-{self.number:03d}-{self.key[:8]}"
+        return f"{self.task}-{self.run.method}-{self.number:03d}-{self.key[:8]}"
 
     @property
     def arguments(self) -> list[str]:
         """What follows ``oimppi`` to run this trial alone, with the same result."""
-        words = ["run", self.scene, "--method", self.method, "--preset", self.preset, "--engine", self.engine]
-        words += ["--device", self.device, "--threads", str(self.threads), "--seed", str(self.seed)]
-        words += ["--start", ",".join(map(repr, self.start))]
-        if self.max_sim_seconds is not None:
-            words += ["--max-sim-seconds", repr(self.max_sim_seconds)]
-        for name, value in mode_options(self).items():
-            words += [f"--{name}", value]
-        if self.assignments:
-            words += ["--set", *self.assignments]
+        run, settings = self.run, self.settings
+        words = ["run", self.scene, "--method", run.method, "--preset", settings.preset, "--engine", run.engine]
+        words += ["--device", run.device]
+        if run.threads is not None:
+            words += ["--threads", str(run.threads)]
+        words += ["--seed", str(run.seed), "--start", ",".join(map(repr, self.start))]
+        if settings.max_sim_seconds is not None:
+            words += ["--max-sim-seconds", repr(settings.max_sim_seconds)]
+        for option in ("mode", "plant"):
+            if (value := getattr(run, option)) != getattr(RunSpec(), option):
+                words += [f"--{option}", value]
+        if settings.assignments:
+            words += ["--set", *settings.assignments]
         return words
 
     @property
@@ -104,11 +97,9 @@ class Trial:
         """The same as one line for a shell."""
         return shlex.join(["oimppi", *self.arguments])
 
-
-def mode_options(trial: Trial) -> dict[str, Any]:
-    """``mode`` and ``plant``, as options of ``oimppi run`` and of :class:`Episode`; only what is not the default."""
-    chosen = {"mode": (trial.mode, MODES[0]), "plant": (trial.plant, PLANTS[0])}
-    return {name: value for name, (value, usual) in chosen.items() if value != usual}
+    def row(self) -> dict[str, Any]:
+        """The trial in types that JSON knows, with its options and settings beside the other fields."""
+        return to_json(flat(self))
 
 
 def make_episode(trial: Trial) -> Episode:
@@ -116,23 +107,33 @@ def make_episode(trial: Trial) -> Episode:
     from oimppi_warp.device import pick_device
     from oimppi_warp.episode import Episode
 
-    return Episode(
-        make_task(trial.scene, start=trial.start),
-        trial.config,
-        method=trial.method,
-        engine=trial.engine,
-        device=pick_device(trial.device),
-        threads=trial.threads,
-        seed=trial.seed,
-        **mode_options(trial),
-    )
+    run = replace(trial.run, device=pick_device(trial.run.device))
+    return Episode(make_task(trial.scene, start=trial.start), trial.config, run)
+
+
+def trial_seed(seed: int, number: int) -> int:
+    """The seed of a trial's noise and, where its start is drawn, of its start.
+
+    For a suite's seed up to 100000 and a number below 10000 it is ``10000 * seed + number``. All others are hashed with
+    NumPy's ``SeedSequence`` into the 32-bit numbers above those, so that no hashed seed is a counted one. Two hashed
+    ones are equal by chance only, one pair in 3.3 billion.
+
+    Args:
+        seed: The suite's.
+        number: The trial's.
+    """
+    if seed <= _SEEDS and number < _NUMBERS:
+        return _NUMBERS * seed + number
+    counted = _NUMBERS * (_SEEDS + 1)
+    (word,) = np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)
+    return counted + int(word) % (LARGEST_SEED + 1 - counted)
 
 
 def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
     """Every trial of a suite, and its tasks by their short names.
 
-    The scene's own starts come first, then ones drawn with the trial's seed. Start and seed depend on the task and the
-    number only, so that methods can be compared in pairs.
+    The first numbers have the scene's own starts, whatever the seed is; beyond them, starts are drawn with the trial's
+    seed. Start and seed depend on the task and the number only, so that methods can be compared in pairs.
 
     Raises:
         SceneError: A scene cannot be read, or no start can be drawn.
@@ -157,11 +158,12 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
                 known.add((name, method))
             scenes[name] = scene
             content = scene_content(scene.file)
-            for number in range(entry.trials):
-                seed = MOST * entry.seed + number
+            for number in entry.numbers:
+                seed = trial_seed(entry.run.seed, number)
                 start = _start(scene, number, seed)
                 for method in entry.methods:
-                    trials.append(_trial(entry, name, path, content, method, number, seed, start))
+                    run = replace(entry.run, method=method, seed=seed)
+                    trials.append(Trial(name, path, content, number, start, run, entry.settings))
     return trials, scenes
 
 
@@ -178,25 +180,3 @@ def _start(scene: Scene, number: int, seed: int) -> PlanarPose:
         x, y, yaw = map(float, scene.starts[number])
         return x, y, yaw
     return draw_start(scene, seed)
-
-
-def _trial(
-    entry: Entry, task: str, path: str, content: str, method: Method, number: int, seed: int, start: PlanarPose
-) -> Trial:
-    return Trial(
-        task=task,
-        scene=path,
-        content=content,
-        method=method,
-        number=number,
-        seed=seed,
-        start=start,
-        preset=entry.preset,
-        engine=entry.engine,
-        device=entry.device,
-        threads=entry.threads,
-        assignments=entry.set,
-        max_sim_seconds=entry.max_sim_seconds,
-        mode=entry.mode,
-        plant=entry.plant,
-    )

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute import Compute, Launch, Slot
+from oimppi_warp.clearance import Geometry, to_center
+from oimppi_warp.compute import Compute, Launch
+from oimppi_warp.config import RobotCost, RobotLevel
+from oimppi_warp.dynamics.packing import velocity_bound
+from oimppi_warp.kernels.geometry import PoseField
+from oimppi_warp.kinematics import tip_frame
 from oimppi_warp.observation import Observation
+from oimppi_warp.scene import Scene
+from oimppi_warp.uncertainty import CERTAIN, Draws
 
 
 class Dynamics(Protocol):
@@ -35,6 +44,31 @@ class Dynamics(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RolloutTask:
+    """What an engine of the robot level is made for.
+
+    Attributes:
+        scene: The task.
+        geometry: Its shapes.
+        level: Settings of the robot level.
+        cost: Its weights.
+        dt: Control period [s].
+        compute: Where to compute.
+        draws: Worlds that the rollouts are in.
+        to_go: Cost-to-go of the object [m], where its weight is not zero.
+    """
+
+    scene: Scene
+    geometry: Geometry
+    level: RobotLevel
+    cost: RobotCost
+    dt: float
+    compute: Compute
+    draws: Draws = CERTAIN
+    to_go: PoseField | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Trace:
     """What a control sequence leads to.
@@ -42,7 +76,7 @@ class Trace:
     Attributes:
         tips: Tool tip, shape [horizon + 1, 3] [m].
         poses: Object (friction centre), shape [horizon + 1, 3].
-        terms: Weighted cost terms summed over the horizon, in the order of ``TERMS``.
+        terms: Weighted cost terms summed over the horizon, in the order of the engine's ``terms``.
     """
 
     tips: np.ndarray
@@ -50,25 +84,69 @@ class Trace:
     terms: np.ndarray
 
 
-class RobotDynamics(Dynamics, Protocol):
+class RobotDynamics(ABC):
     """A rollout engine of the robot level; controls are joint velocities [rad/s].
 
+    An engine must define :meth:`rollout`; what it computes starts from :attr:`observation` and :attr:`goal`, or from
+    what :meth:`set_state` makes of them. All else is optional. :meth:`trace`, :meth:`traced` and :meth:`paths` serve
+    logs and the viewer; as they are here, they say what plans cost and show the arm and the object where they stand.
+    An engine may ignore ``guide``; then letting go of a stuck object has no effect with it.
+
+    Engines are entries of :data:`oimppi_warp.registries.ENGINES`: a subclass, or any callable that takes a
+    :class:`RolloutTask` and returns an instance of one.
+
+    Args:
+        task: What it is made for.
+
     Attributes:
+        known_success: Share of a benchmark's starts that each method, by its name, brings to the goal with this engine.
+            ``--engine auto`` takes only engines for which there is a figure for the method.
+        slower_than: Names of engines whose plans are known to take less time. ``--engine auto`` does not try this
+            engine where one of those is too slow.
         one_graph: Whether its launches can be captured in a CUDA graph.
         terms: Names of the cost terms.
+        task: What it was made for.
+        size: Number of joints.
+        bound: Largest joint velocities to plan with, shape [dof] [rad/s].
+        compute: Where it computes.
         reference: Where the object should be at each step from now, poses of its friction centre, an input of the step
-            (:class:`oimppi_warp.compute.Compute`); its length is the number of poses that the engine needs.
+            (:class:`oimppi_warp.compute.Compute`), [horizon + 1 + align_ahead].
         guide: Where the tip is called to and the weight of that, an input [1] of (x, y, z [m], weight [1/m^2]).
+        observation: The state to plan from.
+        goal: The goal [3] of the object's friction centre.
     """
 
-    one_graph: bool
-    terms: tuple[str, ...]
-    reference: Slot
-    guide: Slot
+    known_success: ClassVar[Mapping[str, float]] = {}
+    slower_than: ClassVar[frozenset[str]] = frozenset()
+    one_graph: bool = False
+    terms: tuple[str, ...] = ("cost",)
+    observation: Observation
+    goal: np.ndarray
+
+    def __init__(self, task: RolloutTask) -> None:
+        self.task = task
+        self.compute = task.compute
+        self.size = task.scene.robot.dof
+        self.bound = velocity_bound(task.scene, task.level)
+        self.reference = task.compute.input(task.level.optimizer.horizon + 1 + task.cost.align_ahead, wp.vec3)
+        self.guide = task.compute.input(1, wp.vec4)
+        self._costs: wp.array | None = None
+
+    @abstractmethod
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        """Prepares writing the cost of each joint velocity sequence; see :class:`Dynamics`.
+
+        An engine in NumPy returns a function that reads ``controls.numpy()``, shape [sample, horizon, dof], and ends
+        with ``costs.assign(...)``.
+
+        Args:
+            controls: [sample, horizon] of vectors [dof] [rad/s].
+            costs: [sample], written.
+        """
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
         """The state to plan from, and the goal [3] of the object's friction centre."""
-        ...
+        self.observation, self.goal = observation, goal
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
         """Prepares what :meth:`traced` reads, after an update.
@@ -77,11 +155,19 @@ class RobotDynamics(Dynamics, Protocol):
             nominal: The updated nominal, [horizon] of vectors.
             costs: Costs of the samples that it was made from, [sample].
         """
-        ...
+        self._costs = costs
+        return lambda: None
 
     def traced(self) -> Trace:
-        """Where the plan leads: its nominal, or its best sample in an engine where another rollout would be dear."""
-        ...
+        """Where the plan leads: its nominal, or its best sample in an engine where another rollout would be dear.
+
+        By default everything stays where it is, and the cost is that of the cheapest sample.
+        """
+        assert self._costs is not None, "trace() comes first"
+        steps = self.task.level.optimizer.horizon + 1
+        pose = to_center(self.task.geometry.surface, self.observation.object_pose)
+        least = self._costs.numpy().min()
+        return Trace(np.tile(self._tip(), (steps, 1)), np.tile(pose, (steps, 1)), np.array([least], dtype=float))
 
     def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What some samples of the latest rollout led to, for people to look at.
@@ -91,9 +177,16 @@ class RobotDynamics(Dynamics, Protocol):
             samples: Which of them, shape [n].
 
         Returns:
-            Tool tips, shape [n, steps, 3] [m], and weighted cost terms, shape [n, terms].
+            Tool tips, shape [n, steps, 3] [m], and weighted cost terms, shape [n, terms]. By default the tips stay
+            where they are.
         """
-        ...
+        assert self._costs is not None, "trace() comes first"
+        tips = np.tile(self._tip(), (len(samples), controls.shape[1] + 1, 1))
+        return tips, self._costs.numpy()[samples][:, None]
+
+    def _tip(self) -> np.ndarray:
+        """The tool's tip in the state to plan from, shape [3] [m]."""
+        return tip_frame(self.task.scene.robot, self.observation.joint_position)[1]
 
 
 def control_type(size: int) -> type:

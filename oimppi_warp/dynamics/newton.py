@@ -6,26 +6,20 @@ world make of a cost are the same for all.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from oimppi_warp.clearance import Geometry, to_center
-from oimppi_warp.compute import Compute, Launch
-from oimppi_warp.config import RobotCost, RobotLevel
-from oimppi_warp.dynamics.base import Trace, control_type
-from oimppi_warp.dynamics.packing import no_field, object_model, robot_weights, surroundings, velocity_bound
-from oimppi_warp.kernels.cost import TERMS, CostTerms
-from oimppi_warp.kernels.geometry import PoseField
-from oimppi_warp.kernels.stage import make_stage_costs, pick_trace
+from oimppi_warp.clearance import to_center
+from oimppi_warp.compute import Launch
+from oimppi_warp.dynamics.base import RolloutTask, Trace, control_type
+from oimppi_warp.dynamics.scored import ScoredDynamics
+from oimppi_warp.kernels.stage import Felt, make_pick_trace, make_stage_costs
 from oimppi_warp.kernels.uncertainty import combine_costs
-from oimppi_warp.kinematics import pack_arm, tip_frame
 from oimppi_warp.observation import Observation
-from oimppi_warp.scene import Scene
-from oimppi_warp.uncertainty import CERTAIN, Draws
 
 SOFTEST_STEP = 0.005
 """Longest step of the physics [s] at which contacts set in as the plant's do."""
@@ -41,72 +35,34 @@ def contact_softness(step: float) -> tuple[float, float]:
     return max(0.02, 2.0 * step), 0.0005 * max(step / SOFTEST_STEP, 1.0) ** 2
 
 
-class NewtonDynamics(ABC):
+class NewtonDynamics(ScoredDynamics):
     """Arm, contact and object in Newton's model of the scene; controls are joint velocities [rad/s].
 
     Args:
-        scene: The task.
-        geometry: Its shapes.
-        level: Settings of the robot level.
-        cost: Its weights.
-        dt: Control period [s].
-        compute: Where to compute.
-        draws: Worlds that the rollouts are in.
-        to_go: Cost-to-go of the object [m], where its weight is not zero.
+        task: What it is made for.
 
     Attributes:
         forces: lambda_2 and lambda_3 of the latest rollouts, [rollout, horizon] [N].
         tips, poses: Tool tip and object (friction centre) after each control step in them, [rollout, horizon].
     """
 
-    terms: tuple[str, ...] = TERMS
-    one_graph: bool
-
-    def __init__(
-        self,
-        scene: Scene,
-        geometry: Geometry,
-        level: RobotLevel,
-        cost: RobotCost,
-        *,
-        dt: float,
-        compute: Compute,
-        draws: Draws = CERTAIN,
-        to_go: PoseField | None = None,
-    ) -> None:
-        self.compute = compute
-        self.size = scene.robot.dof
-        self.bound = velocity_bound(scene, level)
-        self._scene = scene
-        self._level = level
-        self._dt = dt
-        self._draws = draws
-        self._surface = geometry.surface
-        self._align_ahead = cost.align_ahead
-        device = compute.device
-        self._arm = pack_arm(scene.robot, self.bound, device)
-        self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
-        self._surroundings = surroundings(scene, geometry, cost)
-        self._weights = robot_weights(scene, geometry, cost)
-
-        self._horizon = level.mppi.horizon
-        self._rollouts = level.mppi.samples * draws.per_sample
+    def __init__(self, task: RolloutTask) -> None:
+        super().__init__(task)
+        compute, device = task.compute, task.compute.device
+        self._draws = task.draws
+        self._horizon = task.level.optimizer.horizon
+        self._rollouts = task.level.optimizer.samples * task.draws.per_sample
         self._start_joints = compute.input(1, control_type(self.size))
-        self._goal = compute.input(1, wp.vec3)
-        self.reference = compute.input(self._horizon + 1 + cost.align_ahead, wp.vec3)
-        self.guide = compute.input(1, wp.vec4)
-        self._to_go = no_field(device) if to_go is None else to_go
         size = (self._rollouts, self._horizon)
         self.forces = wp.zeros(size, dtype=wp.vec2, device=device)
         self.tips = wp.zeros(size, dtype=wp.vec3, device=device)
         self.poses = wp.zeros(size, dtype=wp.vec3, device=device)
         self._lost = wp.zeros(self._rollouts, dtype=int, device=device)
         self._rolled = wp.zeros(self._rollouts, dtype=float, device=device)
-        self._terms = wp.zeros(self._rollouts, dtype=CostTerms, device=device)
-        self._trace_terms = compute.output(1, CostTerms)
+        self._terms = wp.zeros(self._rollouts, dtype=self._terms_type, device=device)
+        self._trace_terms = compute.output(1, self._terms_type)
         self._trace_tips = compute.output(self._horizon, wp.vec3)
         self._trace_poses = compute.output(self._horizon, wp.vec3)
-        self._start = np.zeros(3), np.zeros(3)
 
     def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`oimppi_warp.dynamics.base.RobotDynamics`; of a sample's rollouts the first is taken."""
@@ -131,10 +87,8 @@ class NewtonDynamics(ABC):
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
         """The state to plan from; see :class:`oimppi_warp.dynamics.base.RobotDynamics`."""
+        super().set_state(observation, goal)
         self._start_joints.host[0] = observation.joint_position
-        self._goal.host[0] = goal
-        _, tip = tip_frame(self._scene.robot, observation.joint_position)
-        self._start = tip, to_center(self._surface, observation.object_pose)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         """Prepares the cost of each joint velocity sequence; see :class:`oimppi_warp.dynamics.base.Dynamics`.
@@ -145,29 +99,12 @@ class NewtonDynamics(ABC):
         """
         draws = self._draws
         joints, objects, precision = self.states()
-        inputs = [
-            self._arm,
-            self._model,
-            self._surroundings,
-            self._weights,
-            wp.vec2(*self._surface.center),
-            self._goal.array,
-            self.reference.array,
-            self.guide.array,
-            self._to_go,
-            self._align_ahead,
-            controls,
-            self._dt,
-            self._start_joints.array,
-            draws.per_sample,
-            joints,
-            objects,
-            self.forces,
-            self._lost,
-        ]
+        felt = Felt()
+        felt.forces, felt.lost = self.forces, self._lost
+        inputs = [self._packed, controls, draws.per_sample, self._start_joints.array, joints, objects, felt]
         rolled = costs if draws.per_sample == 1 else self._rolled
         outputs = [rolled, self._terms, self.tips, self.poses]
-        kernel = make_stage_costs(self._scene.robot.chain, precision)
+        kernel = make_stage_costs(self.task.scene.robot.chain, precision, self._extra)
         launches = [*self.simulate(controls), self.compute.launch_samples(kernel, self._rollouts, inputs, outputs)]
         if draws.per_sample > 1:
             inputs = [rolled, draws.per_sample, draws.worst]
@@ -183,11 +120,11 @@ class NewtonDynamics(ABC):
         """Prepares what the cheapest sample led to: to roll out the nominal too would take as long as the plan."""
         inputs = [costs, self._draws.per_sample, self._terms, self.tips, self.poses]
         outputs = [self._trace_terms.array, self._trace_tips.array, self._trace_poses.array]
-        return self.compute.launch_blocks(pick_trace, None, inputs, outputs)
+        return self.compute.launch_blocks(make_pick_trace(len(self.terms)), None, inputs, outputs)
 
     def traced(self) -> Trace:
         """What the cheapest sample led to."""
-        tip, pose = self._start
-        tips = np.vstack([tip, self._trace_tips.host])
+        pose = to_center(self.task.geometry.surface, self.observation.object_pose)
+        tips = np.vstack([self._tip(), self._trace_tips.host])
         poses = np.vstack([pose, self._trace_poses.host])
         return Trace(tips, poses, self._trace_terms.host[0].astype(float))

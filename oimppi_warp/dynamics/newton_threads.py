@@ -9,19 +9,16 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.clearance import Geometry
-from oimppi_warp.compute import Compute, Launch
-from oimppi_warp.config import RobotCost, RobotLevel
-from oimppi_warp.dynamics.base import control_type
+from oimppi_warp.compute import Launch
+from oimppi_warp.dynamics.base import RolloutTask, control_type
 from oimppi_warp.dynamics.newton import NewtonDynamics, contact_softness
 from oimppi_warp.footprint import rotation_matrix
-from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.threads import feel_forces, make_expand_controls
 from oimppi_warp.mujoco_model import MujocoModel
 from oimppi_warp.newton_model import MIN_FRICTION, ROLES
 from oimppi_warp.observation import Observation, planar_pose, planar_transform
 from oimppi_warp.scene import Scene
-from oimppi_warp.uncertainty import CERTAIN, Draws
+from oimppi_warp.uncertainty import Draws
 from oimppi_warp.world import World
 
 
@@ -37,29 +34,20 @@ class NewtonThreads(NewtonDynamics):
 
     one_graph = False
 
-    def __init__(
-        self,
-        scene: Scene,
-        geometry: Geometry,
-        level: RobotLevel,
-        cost: RobotCost,
-        *,
-        dt: float,
-        compute: Compute,
-        draws: Draws = CERTAIN,
-        to_go: PoseField | None = None,
-    ) -> None:
+    def __init__(self, task: RolloutTask) -> None:
         import mujoco
         from mujoco import rollout
 
-        super().__init__(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws, to_go=to_go)
-        mapped = World(scene).mujoco_sensing
+        super().__init__(task)
+        draws, level, threads = task.draws, task.level, task.compute.threads
+        mapped = World(task.scene).mujoco_sensing
         self._map = mapped
-        models = [model_in_draw(mapped, scene, draws, i, step=dt / level.substeps) for i in range(draws.count)]
+        step = task.dt / level.substeps
+        models = [model_in_draw(mapped, task.scene, draws, i, step=step) for i in range(draws.count)]
         self.model = models[0]
         self._models = [models[r % draws.count] for r in range(self._rollouts)]
-        self._threads = rollout.Rollout(nthread=compute.threads if compute.threads > 1 else 0)
-        self._data = [mujoco.MjData(self.model) for _ in range(compute.threads)]
+        self._threads = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._data = [mujoco.MjData(self.model) for _ in range(threads)]
 
         steps = self._horizon * level.substeps
         full = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -89,19 +77,18 @@ class NewtonThreads(NewtonDynamics):
 
     def simulate(self, controls: wp.array) -> Sequence[Launch]:
         """Prepares rolling out; see :class:`oimppi_warp.dynamics.newton.NewtonDynamics`."""
-        substeps = self._level.substeps
+        substeps, dt = self.task.level.substeps, self.task.dt
         drive = wp.array(self._map.joint_drive, dtype=int, device="cpu")
-        limits = [self._arm.lower, self._arm.upper, self._arm.speed]
         expand = self.compute.launch_samples(
             make_expand_controls(self.size),
             self._rollouts,
-            [controls, self._draws.per_sample, self._joints, *limits, self._dt, substeps, drive],
+            [controls, self._draws.per_sample, self._joints, self._packed.arm, dt, substeps, drive],
             [wp.array(self._drives, dtype=wp.float64, device="cpu", copy=False)],
         )
         felt = wp.array(self._felt, dtype=wp.float64, device="cpu", copy=False)
         group = wp.array(self._map.sensors, dtype=int, device="cpu")
         times = _view(self._states[:, -1, 0], wp.float64)
-        end = (self._horizon - 0.5 / substeps) * self._dt
+        end = (self._horizon - 0.5 / substeps) * dt
         feel = self.compute.launch_samples(
             feel_forces, self._rollouts, [felt, group, substeps, times, end], [self.forces, self._lost]
         )
@@ -109,7 +96,8 @@ class NewtonThreads(NewtonDynamics):
 
     def states(self) -> tuple[wp.array, wp.array, Any]:
         """States after each control step; see :class:`oimppi_warp.dynamics.newton.NewtonDynamics`."""
-        after = self._states[:, self._level.substeps - 1 :: self._level.substeps]
+        substeps = self.task.level.substeps
+        after = self._states[:, substeps - 1 :: substeps]
         parts = []
         for places in (self._map.joint_qpos, self._map.object_qpos):
             begin = 1 + int(places[0])  # the time comes first

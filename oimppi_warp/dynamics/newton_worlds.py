@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.clearance import Geometry
-from oimppi_warp.compute import Compute, Launch
-from oimppi_warp.config import RobotCost, RobotLevel
-from oimppi_warp.dynamics.base import Trace, control_type
+from oimppi_warp.compute import Launch
+from oimppi_warp.dynamics.base import RolloutTask, Trace, control_type
 from oimppi_warp.dynamics.newton import NewtonDynamics, contact_softness
 from oimppi_warp.footprint import rotation_matrix
-from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.worlds import (
+    Places,
     Transform,
     feel_contacts,
     make_drive_worlds,
@@ -27,10 +25,10 @@ from oimppi_warp.kernels.worlds import (
     take_forces,
 )
 from oimppi_warp.mujoco_model import SENSED, mapped
-from oimppi_warp.newton_model import MIN_FRICTION, ROLES, SOLVER_OPTIONS, NewtonModel, import_scene
+from oimppi_warp.newton_model import MIN_FRICTION, ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.observation import Observation
 from oimppi_warp.scene import Scene
-from oimppi_warp.uncertainty import CERTAIN, Draws
+from oimppi_warp.uncertainty import Draws
 
 _POINTS = 8
 """Most points of contact of two convex shapes."""
@@ -45,6 +43,7 @@ class NewtonWorlds(NewtonDynamics):
     ``SolverMuJoCo.step``, which would copy Newton's state in and out at every step of the physics.
 
     Args:
+        task: What it is made for.
         contacts: Room for so many points of contact per world, on the average over the worlds; default: by the scene.
 
     Attributes:
@@ -56,27 +55,15 @@ class NewtonWorlds(NewtonDynamics):
 
     one_graph = True
 
-    def __init__(
-        self,
-        scene: Scene,
-        geometry: Geometry,
-        level: RobotLevel,
-        cost: RobotCost,
-        *,
-        dt: float,
-        compute: Compute,
-        draws: Draws = CERTAIN,
-        to_go: PoseField | None = None,
-        contacts: int | None = None,
-    ) -> None:
-        super().__init__(scene, geometry, level, cost, dt=dt, compute=compute, draws=draws, to_go=to_go)
+    def __init__(self, task: RolloutTask, *, contacts: int | None = None) -> None:
+        super().__init__(task)
         from newton.solvers import SolverMuJoCo
 
         _, self._mujoco_warp = SolverMuJoCo.import_mujoco()
-        device = compute.device
+        compute, device, level = task.compute, task.compute.device, task.level
         worlds = self._rollouts
-        built = import_scene(scene, worlds=worlds, device=device)
-        _change(built, scene, draws, worlds)
+        built = build_model(task.scene, worlds=worlds, device=device)
+        _change(built, task.scene, task.draws, worlds)
         contacts = contact_room(built.roles) if contacts is None else contacts
         self.solver = SolverMuJoCo(
             built.model, nconmax=contacts, njmax=3 * contacts + _LIMIT_ROWS, separate_worlds=True, **SOLVER_OPTIONS
@@ -84,7 +71,7 @@ class NewtonWorlds(NewtonDynamics):
         self._map = mapped(self.solver, built)
         model = self.solver.mjw_model
         model.jnt_actfrclimited.assign(self._map.model.jnt_actfrclimited.astype(bool))
-        step = dt / level.substeps
+        step = task.dt / level.substeps
         model.opt.timestep.fill_(step)
         time_constant, depth = contact_softness(step)
         for array, place, value in ((model.geom_solref, 0, time_constant), (model.geom_solimp, 2, depth)):
@@ -114,24 +101,24 @@ class NewtonWorlds(NewtonDynamics):
             self.compute.launch,
             self.compute.device,
             self._rollouts,
-            self._level.substeps,
+            self.task.level.substeps,
         )
-        model, data, places = self.solver.mjw_model, self.solver.mjw_data, self._map
-        joint_qpos, joint_qvel, drive = (
+        model, data = self.solver.mjw_model, self.solver.mjw_data
+        places = Places()
+        places.joint_qpos, places.joint_qvel, places.drive = (
             wp.array(each, dtype=int, device=device)
-            for each in (places.joint_qpos, places.joint_qvel, places.joint_drive)
+            for each in (self._map.joint_qpos, self._map.joint_qvel, self._map.joint_drive)
         )
-        object_qpos = int(places.object_qpos[0])
+        places.object_qpos = int(self._map.object_qpos[0])
         errors = wp.array(self._draws.pose.astype(np.float32), dtype=wp.vec3, device=device)
         state = [slot.array for slot in self._seen]
         place = launch(
             make_place_worlds(self.size),
             worlds,
-            [*state, errors, joint_qpos, joint_qvel, object_qpos],
+            [*state, errors, places],
             [data.qpos, data.qvel, data.qacc_warmstart, data.overflow],
         )
-        limits = [self._arm.lower, self._arm.upper, self._arm.speed]
-        group = wp.array(_groups(places.roles), dtype=int, device=device)
+        group = wp.array(_groups(self._map.roles), dtype=int, device=device)
         contact = data.contact
 
         def step() -> None:
@@ -141,7 +128,7 @@ class NewtonWorlds(NewtonDynamics):
         step()  # loads the solver's kernels: none should be loaded while a graph is captured
         launches: list[Launch] = [self._felt.zero_, self._overflows.array.zero_, place]
         for h in range(self._horizon + 1):
-            inputs = [h, controls, self._draws.per_sample, *limits, self._dt, joint_qpos, object_qpos, drive, data.qpos]
+            inputs = [h, controls, self._draws.per_sample, self._packed.arm, self.task.dt, places, data.qpos]
             launches.append(
                 launch(make_drive_worlds(self.size), worlds, inputs, [data.ctrl, self._joints, self._objects])
             )

@@ -10,7 +10,7 @@ import warp as wp
 from oimppi_warp.clearance import Geometry, pose_field_at
 from oimppi_warp.compute import Compute, Launch
 from oimppi_warp.config import ObjectCost, ObjectLevel
-from oimppi_warp.dynamics.packing import no_field, object_model
+from oimppi_warp.dynamics.packing import fill_weights, no_field, object_model
 from oimppi_warp.kernels.cost import ObjectWeights
 from oimppi_warp.kernels.object import object_rollout
 from oimppi_warp.navigation import build_to_go
@@ -46,10 +46,7 @@ class ObjectDynamics:
         resistance = geometry.surface.force * np.array([1.0, 1.0, geometry.surface.radius**2])
         self.bound = resistance * np.asarray(level.speed_limit) * [1.0, 1.0, float(level.turn)]
         self._weights = ObjectWeights()
-        for name, value in vars(cost).items():
-            if name != "reach":
-                setattr(self._weights, name, value)
-        self._weights.reach_lower, self._weights.reach_upper = cost.reach
+        fill_weights(self._weights, cost)
         began = time.perf_counter()
         if cost.w_to_go > 0.0:
             self.to_go = build_to_go(
@@ -63,7 +60,7 @@ class ObjectDynamics:
         self._goal = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=device)
         self._unused = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self._trace_cost = wp.zeros(1, dtype=float, device=device)
-        self.path = compute.output((1, level.mppi.horizon + 1), wp.vec3)
+        self.path = compute.output((1, level.optimizer.horizon + 1), wp.vec3)
 
     def set_state(self, pose: np.ndarray) -> None:
         """Where the object is: pose [3] of its friction centre."""

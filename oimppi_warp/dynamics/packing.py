@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from oimppi_warp.clearance import NEAR, Geometry
-from oimppi_warp.config import RobotCost, RobotLevel
-from oimppi_warp.kernels.cost import RobotWeights
+from oimppi_warp.config import ObjectCost, RobotCost, RobotLevel
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.kinematics import Surroundings
 from oimppi_warp.kernels.pushing import ObjectModel
+from oimppi_warp.kernels.terms import RobotWeights
 from oimppi_warp.reach import area_of
 from oimppi_warp.scene import Scene
-from oimppi_warp.tipping import can_tip, tipping_speed
+from oimppi_warp.tipping import tipping_speed
 
 
 def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
@@ -28,6 +28,7 @@ def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0
     model.clearance = geometry.clearance
     model.body = geometry.body
     model.slack = slack
+    model.center = wp.vec2(*geometry.surface.center)
     return model
 
 
@@ -59,22 +60,29 @@ def table_within(scene: Scene, geometry: Geometry) -> tuple[np.ndarray, np.ndarr
     return lower + geometry.size, upper - geometry.size
 
 
-def robot_weights(scene: Scene, geometry: Geometry, cost: RobotCost) -> RobotWeights:
-    """The weights of the robot level as the kernels read them, for an object that may tip or not."""
-    if not can_tip(scene.object):
-        cost = replace(cost, w_overhang=0.0, w_rush=0.0)
+def robot_weights(scene: Scene, geometry: Geometry, cost: RobotCost) -> Any:
+    """The weights of the robot level (``RobotWeights``) as the kernels read them."""
     weights = pack_weights(cost, table_within(scene, geometry))
     weights.topple_speed = cost.rush * tipping_speed(scene.object)
     weights.size = geometry.size
     return weights
 
 
-def pack_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> RobotWeights:
-    """The weights of the robot level, with the rectangle of :func:`table_within`, as the kernels read them."""
+def pack_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> Any:
+    """The weights of the robot level (``RobotWeights``) as the kernels read them.
+
+    Args:
+        cost: The weights.
+        edge: The rectangle of :func:`table_within`.
+    """
     weights = RobotWeights()
-    for name, value in vars(cost).items():
-        if name not in ("reach", "align_ahead", "rush"):
-            setattr(weights, name, value)
-    weights.reach_lower, weights.reach_upper = cost.reach
+    fill_weights(weights, cost)
     weights.edge_lower, weights.edge_upper = wp.vec2(*edge[0]), wp.vec2(*edge[1])
     return weights
+
+
+def fill_weights(weights: Any, cost: RobotCost | ObjectCost) -> None:
+    """Writes settings into a struct that :func:`oimppi_warp.kernels.terms.weights_struct` made for them."""
+    for name, value in vars(cost).items():
+        if hasattr(weights, name) and isinstance(value, int | float | tuple):
+            setattr(weights, name, wp.vec2(*value) if isinstance(value, tuple) else value)

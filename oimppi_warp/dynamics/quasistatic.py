@@ -2,90 +2,54 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 import warp as wp
 
-from oimppi_warp.clearance import Geometry, to_center
-from oimppi_warp.compute import Compute, Launch
-from oimppi_warp.config import RobotCost, RobotLevel
-from oimppi_warp.dynamics.base import Trace, control_type
-from oimppi_warp.dynamics.packing import no_field, object_model, robot_weights, surroundings, velocity_bound
-from oimppi_warp.kernels.cost import TERMS, CostTerms
-from oimppi_warp.kernels.geometry import PoseField
+from oimppi_warp.clearance import to_center
+from oimppi_warp.compute import Launch
+from oimppi_warp.dynamics.base import RolloutTask, Trace, control_type
+from oimppi_warp.dynamics.scored import ScoredDynamics
 from oimppi_warp.kernels.quasistatic import make_robot_rollout
 from oimppi_warp.kernels.uncertainty import Draw, combine_costs
-from oimppi_warp.kinematics import pack_arm
 from oimppi_warp.observation import Observation
-from oimppi_warp.scene import Scene
 from oimppi_warp.uncertainty import CERTAIN, Draws
 
 
-class QuasistaticDynamics:
+class QuasistaticDynamics(ScoredDynamics):
     """Arm, contact and object; controls are joint velocities [rad/s].
 
     Args:
-        scene: The task.
-        geometry: Its shapes.
-        level: Settings of the robot level.
-        cost: Its weights.
-        dt: Control period [s].
-        compute: Where to compute.
-        draws: Worlds that the rollouts are in.
-        to_go: Cost-to-go of the object [m], where its weight is not zero.
+        task: What it is made for.
     """
 
-    terms: tuple[str, ...] = TERMS
-    one_graph: bool = True
+    # Share of task 02's starts with the preset ``best`` (``docs/results.md``).
+    known_success: ClassVar[Mapping[str, float]] = {"cloi": 0.95, "soi": 1.0, "mppi": 1.0}
+    one_graph = True
 
-    def __init__(
-        self,
-        scene: Scene,
-        geometry: Geometry,
-        level: RobotLevel,
-        cost: RobotCost,
-        *,
-        dt: float,
-        compute: Compute,
-        draws: Draws = CERTAIN,
-        to_go: PoseField | None = None,
-    ) -> None:
-        self.compute = compute
-        self.size = scene.robot.dof
-        self.bound = velocity_bound(scene, level)
-        device = compute.device
-        self._dt = dt
-        self._contact_steps = level.contact_steps
-        self._align_ahead = cost.align_ahead
-        self._surface = geometry.surface
-        self._arm = pack_arm(scene.robot, self.bound, device)
-        self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
-        self._model.clearance = geometry.obstruction  # the table's edge stops nothing
-        self._surroundings = surroundings(scene, geometry, cost)
-        self._weights = robot_weights(scene, geometry, cost)
-        self._draws = draws
-        self._worlds = _pack(draws, device)
+    def __init__(self, task: RolloutTask) -> None:
+        super().__init__(task)
+        compute, device, horizon = task.compute, task.compute.device, task.level.optimizer.horizon
+        self._draws = task.draws
+        self._worlds = _pack(task.draws, device)
         self._nominal_world = _pack(CERTAIN, device)
-
-        horizon = level.mppi.horizon
-        self._kernel = make_robot_rollout(scene.robot.chain)
+        self._kernel = make_robot_rollout(task.scene.robot.chain, self._extra)
         self._joints = compute.input(1, control_type(self.size))
         self._object = compute.input(1, wp.vec3)
-        self._goal = compute.input(1, wp.vec3)
-        self.reference = compute.input(horizon + 1 + cost.align_ahead, wp.vec3)
-        self.guide = compute.input(1, wp.vec4)
-        self._to_go = no_field(device) if to_go is None else to_go
-        self._no_terms = wp.zeros(0, dtype=CostTerms, device=device)
+        self._no_terms = wp.zeros(0, dtype=self._terms_type, device=device)
         self._no_poses = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self._trace_cost = wp.zeros(1, dtype=float, device=device)
-        self._trace_terms = compute.output(1, CostTerms)
+        self._trace_terms = compute.output(1, self._terms_type)
         self._trace_tips = compute.output((1, horizon + 1), wp.vec3)
         self._trace_poses = compute.output((1, horizon + 1), wp.vec3)
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
         """The state to plan from; see :class:`oimppi_warp.dynamics.base.RobotDynamics`."""
+        super().set_state(observation, goal)
         self._joints.host[0] = observation.joint_position
-        self._object.host[0] = to_center(self._surface, observation.object_pose)
-        self._goal.host[0] = goal
+        self._object.host[0] = to_center(self.task.geometry.surface, observation.object_pose)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         """Prepares the cost of each joint velocity sequence; see :class:`oimppi_warp.dynamics.base.Dynamics`."""
@@ -118,7 +82,7 @@ class QuasistaticDynamics:
         device, count, steps = self.compute.device, len(samples), controls.shape[1] + 1
         again = wp.array(controls.numpy()[samples], dtype=controls.dtype, device=device)
         costs = wp.zeros(count, dtype=float, device=device)
-        terms = wp.zeros(count, dtype=CostTerms, device=device)
+        terms = wp.zeros(count, dtype=self._terms_type, device=device)
         tips, poses = (wp.zeros((count, steps), dtype=wp.vec3, device=device) for _ in range(2))
         self.launch(again, costs, terms, tips, poses, self._nominal_world)()
         return tips.numpy(), terms.numpy()
@@ -131,22 +95,13 @@ class QuasistaticDynamics:
         ``worlds`` are packed draws; there are as many rollouts as costs.
         """
         inputs = [
-            self._arm,
-            self._model,
-            self._surroundings,
-            self._weights,
+            self._packed,
             worlds,
             costs.shape[0] // controls.shape[0],
+            self.task.level.contact_steps,
             self._joints.array,
             self._object.array,
-            self._goal.array,
-            self.reference.array,
-            self.guide.array,
-            self._to_go,
-            self._align_ahead,
             controls,
-            self._dt,
-            self._contact_steps,
         ]
         return self.compute.launch_samples(self._kernel, costs.shape[0], inputs, [costs, terms, tips, poses])
 

@@ -21,7 +21,7 @@ from oimppi_warp.errors import SceneError
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd.robot import read_robot
 from oimppi_warp.usd.stage import SCENES, SceneStage
-from oimppi_warp.usd.task import read_task
+from oimppi_warp.usd.task import read_gravity, read_task
 from oimppi_warp.usd.things import check_roles, read_object, read_obstacle, read_table
 
 __all__ = ["Inspection", "ShippedScene", "inspect_scene", "load_scene", "scene_content", "shipped_scenes"]
@@ -106,6 +106,7 @@ def _read(stage: SceneStage) -> Scene | None:
     table = stage.attempt(None, read_table, stage)
     pushed = stage.attempt(None, read_object, stage)
     obstacles = [stage.attempt(None, read_obstacle, stage, prim) for prim in stage.role("OimppiObstacleAPI")]
+    gravity = stage.attempt((0.0, 0.0, 0.0), read_gravity, stage)
     check_roles(stage)
     if task is None or robot is None or table is None or pushed is None:
         return None
@@ -124,6 +125,7 @@ def _read(stage: SceneStage) -> Scene | None:
         goal=task.goal,
         tolerance=task.tolerance,
         tight_tolerance=task.tight_tolerance,
+        gravity=gravity,
     )
 
 

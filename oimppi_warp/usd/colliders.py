@@ -81,7 +81,8 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         radius, height = _positive(scene, prim, "radius"), _positive(scene, prim, "height")
         return Collider(path, kind, transform(frame), (radius * across, height * float(z) / 2))
     if prim.IsA(UsdGeom.Mesh):
-        return Collider(path, "mesh", transform(frame), (), _mesh_points(scene, prim) * scale)
+        points = _mesh_points(scene, prim) * scale
+        return Collider(path, "mesh", transform(frame), (), points, _faces_outwards(prim, points))
     raise scene.error(
         f"a collider of type {prim.GetTypeName() or 'nothing'}",
         prim,
@@ -146,7 +147,15 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
     return points
 
 
-def volume_and_center(scene: SceneStage, collider: Collider) -> tuple[float, np.ndarray]:
+def _faces_outwards(prim: Usd.Prim, points: np.ndarray) -> np.ndarray | None:
+    """Triangles of a mesh with these points [n, 3], turned to look outwards, shape [m, 3]."""
+    faces = triangles(prim)
+    if faces is not None and trimesh.Trimesh(points, faces, process=False).volume < 0.0:
+        faces = faces[:, ::-1]
+    return faces
+
+
+def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
     """Volume [m^3] and its centre in the body's frame [m]; of a mesh, from its faces."""
     size, position = collider.size, collider.transform[:3]
     if collider.kind == "box":
@@ -157,17 +166,13 @@ def volume_and_center(scene: SceneStage, collider: Collider) -> tuple[float, np.
         radius, half = size
         ends = 4 / 3 * math.pi * radius**3 if collider.kind == "capsule" else 0.0
         return 2 * math.pi * radius**2 * half + ends, position
-    body = solid(scene, collider)
+    body = solid(collider)
     return float(body.volume), body.center_mass
 
 
-def solid(scene: SceneStage, collider: Collider) -> trimesh.Trimesh:
-    """The collider as Newton weighs it, in the body's frame: of a mesh its faces, which may have hollows."""
-    if collider.kind != "mesh":
+def solid(collider: Collider) -> trimesh.Trimesh:
+    """What the collider weighs, in the body's frame: of a mesh what its faces enclose, which may have hollows."""
+    if collider.vertices is None or collider.faces is None:
         return collider_mesh(collider)
-    faces = triangles(scene.stage.GetPrimAtPath(collider.path))
-    assert collider.vertices is not None
-    body = trimesh.Trimesh(transform_points(collider.transform, collider.vertices), faces, process=False)
-    if body.volume < 0.0:  # its faces look inwards
-        body.invert()
-    return body
+    points = transform_points(collider.transform, collider.vertices)
+    return trimesh.Trimesh(points, collider.faces, process=False)

@@ -11,6 +11,7 @@ from pxr import Ar, Sdf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.errors import Problem
 from oimppi_warp.footprint import GRAVITY
+from oimppi_warp.usd.inertia import given_moments
 from oimppi_warp.usd.stage import SCENES, SceneStage, schema_attributes
 
 _OURS = "oimppi"
@@ -79,7 +80,7 @@ def _moving_in_time(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
 
 
 def _impossible_inertia(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
-    inertia = given_inertia(prim)
+    inertia = given_moments(prim)
     if inertia is None:
         return
     largest = inertia.max()
@@ -106,15 +107,6 @@ def _other_gravity(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
             allowed=f"{GRAVITY:g} m/s^2 downwards",
             fix="leave physics:gravityDirection and physics:gravityMagnitude out",
         )
-
-
-def given_inertia(prim: Usd.Prim) -> np.ndarray | None:
-    """Principal moments that are given for a body, shape [3] [kg m^2]; ``None`` where the shapes decide."""
-    if not prim.HasAPI(UsdPhysics.MassAPI):
-        return None
-    value = UsdPhysics.MassAPI(prim).GetDiagonalInertiaAttr().Get()
-    inertia = np.zeros(3) if value is None else np.array(value, dtype=float)
-    return inertia if np.isfinite(inertia).all() and inertia.any() else None
 
 
 def _files_elsewhere(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:

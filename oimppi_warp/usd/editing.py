@@ -1,69 +1,230 @@
-"""A task saved as it stands now: the same scene with another start, goal or obstacles elsewhere."""
+"""A scene as a stage: its file with everything where the scene has it, to be saved or to be looked at."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
-from pxr import Gf, Usd, UsdGeom
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
+from oimppi_warp.cache import content_of_data
 from oimppi_warp.errors import SceneError
 from oimppi_warp.observation import planar_transform
-from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.scene import Collider, Obstacle, PushedObject, Scene
 from oimppi_warp.usd.frames import scales
+from oimppi_warp.usd.shapes import define_collider
 from oimppi_warp.usd.stage import SceneStage
 
+_SAVED = 1e-5
+"""How far a number may be from the scene's after it was written and read again."""
 
-def save_scene(scene: Scene, file: str | Path, *, moves: Mapping[str, PlanarPose] | None = None) -> Path:
-    """Writes a scene with its present start and goal into one file that needs no other.
+_TASK = {"goal": "goal", "tolerance": "tolerance", "tight_tolerance": "tightTolerance", "spread": "spread"}
+"""What of a scene stands in which attribute of OimppiTaskAPI."""
+
+
+def save_scene(scene: Scene, file: str | Path) -> Path:
+    """Writes a scene as it is now into one file that needs no other.
+
+    Start, goal and tolerances, obstacles that were moved, changed, added or removed, and the object are written. Robot,
+    table and gravity stay as they are in the scene's file.
 
     Args:
         scene: The task.
         file: Where to, ``.usda`` or ``.usdc``.
-        moves: How far obstacles are moved: by their prim paths, (x [m], y [m], turn about their own centre [rad]).
 
     Raises:
-        SceneError: The file cannot be written.
+        SceneError: The file cannot be written, or something was changed that cannot be written.
     """
     from oimppi_warp.usd import load_scene
 
     file = Path(file)
     if file.suffix not in (".usda", ".usdc"):
         raise SceneError(f"{file.name}: not the name of a scene", file=file, allowed="a name with .usda or .usdc")
-    # A flattened copy: the layers of the file itself are shared by all in this process that have it open.
-    opened = SceneStage(scene.file)
-    flat = opened.stage.Flatten(addSourceFileComment=False)
-    stage = Usd.Stage.Open(flat)
-    task = stage.GetPrimAtPath(opened.the("OimppiTaskAPI", "task", "the scene's default prim").GetPath())
-    task.GetAttribute("oimppi:goal").Set(Gf.Vec3d(*scene.goal))
-    _put(stage.GetPrimAtPath(scene.object.path), planar_transform(scene.start, scene.object.rest_height).tolist())
-    for path, (x, y, turn) in (moves or {}).items():
-        _shift(stage.GetPrimAtPath(path), x, y, turn)
+    stage = _edited(scene, SceneStage(scene.file), load_scene(scene.file))
+    partial = file.with_name(f"{file.stem}.part{file.suffix}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        if not flat.Export(str(file)):
+        if not stage.GetRootLayer().Export(str(partial)):
             raise OSError("OpenUSD refused")
+        again = load_scene(partial)
+        lost = next(_lost(scene, again), None)
+        if lost is not None:
+            raise SceneError(
+                f"{lost} was changed, which cannot be saved",
+                file=file,
+                allowed="changes of start, goal, tolerances, obstacles and object",
+                fix="change it in the scene's file",
+            )
+        partial.replace(file)
     except (OSError, RuntimeError) as error:
         raise SceneError(f"the scene cannot be written ({error})", file=file, allowed="a folder to write in") from error
-    load_scene(file)
+    finally:
+        partial.unlink(missing_ok=True)
     return file
+
+
+def stage_of(scene: Scene) -> Usd.Stage:
+    """The stage of a scene's file with the object's shape and the obstacles as the scene has them, in memory."""
+    from oimppi_warp.usd import load_scene
+
+    opened, original = SceneStage(scene.file), load_scene(scene.file)
+    if content_of_data(original.object, original.obstacles) == content_of_data(scene.object, scene.obstacles):
+        return opened.stage
+    return _edited(scene, opened, original)
+
+
+def _edited(scene: Scene, opened: SceneStage, original: Scene) -> Usd.Stage:
+    """The stage of a scene's file, made to be the scene as it is now.
+
+    It is a flattened copy: the layers of the file itself are shared by all in this process that have it open.
+    """
+    stage = Usd.Stage.Open(opened.stage.Flatten(addSourceFileComment=False))
+    _write_task(stage.GetPrimAtPath(opened.the("OimppiTaskAPI", "task", "the default prim").GetPath()), scene, original)
+    _write_obstacles(stage, scene.obstacles, {obstacle.path: obstacle for obstacle in original.obstacles})
+    _write_object(stage, scene.object, original.object)
+    _put(stage.GetPrimAtPath(scene.object.path), planar_transform(scene.start, scene.object.rest_height).tolist())
+    return stage
+
+
+def _write_task(task: Usd.Prim, scene: Scene, original: Scene) -> None:
+    for name, attribute in _TASK.items():
+        value = getattr(scene, name)
+        if value != getattr(original, name):
+            numbers = (value.position, value.yaw) if is_dataclass(value) else value
+            vector = Gf.Vec3d if len(numbers) == 3 else Gf.Vec2d
+            type_name = Sdf.ValueTypeNames.Double3 if len(numbers) == 3 else Sdf.ValueTypeNames.Double2
+            task.CreateAttribute(f"oimppi:{attribute}", type_name, False).Set(vector(*numbers))
+
+
+def _write_obstacles(stage: Usd.Stage, obstacles: tuple[Obstacle, ...], original: dict[str, Obstacle]) -> None:
+    """Moves, makes anew and removes obstacles."""
+    for path in original.keys() - {obstacle.path for obstacle in obstacles}:
+        stage.RemovePrim(path)
+    for obstacle in obstacles:
+        known = original.get(obstacle.path)
+        motion = None if known is None else _motion(known.colliders, obstacle.colliders)
+        if motion is None:
+            root = _define_anew(stage, obstacle.path)
+            root.AddAppliedSchema("OimppiObstacleAPI")
+            _define_colliders(stage, obstacle.path, obstacle.colliders)
+        elif not Gf.IsClose(motion, Gf.Matrix4d(1.0), 1e-12):
+            prim = stage.GetPrimAtPath(obstacle.path)
+            _set_world(prim, UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default()) * motion)
+
+
+def _write_object(stage: Usd.Stage, pushed: PushedObject, original: PushedObject) -> None:
+    """Gives the object its shape, weight and friction, where the file has others."""
+    if pushed.path != original.path:
+        stage.RemovePrim(original.path)
+    same_shape = pushed.path == original.path and _is_still(_motion(original.colliders, pushed.colliders))
+    if not same_shape:
+        root = _define_anew(stage, pushed.path)
+        root.AddAppliedSchema("OimppiObjectAPI")
+        UsdPhysics.RigidBodyAPI.Apply(root)
+        _define_colliders(stage, pushed.path, pushed.colliders)
+    prim = stage.GetPrimAtPath(pushed.path)
+    weights = [(each.mass, each.center_of_mass, each.unit_inertia) for each in (pushed, original)]
+    if not same_shape or content_of_data(weights[0]) != content_of_data(weights[1]):
+        _write_weight(prim, pushed)
+    frictions = [(each.friction, each.tool_friction) for each in (pushed, original)]
+    if not same_shape or frictions[0] != frictions[1]:
+        _write_friction(stage, prim, min(frictions[0]))
+
+
+def _write_weight(prim: Usd.Prim, pushed: PushedObject) -> None:
+    center = pushed.center_of_mass / scales(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0.0))
+    prim.RemoveProperty("newton:inertia")
+    weight = UsdPhysics.MassAPI.Apply(prim)
+    weight.CreateMassAttr(pushed.mass)
+    weight.CreateCenterOfMassAttr(Gf.Vec3f(*center.tolist()))
+    moments, axes = np.zeros(3), np.eye(3)
+    if pushed.unit_inertia is not None:
+        moments, axes = np.linalg.eigh(pushed.mass * pushed.unit_inertia)
+        axes[:, 2] *= np.linalg.det(axes)
+    turn = Gf.Matrix3d(*axes.T.flatten().tolist()).ExtractRotation().GetQuat()
+    weight.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
+    weight.CreatePrincipalAxesAttr(Gf.Quatf(turn))
+
+
+def _write_friction(stage: Usd.Stage, root: Usd.Prim, friction: float) -> None:
+    """Binds a material to all colliders of the object."""
+    material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("EditedMaterial"))
+    surface = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+    surface.CreateStaticFrictionAttr(friction)
+    surface.CreateDynamicFrictionAttr(friction)
+    for prim in Usd.PrimRange(root):
+        if prim.HasAPI(UsdPhysics.CollisionAPI):
+            binding = UsdShade.MaterialBindingAPI.Apply(prim)
+            binding.Bind(material, UsdShade.Tokens.strongerThanDescendants, "physics")
+
+
+def _define_anew(stage: Usd.Stage, path: str) -> Usd.Prim:
+    """An Xform with the world's frame in the place of whatever is there."""
+    if not Sdf.Path.IsValidPathString(path) or not Sdf.Path(path).IsAbsoluteRootOrPrimPath():
+        raise SceneError(f"{path!r} is not the path of a prim", allowed="a path such as /World/Obstacles/Box")
+    stage.RemovePrim(path)
+    prim = UsdGeom.Xform.Define(stage, path).GetPrim()
+    _set_world(prim, Gf.Matrix4d(1.0))
+    return prim
+
+
+def _define_colliders(stage: Usd.Stage, root: str, colliders: tuple[Collider, ...]) -> None:
+    for number, collider in enumerate(colliders):
+        define_collider(stage, f"{root}/piece{number}", collider)
+
+
+def _motion(before: tuple[Collider, ...], after: tuple[Collider, ...]) -> Gf.Matrix4d | None:
+    """The one motion that takes colliders from where they were to where they are; ``None`` where no such does."""
+    if len(before) != len(after) or not before:
+        return None
+    motions = []
+    for old, new in zip(before, after, strict=True):
+        if content_of_data(replace(old, transform=new.transform, path="")) != content_of_data(replace(new, path="")):
+            return None
+        motions.append(_matrix(old.transform).GetInverse() * _matrix(new.transform))
+    return motions[0] if all(Gf.IsClose(motion, motions[0], 1e-9) for motion in motions) else None
+
+
+def _is_still(motion: Gf.Matrix4d | None) -> bool:
+    return motion is not None and Gf.IsClose(motion, Gf.Matrix4d(1.0), 1e-12)
+
+
+def _lost(scene: Scene, again: Scene) -> Iterator[str]:
+    """What of a scene is another after it was saved and read again, in words."""
+    for field in fields(scene):
+        if field.name not in ("file", "name", "starts") and not _alike(
+            getattr(scene, field.name), getattr(again, field.name)
+        ):
+            yield f"the scene's {field.name.replace('_', ' ')}"
+
+
+def _alike(a: object, b: object) -> bool:
+    """Whether two parts of scenes are the same but for rounding, the names of their shapes, and faces of meshes."""
+    if is_dataclass(a) and type(a) is type(b):
+        skipped = ("path", "faces") if isinstance(a, Collider) else ()
+        return all(_alike(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.name not in skipped)
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(_alike(each, other) for each, other in zip(a, b, strict=True))
+    if isinstance(a, np.ndarray | float | int) and isinstance(b, np.ndarray | float | int):
+        x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+        if x.shape != y.shape:
+            return False
+        turned = x.shape == (7,) and np.dot(x[3:], y[3:]) < 0.0  # the same turn, as a quaternion of the other sign
+        return bool(np.allclose(x, np.concatenate([y[:3], -y[3:]]) if turned else y, rtol=_SAVED, atol=_SAVED))
+    return a == b
+
+
+def _matrix(transform: np.ndarray) -> Gf.Matrix4d:
+    x, y, z, qx, qy, qz, qw = transform.tolist()
+    return Gf.Matrix4d(1.0).SetRotate(Gf.Quatd(qw, qx, qy, qz)) * Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, z))
 
 
 def _put(prim: Usd.Prim, transform: list[float]) -> None:
     """Put a prim at a world transform [7], its scale kept."""
-    x, y, z, qx, qy, qz, qw = transform
-    world = Gf.Matrix4d(1.0).SetRotate(Gf.Quatd(qw, qx, qy, qz)) * Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, z))
     stood = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
-    _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * world)
-
-
-def _shift(prim: Usd.Prim, x: float, y: float, turn: float) -> None:
-    """Move a prim over the table, turned about its own origin."""
-    world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
-    at = world.ExtractTranslation()
-    about = Gf.Matrix4d(1.0).SetTranslate(-at)
-    about = about * Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), turn * 180.0 / 3.141592653589793))
-    _set_world(prim, world * about * Gf.Matrix4d(1.0).SetTranslate(at + Gf.Vec3d(x, y, 0.0)))
+    _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * _matrix(np.array(transform)))
 
 
 def _set_world(prim: Usd.Prim, world: Gf.Matrix4d) -> None:

@@ -7,9 +7,10 @@ import math
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdPhysics
 
-from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
+from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot, Welded
 from oimppi_warp.usd.colliders import read_colliders
 from oimppi_warp.usd.frames import matrix, scales, transform
+from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
 from oimppi_warp.usd.stage import FARTHEST, SceneStage
 
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
@@ -232,12 +233,18 @@ class _Chain:
     def link(self, group: list[tuple[Usd.Prim, Gf.Matrix4d]]) -> Link:
         """Bodies welded together as one link, in the frame of the first."""
         colliders: list[Collider] = []
-        mass = 0.0
+        bodies: list[Welded] = []
         for body, placed in group:
+            self.scene.body_frame(body)  # notes a scale
             # The frame that shapes are measured from is the body's own, seen from the link's.
-            colliders += read_colliders(self.scene, body, placed.GetInverse() * self.scene.body_frame(body))
-            mass += self.scene.attempt(0.0, read_mass, self.scene, body)
-        return Link(str(group[0][0].GetPath()), mass, tuple(colliders))
+            colliders += read_colliders(self.scene, body, placed.GetInverse() * self.scene.frame(body))
+            mass = self.scene.attempt(0.0, read_mass, self.scene, body)
+            center, inertia = given_center(body), unit_inertia(body, mass)
+            bodies.append(Welded(str(body.GetPath()), transform(placed), mass, center, inertia))
+        first, *welded = bodies
+        center, inertia = _in_frame(group[0][1], first)
+        mass = sum(body.mass for body in bodies)
+        return Link(first.path, mass, tuple(colliders), center, inertia, tuple(welded))
 
     def joint(self, joint: UsdPhysics.Joint) -> Joint:
         """A moving joint."""
@@ -291,7 +298,12 @@ class _Chain:
             raise scene.error(
                 what, prim, allowed="more than zero", fix="give what the joint can do, or leave the limit out"
             )
-        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind)
+        friction, damping = (scene.number(prim, f"newton:{name}", 0.0) for name in ("friction", "damping"))
+        if not (0.0 <= friction < math.inf and 0.0 <= damping < math.inf):
+            what = f"newton:friction is {friction:g} and newton:damping {damping:g}"
+            raise scene.error(what, prim, allowed="zero or more", fix="correct them, or leave them out")
+        damping = math.degrees(damping) if turns else damping  # per degree, as all of USD
+        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind, friction, damping)
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
         """A prim's transform in the frame of the last link, shape [7]."""
@@ -309,14 +321,13 @@ class _Chain:
         )
 
 
-def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
-    """Mass of a rigid body [kg].
-
-    Raises:
-        SceneError: It is not given, or not positive.
-    """
-    mass = scene.number(body, "physics:mass", 0.0) if body.HasAPI(UsdPhysics.MassAPI) else 0.0
-    if not (math.isfinite(mass) and mass > 0.0):
-        what = f"a mass of {mass:g} kg" if mass else "a body without a mass"
-        raise scene.error(what, body, allowed="more than zero", fix="apply PhysicsMassAPI and give physics:mass")
-    return mass
+def _in_frame(frame: Gf.Matrix4d, body: Welded) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Centre of mass and unit inertia of a body in the frame in which its own is."""
+    center, inertia = body.center_of_mass, body.unit_inertia
+    if frame == Gf.Matrix4d(1.0):
+        return center, inertia
+    turn = np.array(frame.ExtractRotationMatrix()).T
+    return (
+        None if center is None else turn @ center + np.array(frame.ExtractTranslation()),
+        None if inertia is None else turn @ inertia @ turn.T,
+    )

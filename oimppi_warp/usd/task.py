@@ -6,9 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from pxr import Usd
+from pxr import Usd, UsdPhysics
 
+from oimppi_warp.footprint import GRAVITY
 from oimppi_warp.scene import PlanarPose, Tolerance
+from oimppi_warp.usd.frames import readable, single
 from oimppi_warp.usd.stage import SceneStage
 
 _POSE = "(x [m], y [m], yaw [rad])"
@@ -51,6 +53,33 @@ def read_task(stage: SceneStage) -> TaskWords:
         tolerance=stage.attempt(unread, _tolerance, stage, world, "oimppi:tolerance"),
         tight_tolerance=stage.attempt(unread, _tolerance, stage, world, "oimppi:tightTolerance"),
     )
+
+
+def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
+    """Acceleration of gravity that the first PhysicsScene gives, in the world frame [m/s^2].
+
+    As in UsdPhysics, no direction is downwards, and a negative magnitude is the earth's.
+    """
+    for prim in stage.prims():
+        if not prim.IsA(UsdPhysics.Scene):
+            continue
+        given = UsdPhysics.Scene(prim)
+        direction = np.array([single(c) for c in given.GetGravityDirectionAttr().Get() or (0.0, 0.0, 0.0)])
+        magnitude = stage.number(prim, "physics:gravityMagnitude", -1.0)
+        enabled = prim.GetAttribute("newton:gravityEnabled")
+        if not (np.isfinite(direction).all() and magnitude < math.inf):
+            raise stage.error(
+                f"gravity is {magnitude:g} m/s^2 along {readable(direction)}",
+                prim,
+                allowed="numbers",
+                fix="correct physics:gravityDirection and physics:gravityMagnitude, or leave them out",
+            )
+        if enabled and enabled.Get() is False:
+            return (0.0, 0.0, 0.0)
+        down = direction / np.linalg.norm(direction) if direction.any() else np.array([0.0, 0.0, -1.0])
+        x, y, z = ((magnitude if magnitude >= 0.0 else GRAVITY) * down).tolist()
+        return (x, y, z)
+    return (0.0, 0.0, -GRAVITY)
 
 
 def _goal(stage: SceneStage, world: Usd.Prim) -> PlanarPose:

@@ -10,8 +10,8 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 from oimppi_warp.footprint import height_range, rotation_matrix
 from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
-from oimppi_warp.usd.frames import is_orthogonal, scales, single, transform
-from oimppi_warp.usd.robot import read_mass
+from oimppi_warp.usd.frames import is_orthogonal, scales, transform
+from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
 
 FLOATING = 1e-3
@@ -36,8 +36,9 @@ def read_table(stage: SceneStage) -> Table:
         if half is not None:
             center, top = collider.transform[:3], collider.transform[2] + half[2]
             if abs(top) < 1e-6:
-                lower, upper = (center - half)[:2].tolist(), (center + half)[:2].tolist()
-                return Table(str(prim.GetPath()), (lower[0], lower[1]), (upper[0], upper[1]))
+                (x0, y0), (x1, y1) = (center - half)[:2].tolist(), (center + half)[:2].tolist()
+                others = tuple(other for other in colliders if other is not collider)
+                return Table(str(prim.GetPath()), (x0, y0), (x1, y1), 2.0 * float(half[2]), others)
             tops.append(f"{top:.4g} m")
     if moving or len(colliders) < len(list(collider_prims(prim))):
         return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are known
@@ -96,6 +97,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
         center_of_mass=center,
         colliders=colliders,
         rest_height=rest_height,
+        unit_inertia=unit_inertia(prim, mass),
     )
     pose = transform(frame)
     yaw = 2.0 * math.atan2(pose[5], pose[6])
@@ -171,11 +173,10 @@ def _check_lies(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height
 
 def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
     """Where it is given, or that of the shapes, in the body's frame, shape [3] [m]."""
-    given = UsdPhysics.MassAPI(prim).GetCenterOfMassAttr().Get()
-    center = np.array([single(c) for c in given or [math.nan]])
-    if np.isfinite(center).all():
-        return center * scales(stage.frame(prim))
-    parts = [volume_and_center(stage, collider) for collider in colliders]
+    given = given_center(prim)
+    if given is not None:
+        return given * scales(stage.frame(prim))
+    parts = [volume_and_center(collider) for collider in colliders]
     return np.average([c for _, c in parts], axis=0, weights=[volume for volume, _ in parts])
 
 

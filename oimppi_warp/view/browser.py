@@ -7,8 +7,6 @@ import logging
 from contextlib import redirect_stdout
 from typing import Any
 
-from oimppi_warp.newton_model import collector_paused
-
 EYE, TARGET = (1.7, -0.95, 1.15), (0.42, 0.12, 0.05)
 """Where the camera stands and what it looks at [m]."""
 
@@ -21,8 +19,7 @@ def open_viewer(*, host: str = "127.0.0.1", port: int = 8080, paused: bool = Fal
         port: Where to begin looking for a free one.
         paused: Whether it begins paused.
     """
-    with collector_paused():
-        from newton.viewer import ViewerViser
+    from newton.viewer import ViewerViser
 
     logging.getLogger("websockets").setLevel(logging.WARNING)
     with redirect_stdout(io.StringIO()):  # viser's banner: who opens a viewer says where it is, if anybody should know

@@ -43,7 +43,7 @@ _LIFT = 0.003
 
 
 class Canvas:
-    """Draws pictures; a changed scene file is loaded anew.
+    """Draws pictures; a scene with other things in it is loaded anew.
 
     Args:
         viewer: One of Newton's viewers.
@@ -57,7 +57,7 @@ class Canvas:
 
     def draw(self, picture: Picture) -> None:
         """Draws one picture, between the viewer's ``begin_frame`` and ``end_frame``."""
-        if self._scene is None or self._scene.file != picture.scene.file:
+        if self._scene is None or _things(self._scene) != _things(picture.scene):
             self._load(picture.scene)
         self._scene = picture.scene
         self._shown.pose(picture.joints, picture.object_transform)
@@ -144,6 +144,11 @@ class Canvas:
             wp.array(values, dtype=wp.vec3, device="cpu") for values in (segments[:, 0], segments[:, 1], colors)
         )
         self._viewer.log_lines(f"/oimppi/{name}", starts, ends, colors, width=width * self._thickness)
+
+
+def _things(scene: Scene) -> tuple[object, ...]:
+    """What a scene's model is made of; start and goal are no part of it."""
+    return scene.file, scene.robot, scene.object, scene.table, scene.obstacles
 
 
 def _rings(polygon: Any) -> list[Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import sys
-import tempfile
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
@@ -58,10 +57,8 @@ class View(TaskOptions):
 
         with console.status("loading kernels"):
             session = Session(setup)
-        with tempfile.TemporaryDirectory(prefix="oimppi-") as folder:
-            viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
-            view = LiveView(viewer, session, Path(folder))
-            return _serve(viewer, self.port, view.run, session.close)
+        viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
+        return _serve(viewer, self.port, LiveView(viewer, session).run, session.close)
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +13,8 @@ from oimppi_warp.errors import OimppiError
 from oimppi_warp.feasibility import draw_start, object_outline
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.presets import PRESETS
+from oimppi_warp.registries import ENGINES, METHODS
 from oimppi_warp.scene import PlanarPose
-from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.picture import Picture
@@ -38,18 +36,15 @@ class LiveView:
     Args:
         viewer: Newton's viewer in the browser.
         session: What it shows.
-        folder: Where scenes with moved obstacles are kept.
     """
 
-    def __init__(self, viewer: Any, session: Session, folder: Path) -> None:
+    def __init__(self, viewer: Any, session: Session) -> None:
         self._viewer = viewer
         self._session = session
-        self._folder = folder
         self._canvas = Canvas(viewer)
         self._gui = viewer.server.gui
         self._drawn: Picture | None = None
         self._plotted = -1.0
-        self._edits = 0
         self._gizmos: dict[str, wp.transform] = {}
         self._dragged: set[str] = set()
         viewer.set_reset_callback(session.restart)
@@ -103,8 +98,8 @@ class LiveView:
             speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Simulated seconds a second")
             speed.on_update(lambda _event: setattr(session, "speed", _SPEEDS[speed.value]))
             gui.add_button("New seed and start").on_click(lambda _event: self._new_seed())
-            for name, choices in (("method", ("mppi", "soi", "cloi")), ("engine", ("auto", "quasistatic", "newton"))):
-                control = gui.add_dropdown(name.capitalize(), choices, initial_value=getattr(session.wanted, name))
+            for name, choices in (("method", tuple(METHODS)), ("engine", ("auto", *ENGINES))):
+                control = gui.add_dropdown(name.capitalize(), choices, initial_value=getattr(session.wanted.spec, name))
                 control.on_update(lambda event, name=name: self._choose(name, event))
             preset = gui.add_dropdown("Preset", tuple(PRESETS), initial_value=session.wanted.config.preset)
             preset.on_update(self._choose_preset)
@@ -124,18 +119,18 @@ class LiveView:
     def _choose_preset(self, event: Any) -> None:
         if event.client_id is not None:
             wanted = self._session.wanted
-            config = PRESETS[event.target.value](wanted.method)
+            config = PRESETS[event.target.value](wanted.spec.method)
             self._settings.replace(config)
             self._session.change(config=config)
 
     def _new_seed(self) -> None:
         wanted = self._session.wanted
         try:
-            start = draw_start(wanted.scene, wanted.seed + 1)
+            start = draw_start(wanted.scene, wanted.spec.seed + 1)
         except OimppiError as error:
             self._session.problem = str(error)
             return
-        self._session.change(seed=wanted.seed + 1, scene=wanted.scene.with_start(start), fresh=True)
+        self._session.change(seed=wanted.spec.seed + 1, scene=wanted.scene.with_start(start), fresh=True)
 
     def _save(self, event: Any, name: str) -> None:
         picture = self._session.latest
@@ -155,8 +150,8 @@ class LiveView:
             "object": np.concatenate([picture.object_transform[:2], [0.06], picture.object_transform[3:]]),
         }
         for obstacle in scene.obstacles:
-            center = np.mean([collider.transform[:3] for collider in obstacle.colliders], axis=0)
-            places[obstacle.path] = planar_transform((center[0], center[1], 0.0), center[2])
+            x, y, z = obstacle.center
+            places[obstacle.path] = planar_transform((x, y, 0.0), z)
         active = {name.removeprefix("/") for name in self._viewer._active_gizmos}
         for name, place in places.items():
             key = f"move/{name.strip('/')}"
@@ -179,15 +174,8 @@ class LiveView:
         elif name == "object":
             self._session.move_object(pose)
         else:
-            self._edits += 1
             x, y, turn = (float(value) for value in to - before)
-            try:
-                file = save_scene(scene, self._folder / f"{scene.name}_{self._edits}.usda", moves={name: (x, y, turn)})
-                moved = replace(load_scene(file), name=scene.name)
-            except OimppiError as error:
-                self._session.problem = str(error)
-            else:
-                self._session.change(scene=moved)
+            self._session.change(scene=scene.with_obstacle_moved(name, (x, y, turn)))
 
     def _click(self, event: Any) -> None:
         """Knock at the object where it was clicked at."""

@@ -87,7 +87,7 @@ class ReplayView:
         gui, metrics = viewer.server.gui, summarize(replay.log)
         result = "reached its goal" if metrics.success else "did not reach its goal"
         with gui.add_folder("Record", order=-10.0):
-            gui.add_markdown(f"**{metrics.scene}, {metrics.method.upper()}, seed {metrics.seed}**: {result}")
+            gui.add_markdown(f"**{metrics.scene}, {metrics.run.method.upper()}, seed {metrics.run.seed}**: {result}")
             self._state = gui.add_markdown("")
             self._slider = gui.add_slider("Step", min=0, max=max(len(replay) - 1, 1), step=1, initial_value=0)
             self._speed = gui.add_slider("Speed", min=0.25, max=8.0, step=0.25, initial_value=1.0)

@@ -20,7 +20,8 @@ from oimppi_warp.clearance import to_center
 from oimppi_warp.control import Beat
 from oimppi_warp.episode import Episode, Setup
 from oimppi_warp.errors import OimppiError
-from oimppi_warp.observation import planar_transform
+from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.plant import MovablePlant, TruthfulPlant
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.view.picture import Picture
 
@@ -62,6 +63,7 @@ class Session:
         self._closing = threading.Event()
         self._times: deque[float] = deque(maxlen=_RATE)
         self._before = 0.0
+        self._problem_of_plan = ""
         self._begin(setup.episode())
         self.latest = self._picture(None)
         self._thread = threading.Thread(target=self._loop, name="oimppi-control", daemon=True)
@@ -99,10 +101,10 @@ class Session:
 
         Args:
             fresh: Begin again from the start; otherwise things go on from where they are.
-            **fields: Fields of :class:`Setup`.
+            **fields: As for :meth:`oimppi_warp.episode.Setup.changed`.
         """
         with self._lock:
-            self.wanted = replace(self.wanted, **fields)
+            self.wanted = self.wanted.changed(**fields)
             self._changed = True
             self._fresh |= fresh
 
@@ -146,6 +148,8 @@ class Session:
             if beat is None:
                 continue
             self._times.append(time.perf_counter())
+            if beat.plan is not None:
+                self._problem_of_plan = beat.plan.problem
             self.latest = self._picture(beat)
             if self._episode.log.header["mode"] == "lockstep":
                 period = self._episode.config.control_period / self.speed
@@ -175,33 +179,44 @@ class Session:
                 self.problem = str(error)
             else:
                 self.problem = ""
-                self._before = 0.0 if fresh else self._before + self._episode.plant.truth().time
-                if not fresh:
-                    truth = self._episode.plant.truth()
-                    episode.plant.place(truth.joint_position, truth.object_transform)
+                state = self._state
+                self._before = 0.0 if fresh else self._before + state.time
+                if not fresh and isinstance(episode.plant, MovablePlant):
+                    episode.plant.place(state.joint_position, state.object_transform)
                 self._steps.close()
                 self._begin(episode)
                 self.latest = self._picture(None)
+        plant = self._episode.plant
+        if not isinstance(plant, MovablePlant):
+            if moved is not None or knock is not None:
+                self.problem = f"the plant {self._episode.spec.plant} cannot be moved or pushed by hand"
+            return
         if moved is not None:
-            self._episode.plant.place(self._episode.plant.truth().joint_position, moved)
+            plant.place(self._state.joint_position, moved)
             if self._over:
                 self.change()
             self.latest = self._picture(None)
         if knock is not None:
-            self._episode.plant.knock(knock)
+            plant.knock(knock)
+
+    @property
+    def _state(self) -> Observation:
+        """The state of the running episode: the truth, or from a plant that does not know it, the latest report."""
+        plant = self._episode.plant
+        return plant.truth() if isinstance(plant, TruthfulPlant) else plant.observe()
 
     def _picture(self, beat: Beat | None) -> Picture:
         episode = self._episode
-        truth, log = episode.plant.truth(), episode.log
+        truth, log, plant = self._state if beat is None else episode.state_after(beat), episode.log, episode.plant
         picture = Picture(
             scene=episode.scene,
             time=self._before + truth.time,
             joints=truth.joint_position,
             object_transform=truth.object_transform,
-            touches=episode.plant.touches,
+            touches=plant.touches if isinstance(plant, MovablePlant) else np.zeros((0, 6)),
             status=self._status(),
         )
-        if beat is None or beat.plan is None:
+        if beat is None or beat.plan is None or beat.plan.problem:
             return picture
         geometry, plan = episode.planner.geometry, beat.plan
         picture = replace(
@@ -235,6 +250,8 @@ class Session:
             return "preparing what was asked for"
         if self.paused:
             return "paused"
+        if self._problem_of_plan:
+            return f"stopped: {self._problem_of_plan}"
         if self._episode.planner.letting_go:
             return "no headway: letting go, to push from another side"
         return "pushing"

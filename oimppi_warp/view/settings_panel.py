@@ -1,4 +1,4 @@
-"""Every setting as a control, made from the config dataclasses: the docstring is the tooltip."""
+"""Every setting as a control with its help and unit as the tooltip, made from the config dataclasses' fields."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, get_args, get_origin
 
 from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.settings import bounds_of, descriptions, kinds, options, set_option, validate
+from oimppi_warp.settings import Setting, changed, options, set_option, settings_of, validate
 
 _SLIDER_TOP = 4.0
 """A slider goes up to so many times the default."""
@@ -16,6 +16,8 @@ _SLIDER_TOP = 4.0
 
 class SettingsPanel:
     """Controls for all settings in folders, and the changed ones with a button each that takes the change back.
+
+    An optimizer's kind is a dropdown; another kind brings its own controls into the folder.
 
     Args:
         server: viser's.
@@ -32,15 +34,11 @@ class SettingsPanel:
         self._changed = self._gui.add_folder("Changed settings", order=6.0, visible=False)
         with self._changed:
             self._command = self._gui.add_markdown("")
-        about, types = descriptions(config), kinds(config)
-        folders: dict[str, list[str]] = {}
-        for name in options(config):
-            folders.setdefault(name.rpartition(".")[0], []).append(name)
-        with self._gui.add_folder("Settings", order=8.0, expand_by_default=False):
-            for folder, names in folders.items():
-                with self._gui.add_folder(folder or "general", expand_by_default=False):
-                    for name in names:
-                        self._add(name, types[name], about[name])
+        self._root = self._gui.add_folder("Settings", order=8.0, expand_by_default=False)
+        self._folders: dict[str, Any] = {}
+        self._orders: dict[str, float] = {}
+        for folder in _in_folders(config):
+            self._build(folder)
 
     def set(self, name: str, value: Any) -> None:
         """Changes a setting by its dotted name.
@@ -52,24 +50,49 @@ class SettingsPanel:
         config = validate(set_option(self.config, f"{name}={text}"))
         if options(config)[name] == options(self.config)[name]:
             return
-        self.config = config
-        self._show_changed()
+        self._take(config)
         self._on_change(config)
 
     def replace(self, config: Config) -> None:
         """Other settings, which are the new defaults: a preset, say."""
-        self._default = self.config = config
+        self._default = config
+        self._take(config)
+
+    def _take(self, config: Config) -> None:
+        """Shows these settings, with the controls that their optimizers need."""
+        before, self.config = _in_folders(self.config), config
+        now = _in_folders(config)
+        for folder in {**before, **now}:
+            if before.get(folder, {}).keys() != now.get(folder, {}).keys():
+                self._build(folder)
         for name, value in options(config).items():
-            self._controls[name].value = _shown(value)
+            if self._controls[name].value != _shown(value):
+                self._controls[name].value = _shown(value)
         self._show_changed()
 
-    def _add(self, name: str, kind: Any, about: str) -> None:
-        value, label = options(self.config)[name], name.rpartition(".")[2]
-        low, high = bounds_of(name)
+    def _build(self, folder: str) -> None:
+        """Makes a folder's controls anew, in the folder's old place."""
+        order = self._orders.setdefault(folder, float(len(self._orders)))
+        if folder in self._folders:
+            self._folders.pop(folder).remove()
+            self._controls = {name: c for name, c in self._controls.items() if name.rpartition(".")[0] != folder}
+        settings = _in_folders(self.config).get(folder)
+        if not settings:
+            return
+        with self._root:
+            self._folders[folder] = self._gui.add_folder(folder or "general", order=order, expand_by_default=False)
+        with self._folders[folder]:
+            for setting in settings.values():
+                self._add(setting)
+
+    def _add(self, setting: Setting) -> None:
+        name, value, kind, about = setting.name, setting.value, setting.kind, setting.help
+        shown = name.rpartition(".")[2]
+        low, high = setting.about.low, setting.about.high
         if get_args(kind) and isinstance(value, str):
-            control = self._gui.add_dropdown(label, get_args(kind), initial_value=value, hint=about)
+            control = self._gui.add_dropdown(shown, get_args(kind), initial_value=value, hint=about)
         elif isinstance(value, bool):
-            control = self._gui.add_checkbox(label, initial_value=value, hint=about)
+            control = self._gui.add_checkbox(shown, initial_value=value, hint=about)
         elif isinstance(value, int | float):
             top = min(high, max(_SLIDER_TOP * value, low + 1.0)) if value else min(high, 10.0)
             if isinstance(value, int):
@@ -77,10 +100,11 @@ class SettingsPanel:
             else:
                 step = 10.0 ** (math.floor(math.log10(top - low)) - 3)
                 top = math.ceil(top / step) * step
-            control = self._gui.add_slider(label, min=low, max=top, step=step, initial_value=value, hint=about)
+            control = self._gui.add_slider(shown, min=low, max=top, step=step, initial_value=value, hint=about)
+        elif get_origin(kind) is tuple:
+            control = self._gui.add_text(shown, initial_value=_shown(value), hint=about)
         else:
-            assert get_origin(kind) is tuple, name
-            control = self._gui.add_text(label, initial_value=_shown(value), hint=about)
+            raise TypeError(f"{name}: no control for a setting of the type {kind}")
         self._controls[name] = control
 
         @control.on_update
@@ -94,23 +118,28 @@ class SettingsPanel:
                 event.client.add_notification("This value cannot be used", str(error), color="red")
 
     def _show_changed(self) -> None:
-        now, default = options(self.config), options(self._default)
-        changed = {name for name in now if now[name] != default[name]}
-        for name in set(self._buttons) - changed:
+        now, differing = options(self.config), changed(self.config, self._default)
+        for name in set(self._buttons) - differing.keys():
             self._buttons.pop(name).remove()
-        for name in sorted(changed - set(self._buttons)):
+        for name in sorted(differing.keys() - self._buttons.keys()):
             with self._changed:
-                button = self._gui.add_button(f"{name}: back to {_shown(default[name])}")
+                button = self._gui.add_button(f"{name}: back to {_shown(differing[name])}")
             button.on_click(lambda _event, name=name: self._take_back(name))
             self._buttons[name] = button
-        self._changed.visible = bool(changed)
-        assignments = " ".join(f"{name}={_shown(now[name])}" for name in sorted(changed))
-        self._command.content = f"`--set {assignments}`" if changed else ""
+        self._changed.visible = bool(differing)
+        assignments = " ".join(f"{name}={_shown(now[name])}" for name in sorted(differing))
+        self._command.content = f"`--set {assignments}`" if differing else ""
 
     def _take_back(self, name: str) -> None:
-        value = options(self._default)[name]
-        self._controls[name].value = _shown(value)
-        self.set(name, value)
+        self.set(name, changed(self.config, self._default)[name])
+
+
+def _in_folders(config: Config) -> dict[str, dict[str, Setting]]:
+    """The settings by the group that they are in."""
+    folders: dict[str, dict[str, Setting]] = {}
+    for name, setting in settings_of(config).items():
+        folders.setdefault(name.rpartition(".")[0], {})[name] = setting
+    return folders
 
 
 def _shown(value: Any) -> Any:

@@ -1,11 +1,14 @@
-"""A scene as Newton's viewers show it: its visual shapes, posed by joints and object."""
+"""A scene as Newton's viewers show it: posed by joints and object.
+
+Robot, table and whatever is as in the scene's file look as they do there. Obstacles that were moved take their looks
+with them; others, and an object of another shape, are drawn as their colliders.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import warp as wp
 
-from oimppi_warp.newton_model import collector_paused
 from oimppi_warp.scene import Scene
 
 GHOSTS = r"/[^/]+/Goal(/.*)?"
@@ -13,7 +16,7 @@ GHOSTS = r"/[^/]+/Goal(/.*)?"
 
 
 class ShownScene:
-    """The Newton model of a scene with its skin.
+    """The Newton model of a scene with its skin, for viewers only; it has no part in the physics.
 
     Args:
         scene: The task.
@@ -24,14 +27,14 @@ class ShownScene:
     """
 
     def __init__(self, scene: Scene) -> None:
-        with collector_paused():
-            import newton
+        import newton
 
-            from oimppi_warp.usd.stage import SceneStage
+        from oimppi_warp.usd.editing import stage_of
+
         self._newton = newton
         builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
         found = builder.add_usd(
-            SceneStage(scene.file).stage, load_visual_shapes=True, enable_self_collisions=False, ignore_paths=[GHOSTS]
+            stage_of(scene), load_visual_shapes=True, enable_self_collisions=False, ignore_paths=[GHOSTS]
         )
         joints = [found["path_joint_map"][joint.path] for joint in scene.robot.joints]
         self._joints = np.array([builder.joint_q_start[joint] for joint in joints])

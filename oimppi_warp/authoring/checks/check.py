@@ -16,7 +16,8 @@ from oimppi_warp.footprint import height_range
 from oimppi_warp.scene import PlanarPose, Scene
 from oimppi_warp.tipping import can_tip, tipping_height
 from oimppi_warp.usd import Inspection, inspect_scene
-from oimppi_warp.usd.doubts import given_inertia, stage_doubts
+from oimppi_warp.usd.doubts import stage_doubts
+from oimppi_warp.usd.inertia import given_moments
 
 if TYPE_CHECKING:
     from oimppi_warp.authoring.checks.way import Neck, Ways
@@ -113,7 +114,7 @@ def _weight_warnings(found: Inspection) -> Iterator[Problem]:
 
     scene, stage = found.scene, found.stage
     assert scene is not None and stage is not None
-    inertia = given_inertia(stage.stage.GetPrimAtPath(scene.object.path))
+    inertia = given_moments(stage.stage.GetPrimAtPath(scene.object.path))
     for odd in weight_oddities(scene, stage, inertia):
         yield _warning(scene, odd.what, prim=scene.object.path, allowed=odd.allowed, fix=odd.fix)
 

@@ -40,7 +40,7 @@ def weight_oddities(scene: Scene, stage: SceneStage, inertia: np.ndarray | None)
         inertia: Principal moments that its file gives, shape [3] [kg m^2]; ``None`` where the shapes decide.
     """
     body = scene.object
-    solids = [solid(stage, collider) for collider in body.colliders]
+    solids = [solid(collider) for collider in body.colliders]
     volume = sum(float(solid.volume) for solid in solids)
     density = body.mass / volume
     if not DENSITIES[0] <= density <= DENSITIES[1]:

@@ -15,7 +15,7 @@ from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
 from oimppi_warp.footprint import collider_mesh, height_range
 from oimppi_warp.scene import Collider, PushedObject
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, solid
-from oimppi_warp.usd.robot import read_mass
+from oimppi_warp.usd.inertia import read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
 from oimppi_warp.usd.things import center_of_mass, largest_friction
 from oimppi_warp.usd.upright import stand_upright
@@ -132,14 +132,16 @@ def read_body(file: Path) -> PushedObject:
     thing, stage = read_object(file), _open(file.resolve())
     root = stage.stage.GetDefaultPrim()
     _weigh(stage, None)
+    mass = read_mass(stage, root)
     return PushedObject(
         path=str(root.GetPath()),
-        mass=read_mass(stage, root),
+        mass=mass,
         friction=thing.friction,
         tool_friction=thing.friction,
         center_of_mass=center_of_mass(stage, root, thing.colliders),
         colliders=thing.colliders,
         rest_height=thing.rest_height,
+        unit_inertia=unit_inertia(root, mass),
     )
 
 
@@ -197,7 +199,7 @@ def _weigh(stage: SceneStage, mass: float | None) -> bool:
             if not density > 0.0:
                 fix = "give physics:mass or physics:density with PhysicsMassAPI, or take --mass"
                 raise stage.error("a body without a mass", root, allowed="a mass or a density above zero", fix=fix)
-            found += density * _volume(stage, collider)
+            found += density * _volume(collider)
     if found:
         UsdPhysics.MassAPI.Apply(root).CreateMassAttr(found)
     return mass is not None
@@ -219,10 +221,10 @@ def _density(prim: Usd.Prim, root: Usd.Prim) -> float:
     return float(physics.GetDensityAttr().Get() or 0.0) if physics else 0.0
 
 
-def _volume(stage: SceneStage, collider: Collider) -> float:
+def _volume(collider: Collider) -> float:
     """Volume of a shape [m^3]."""
     if collider.kind == "mesh":
-        return float(solid(stage, collider).volume)
+        return float(solid(collider).volume)
     if collider.kind == "box":
         return 8.0 * math.prod(collider.size)
     radius, half_height = (*collider.size, 0.0)[:2]

@@ -11,7 +11,6 @@ import networkx as nx
 from oimppi_warp.authoring.robots.articulation import Articulation
 from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.errors import SceneError
-from oimppi_warp.newton_model import collector_paused
 
 _KINDS: dict[str, Kind] = {
     "revolute": "turns",
@@ -37,8 +36,8 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     root = _parse(file)
     chain = serial_chain(_tree(file, root), file=file, flange=flange)
     _resolve(file, root, {link for group in chain.groups for link, _ in group})
-    with collector_paused():
-        import newton
+    import newton
+
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
         builder.add_urdf(ET.tostring(root, encoding="unicode"))

@@ -13,7 +13,6 @@ from pxr import UsdPhysics
 from oimppi_warp.authoring.robots.articulation import Articulation, matrix_of
 from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.errors import SceneError
-from oimppi_warp.newton_model import collector_paused
 from oimppi_warp.usd.stage import SceneStage
 
 if TYPE_CHECKING:
@@ -36,8 +35,8 @@ def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     """
     scene = SceneStage(file)
     _check(scene)
-    with collector_paused():
-        import newton
+    import newton
+
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
         found = builder.add_usd(scene.stage, load_visual_shapes=True, enable_self_collisions=False)

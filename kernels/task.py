@@ -1,0 +1,73 @@
+"""What the kernels of every robot-level engine are given, and what they know of a stage."""
+
+import warp as wp
+
+from oimppi_warp.kernels.geometry import PoseField, planar_field, pose_field, rotate
+from oimppi_warp.kernels.kinematics import Arm, Placed, Surroundings
+from oimppi_warp.kernels.pushing import ObjectModel
+from oimppi_warp.kernels.terms import OVER, RobotWeights, Stage
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class RobotTask:
+    """What the robot level has to do, with what, and what counts.
+
+    Attributes:
+        arm: The arm.
+        model: The pushed object.
+        surroundings: What the arm must keep clear of.
+        weights: Of the cost terms.
+        to_go: Cost-to-go of the object [m]; not looked up where ``w_to_go`` is zero.
+        goal: The object's goal, a pose, shape [1].
+        reference: Where the object plan has the object at each step from now, poses, shape [horizon + 1 + align_ahead].
+        guide: Where the tip is called to and the weight of that, shape [1], see ``Stage``.
+        dt: Control period [s].
+    """
+
+    arm: Arm
+    model: ObjectModel
+    surroundings: Surroundings
+    weights: RobotWeights
+    to_go: PoseField
+    goal: wp.array[wp.vec3]
+    reference: wp.array[wp.vec3]
+    guide: wp.array[wp.vec4]
+    dt: float
+
+
+@wp.func
+def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
+    """Whether the tool is over the object, seen from above."""
+    c = wp.cos(pose[2])
+    s = wp.sin(pose[2])
+    local = rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1]))
+    return planar_field(task.model.body, local)[0] < task.surroundings.tool_radius
+
+
+@wp.func
+def above_counts(task: RobotTask, tip: wp.vec3) -> float:
+    """What a tip that is over the object counts, 1 or 0: one that is guided may pass ``OVER`` above it."""
+    counts = float(0.0)
+    if task.guide[0][3] <= 0.0 or tip[2] < task.model.top + OVER:
+        counts = 1.0
+    return counts
+
+
+@wp.func
+def known_stage(task: RobotTask, h: int, placed: Placed, pose: wp.vec3) -> Stage:
+    """The stage after control step ``h`` as far as it follows from where arm and object are; the rest is zero."""
+    stage = Stage()
+    stage.tip = placed.tip
+    stage.up = placed.up
+    stage.lean = placed.lean
+    stage.pose = pose
+    stage.top = task.model.top
+    stage.goal = task.goal[0]
+    stage.reference = task.reference[h + 1]
+    stage.target = task.reference[h + 1 + task.weights.align_ahead]
+    stage.guide = task.guide[0]
+    if task.weights.w_to_go > 0.0:
+        stage.to_go = pose_field(task.to_go, pose)[0]
+    return stage

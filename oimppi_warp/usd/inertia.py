@@ -1,0 +1,95 @@
+"""What a rigid body weighs: its mass, and where the file says that the mass is.
+
+Where a file gives no inertia or no centre of mass, none is made up: the colliders decide, all of one density, when a
+model is built (:mod:`oimppi_warp.newton_model`). That is what OpenUSD's and Newton's readers take too, but for
+densities given to single shapes or materials, which are not read.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pxr import Gf, Usd, UsdPhysics
+
+from oimppi_warp.usd.frames import single
+from oimppi_warp.usd.stage import SceneStage
+
+
+def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
+    """Mass of a rigid body [kg].
+
+    Raises:
+        SceneError: It is not given, or not positive.
+    """
+    mass = scene.number(body, "physics:mass", 0.0) if body.HasAPI(UsdPhysics.MassAPI) else 0.0
+    if not (math.isfinite(mass) and mass > 0.0):
+        what = f"a mass of {mass:g} kg" if mass else "a body without a mass"
+        raise scene.error(what, body, allowed="more than zero", fix="apply PhysicsMassAPI and give physics:mass")
+    return mass
+
+
+def given_center(body: Usd.Prim) -> np.ndarray | None:
+    """Centre of mass that is given for a body, in its frame before it is scaled, shape [3] [m]."""
+    value = UsdPhysics.MassAPI(body).GetCenterOfMassAttr().Get()
+    center = np.array([single(c) for c in value or [math.nan]])
+    return center if np.isfinite(center).all() else None
+
+
+def given_moments(body: Usd.Prim) -> np.ndarray | None:
+    """Principal moments that are given for a body, shape [3] [kg m^2]; ``None`` where the shapes decide."""
+    if not body.HasAPI(UsdPhysics.MassAPI):
+        return None
+    value = UsdPhysics.MassAPI(body).GetDiagonalInertiaAttr().Get()
+    moments = np.zeros(3) if value is None else np.array(value, dtype=float)
+    return moments if np.isfinite(moments).all() and moments.any() else None
+
+
+def unit_inertia(body: Usd.Prim, mass: float) -> np.ndarray | None:
+    """Rotational inertia that is given for a body about its centre of mass, divided by its mass.
+
+    ``newton:inertia`` counts before principal moments and axes, as in Newton.
+
+    Args:
+        body: The prim.
+        mass: Its mass [kg].
+
+    Returns:
+        In the axes of the body's frame, shape [3, 3] [m^2]; ``None`` where the shapes decide.
+    """
+    inertia = _tensor(body)
+    if inertia is None:
+        moments = given_moments(body)
+        if moments is None or (moments < 0.0).any():
+            return None
+        axes = UsdPhysics.MassAPI(body).GetPrincipalAxesAttr().Get()
+        if axes is None or axes == Gf.Quatf(0.0):
+            axes = Gf.Quatf(1.0)
+        turn = _rotation(np.array([*axes.GetImaginary(), axes.GetReal()], dtype=np.float32))
+        inertia = turn @ np.diag(moments.astype(np.float32)) @ turn.T
+    return inertia.astype(float) / mass if mass > 0.0 else None
+
+
+def _tensor(body: Usd.Prim) -> np.ndarray | None:
+    """What ``newton:inertia`` gives: the moments xx, yy, zz and the products xy, xz, yz, as a matrix [3, 3]."""
+    attribute = body.GetAttribute("newton:inertia")
+    value = attribute.Get() if attribute and attribute.HasAuthoredValue() else None
+    applied = "NewtonMassAPI" in body.GetPrimTypeInfo().GetAppliedAPISchemas()
+    if not applied or value is None or len(value) != 6 or not np.isfinite(np.array(value, dtype=float)).all():
+        return None
+    xx, yy, zz, xy, xz, yz = map(float, value)
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return tensor if (np.linalg.eigvalsh(tensor) >= 0.0).all() else None
+
+
+def _rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrix of a quaternion xyzw, in single precision and in the order of operations that Newton has."""
+    x, y, z, w = quaternion
+    quaternion = quaternion * (np.float32(1.0) / np.sqrt(x * x + y * y + z * z + w * w))
+    q, w = quaternion[:3], quaternion[3]
+    one, two = np.float32(1.0), np.float32(2.0)
+    columns = [
+        axis * (two * w * w - one) + q * (two * (q @ axis)) + np.cross(q, axis) * w * two
+        for axis in np.eye(3, dtype=np.float32)
+    ]
+    return np.stack(columns, axis=1)
