@@ -90,7 +90,7 @@ def test_a_friction_that_is_less_than_the_tables_own_is_what_was_asked_for(tmp_p
     scene = new(tmp_path, "--object", "t-block", "--friction", str(friction))
     assert scene.object.friction == pytest.approx(friction)
     assert f"friction {friction:g}," in capsys.readouterr().out
-    assert check_scene(tmp_path / "mine.usda") == []
+    assert check_scene(tmp_path / "mine.usda") == ()
 
 
 def test_obstacles_stand_where_they_were_put(tmp_path):

@@ -199,7 +199,7 @@ def _weigh(stage: SceneStage, mass: float | None) -> bool:
             if not density > 0.0:
                 fix = "give physics:mass or physics:density with PhysicsMassAPI, or take --mass"
                 raise stage.error("a body without a mass", root, allowed="a mass or a density above zero", fix=fix)
-            found += density * _volume(stage, collider)
+            found += density * _volume(collider)
     if found:
         UsdPhysics.MassAPI.Apply(root).CreateMassAttr(found)
     return mass is not None
@@ -221,7 +221,7 @@ def _density(prim: Usd.Prim, root: Usd.Prim) -> float:
     return float(physics.GetDensityAttr().Get() or 0.0) if physics else 0.0
 
 
-def _volume(stage: SceneStage, collider: Collider) -> float:
+def _volume(collider: Collider) -> float:
     """Volume of a shape [m^3]."""
     if collider.kind == "mesh":
         return float(solid(collider).volume)
