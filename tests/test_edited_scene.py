@@ -11,6 +11,7 @@ import tasks
 from newton.viewer import ViewerNull
 from test_newton import make, roll
 
+from oimppi_warp import mujoco_model as module
 from oimppi_warp.cache import content_of_data
 from oimppi_warp.clearance import build_geometry
 from oimppi_warp.dynamics.newton import NewtonDynamics
@@ -46,6 +47,15 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def compiled(cache, monkeypatch):
+    """How many different models were compiled and kept so far; to be quick, always the same is kept."""
+    made = World(tasks.shipped("point01")).mujoco
+    monkeypatch.setattr(module, "build_model", lambda scene: None)
+    monkeypatch.setattr(module, "_translate", lambda built, sensing: made)
+    return lambda: len(list(cache.glob("mujoco-*.npz"))) - 1
+
+
+@pytest.fixture
 def scene() -> Scene:
     return tasks.shipped("task02")
 
@@ -74,7 +84,7 @@ def slid(scene: Scene, speed: float) -> float:
     plant = SimulatedPlant(world)
     plant.knock(scene.object.mass * np.array([speed, 0.0, 0.0]))
     before = plant.observe().object_pose
-    for _ in range(20):
+    for _ in range(30):
         plant.apply(np.zeros(scene.robot.dof))
     return float(plant.observe().object_pose[0] - before[0])
 
@@ -116,10 +126,11 @@ def test_inertia_grows_with_the_mass(scene):
 
 
 def test_a_knocked_object_slides_as_far_as_its_friction_lets_it(scene):
-    """v^2 / (2 mu g): 91 mm at 0.4, twice as far at half the friction; the T's centre of mass is hit, it does not turn."""
-    for friction in (0.4, 0.2):
+    """Knocked by a force m v / T that lasts for a period T: v^2 / (2 mu g) - v T / 2."""
+    for friction, speed in ((0.4, 0.6), (0.2, 0.6), (0.1, 1.0)):
         edited = replace(scene, object=replace(scene.object, friction=friction))
-        assert slid(edited, 0.6) == pytest.approx(0.6**2 / (2.0 * friction * G), rel=0.1)
+        wanted = speed**2 / (2.0 * friction * G) - speed * 0.05 / 2.0
+        assert slid(edited, speed) == pytest.approx(wanted, rel=0.03)
 
 
 def test_the_tool_grips_with_its_own_friction(scene):
@@ -179,10 +190,10 @@ def test_a_moved_obstacle_stops_the_object_where_it_stands_now(scene):
     x, y, _ = scene.start
     cube = scene.obstacle(CUBE).center
     moved = scene.with_obstacle_moved(CUBE, (x + 0.1 + 0.02 + 0.05 - cube[0], y - cube[1], 0.0))
-    assert slid(scene, 0.8) > 0.12
+    assert slid(scene, 0.8) > 0.055
     assert slid(moved, 0.8) == pytest.approx(0.02, abs=0.003)
     gone = scene.with_obstacle_moved(CUBE, (0.0, 0.3, 0.0))
-    assert slid(gone, 0.8) > 0.12
+    assert slid(gone, 0.8) == slid(scene, 0.8)
 
 
 def test_an_obstacle_turns_about_the_vertical_through_its_centre(scene):
@@ -194,10 +205,10 @@ def test_an_obstacle_turns_about_the_vertical_through_its_centre(scene):
     np.testing.assert_allclose([first, second], [[0.6, -0.1], [0.6, 0.1]], atol=1e-12)
 
 
-def test_the_goal_and_the_start_are_no_part_of_what_is_compiled(scene, cache):
+def test_the_goal_and_the_start_are_no_part_of_what_is_compiled(scene, compiled):
     for each in (scene, scene.with_goal((0.3, 0.3, 0.0)), scene.with_start((0.2, -0.4, 0.1))):
         World(each).mujoco  # noqa: B018
-    assert len(list(cache.glob("mujoco-*.npz"))) == 1
+    assert compiled() == 1
 
 
 # Plants and engines
@@ -258,19 +269,19 @@ def edits(scene: Scene) -> dict[str, Scene]:
     }
 
 
-def test_every_edit_has_a_compiled_model_of_its_own(scene, cache):
+def test_every_edit_has_a_compiled_model_of_its_own(scene, compiled):
     known = {"": scene, **edits(scene)}
     for count, (what, each) in enumerate(known.items(), start=1):
         World(each).mujoco  # noqa: B018
-        assert len(list(cache.glob("mujoco-*.npz"))) == count, what
+        assert compiled() == count, what
 
 
-def test_the_file_that_a_scene_was_read_from_is_no_part_of_what_is_compiled(scene, cache, tmp_path):
+def test_the_file_that_a_scene_was_read_from_is_no_part_of_what_is_compiled(scene, compiled, tmp_path):
     copy = load_scene(save_scene(scene, tmp_path / "elsewhere.usda"))
     alike = replace(scene, file=copy.file, name="elsewhere", title="")
     for each in (scene, alike):
         World(each).mujoco  # noqa: B018
-    assert len(list(cache.glob("mujoco-*.npz"))) == 1
+    assert compiled() == 1
 
 
 def test_data_has_one_content_and_other_data_another(scene):
@@ -411,7 +422,7 @@ def test_what_cannot_be_saved_is_said_and_nothing_is_left_behind(scene, tmp_path
 
 def test_a_link_lighter_than_its_tool_is_refused(scene):
     links = (*scene.robot.links[:-1], replace(scene.robot.links[-1], mass=0.01))
-    with pytest.raises(SceneError, match="a link of 0.01 kg"):
+    with pytest.raises(SceneError, match=r"a link of 0\.01 kg"):
         build_model(replace(scene, robot=replace(scene.robot, links=links)))
 
 

@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 from oimppi_warp.cache import content_of_data
 from oimppi_warp.errors import SceneError
 from oimppi_warp.observation import planar_transform
-from oimppi_warp.scene import Collider, Obstacle, PushedObject, Scene
+from oimppi_warp.scene import Collider, Obstacle, PushedObject, Scene, Tolerance
 from oimppi_warp.usd.frames import scales
 from oimppi_warp.usd.shapes import define_collider
 from oimppi_warp.usd.stage import SceneStage
@@ -92,7 +92,7 @@ def _write_task(task: Usd.Prim, scene: Scene, original: Scene) -> None:
     for name, attribute in _TASK.items():
         value = getattr(scene, name)
         if value != getattr(original, name):
-            numbers = (value.position, value.yaw) if is_dataclass(value) else value
+            numbers = (value.position, value.yaw) if isinstance(value, Tolerance) else value
             vector = Gf.Vec3d if len(numbers) == 3 else Gf.Vec2d
             type_name = Sdf.ValueTypeNames.Double3 if len(numbers) == 3 else Sdf.ValueTypeNames.Double2
             task.CreateAttribute(f"oimppi:{attribute}", type_name, False).Set(vector(*numbers))

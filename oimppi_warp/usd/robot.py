@@ -235,9 +235,8 @@ class _Chain:
         colliders: list[Collider] = []
         bodies: list[Welded] = []
         for body, placed in group:
-            self.scene.body_frame(body)  # notes a scale
             # The frame that shapes are measured from is the body's own, seen from the link's.
-            colliders += read_colliders(self.scene, body, placed.GetInverse() * self.scene.frame(body))
+            colliders += read_colliders(self.scene, body, placed.GetInverse() * self.scene.body_frame(body))
             mass = self.scene.attempt(0.0, read_mass, self.scene, body)
             center, inertia = given_center(body), unit_inertia(body, mass)
             bodies.append(Welded(str(body.GetPath()), transform(placed), mass, center, inertia))
