@@ -303,8 +303,8 @@ def test_costs_are_those_of_the_quasistatic_engine_on_the_same_motion(engine):
     cost = roll(dynamics, seen, controls[None])[0]
     mppi = replace(RobotLevel().optimizer, samples=1, horizon=STEPS)
     geometry = build_geometry(scene, "cpu")
-    level, cost = RobotLevel(optimizer=mppi), tasks.effective_cost(scene)
-    twin = QuasistaticDynamics(scene, geometry, level, cost, dt=tasks.DT, compute=Compute("cpu", threads=1))
+    level, weights = RobotLevel(optimizer=mppi), tasks.effective_cost(scene)
+    twin = QuasistaticDynamics(scene, geometry, level, weights, dt=tasks.DT, compute=Compute("cpu", threads=1))
     costs = wp.zeros(1, dtype=float, device="cpu")
     packed = wp.array(controls[None].astype(np.float32), dtype=control_type(6), device="cpu")
     run = twin.rollout(packed, costs)
