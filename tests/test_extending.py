@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from oimppi_warp.log import EpisodeLog
-from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS
+from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
+from oimppi_warp.usd import load_scene
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -23,6 +24,7 @@ NAMES = [
     (METHODS, "straight"),
     (OPTIMIZERS, "search"),
     (ENGINES, "careful"),
+    (SHAPES, "bracket"),
 ]
 
 
@@ -56,7 +58,7 @@ def oimppi(site: Path, *arguments: str, folder: Path) -> subprocess.CompletedPro
 
 def test_the_page_has_an_example_for_every_registry(site: Path):
     assert sorted(path.stem for path in (site / "my_pushing").iterdir()) == [
-        "cost", "engine", "method", "optimizer", "plant",
+        "cost", "engine", "method", "optimizer", "plant", "shape",
     ]  # fmt: skip
     for registry, name in NAMES:
         assert (
@@ -64,6 +66,15 @@ def test_the_page_has_an_example_for_every_registry(site: Path):
             in (site / "my_pushing-0.1.dist-info/entry_points.txt").read_text()
         )
         assert name not in registry  # it is not installed here
+
+
+def test_the_shape_of_the_page_is_pushed_and_stands_in_the_way(site: Path, tmp_path: Path):
+    (line,) = re.findall(r"`oimppi (scene new mine .*?)`", PAGE)
+    done = oimppi(site, *line.split(), folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    scene = load_scene(tmp_path / "mine.usda")
+    assert scene.object.rest_height == 0.015
+    assert [obstacle.path for obstacle in scene.obstacles] == ["/World/Obstacles/Bracket"]
 
 
 def test_everything_on_the_page_is_run_together_by_its_names(site: Path, tmp_path: Path):
@@ -94,7 +105,7 @@ def test_help_suites_and_the_doctor_know_installed_entries(site: Path, tmp_path:
     for choice in ("{mppi,soi,cloi,straight}", "{auto,quasistatic,newton,careful}", "{ideal,lab,kinematic}"):
         assert choice in said
     doctor = oimppi(site, "doctor", "--json", folder=tmp_path).stdout
-    assert all(name in doctor for _, name in NAMES if name != "high") and "my-pushing" in doctor
+    assert all(f'"{name}": "my-pushing"' in doctor for _, name in NAMES)
     (tmp_path / "mine.toml").write_text(
         'tasks = ["task01"]\nmethods = ["straight", "mppi"]\ntrials = 1\nmax_sim_seconds = 0.2\nplant = "kinematic"\n'
         'engine = "careful"\nset = ["robot.optimizer.samples=64"]\n'
