@@ -15,7 +15,7 @@ import warp as wp
 from oimppi_warp.cache import cache_folder
 from oimppi_warp.compute import core_count
 from oimppi_warp.device import kernels_are_cached, start_warp
-from oimppi_warp.registries import ENGINES, METHODS, OPTIMIZERS, PLANTS
+from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
 from oimppi_warp.registry import Registry
 
 PACKAGES = ("warp-lang", "newton", "mujoco", "mujoco-warp", "usd-core", "numpy", "trimesh", "shapely", "viser")
@@ -25,6 +25,8 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "optimizers": OPTIMIZERS,
     "engines": ENGINES,
     "plants": PLANTS,
+    "cost_terms": COST_TERMS,
+    "shapes": SHAPES,
 }
 """What can be chosen by name, in the order in which it is told."""
 _LEAST_MEMORY = 4e9

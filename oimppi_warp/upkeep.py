@@ -133,7 +133,10 @@ class Doctor:
             "packages": f"Python {facts.python}, " + ", ".join(f"{k} {v or '-'}" for k, v in facts.versions.items()),
             "will use": f"device {facts.device}, {facts.usable_cores} threads on the CPU; with --engine auto the most "
             "successful engine that keeps up",
-            **{kind: ", ".join(_with_package(entries)) for kind, entries in facts.entries.items()},
+            **{
+                kind.replace("_", " "): ", ".join(_with_package(entries)) or "none besides ours"
+                for kind, entries in facts.entries.items()
+            },
             "kernels": f"{facts.kernel_cache} ({'compiled' if facts.compiled else 'none yet: oimppi warmup'})",
             "fields": facts.field_cache,
             "scenes": f"{facts.scenes} shipped",

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from oimppi_warp.log import EpisodeLog
@@ -25,7 +24,7 @@ NAMES = [
     (METHODS, "straight"),
     (OPTIMIZERS, "search"),
     (ENGINES, "careful"),
-    (SHAPES, "angle"),
+    (SHAPES, "bracket"),
 ]
 
 
@@ -69,6 +68,15 @@ def test_the_page_has_an_example_for_every_registry(site: Path):
         assert name not in registry  # it is not installed here
 
 
+def test_the_shape_of_the_page_is_pushed_and_stands_in_the_way(site: Path, tmp_path: Path):
+    (line,) = re.findall(r"`oimppi (scene new mine .*?)`", PAGE)
+    done = oimppi(site, *line.split(), folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    scene = load_scene(tmp_path / "mine.usda")
+    assert scene.object.rest_height == 0.015
+    assert [obstacle.path for obstacle in scene.obstacles] == ["/World/Obstacles/Bracket"]
+
+
 def test_everything_on_the_page_is_run_together_by_its_names(site: Path, tmp_path: Path):
     chosen = ["--plant", "kinematic", "--method", "straight", "--engine", "careful", "--device", "cpu"]
     settings = [
@@ -97,7 +105,7 @@ def test_help_suites_and_the_doctor_know_installed_entries(site: Path, tmp_path:
     for choice in ("{mppi,soi,cloi,straight}", "{auto,quasistatic,newton,careful}", "{ideal,lab,kinematic}"):
         assert choice in said
     doctor = oimppi(site, "doctor", "--json", folder=tmp_path).stdout
-    assert all(name in doctor for _, name in NAMES if name not in ("high", "angle")) and "my-pushing" in doctor
+    assert all(f'"{name}": "my-pushing"' in doctor for _, name in NAMES)
     (tmp_path / "mine.toml").write_text(
         'tasks = ["task01"]\nmethods = ["straight", "mppi"]\ntrials = 1\nmax_sim_seconds = 0.2\nplant = "kinematic"\n'
         'engine = "careful"\nset = ["robot.optimizer.samples=64"]\n'
@@ -109,17 +117,6 @@ def test_help_suites_and_the_doctor_know_installed_entries(site: Path, tmp_path:
     assert [(row["method"], row["plant"], row["engine"], row["error"]) for row in rows] == [
         ("straight", "kinematic", "careful", ""), ("mppi", "kinematic", "careful", ""),
     ]  # fmt: skip
-
-
-def test_a_shape_of_the_page_is_pushed_and_stands_in_the_way(site: Path, tmp_path: Path):
-    words = ["--object", "angle:0.12x0.04", "--height", "0.03", "--obstacle", "angle:0.15x0.03@0.4,-0.1,0.3"]
-    done = oimppi(site, "scene", "new", "mine", *words, folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert oimppi(site, "scene", "check", "mine.usda", folder=tmp_path).returncode == 0
-    scene = load_scene(tmp_path / "mine.usda")
-    corners = np.vstack([piece.vertices for piece in scene.object.colliders if piece.vertices is not None])
-    assert np.ptp(corners, axis=0) == pytest.approx((0.12, 0.12, 0.03))
-    assert [obstacle.path for obstacle in scene.obstacles] == ["/World/Obstacles/Angle"]
 
 
 def test_the_examples_are_as_long_as_they_are_said_to_be(site: Path):
