@@ -16,6 +16,7 @@ from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.log import flat, to_json
 from oimppi_warp.run_spec import LARGEST_SEED, RunSpec
+from oimppi_warp.settings import extra_weights
 from oimppi_warp.task import SettingsRequest, make_task
 
 if TYPE_CHECKING:
@@ -64,7 +65,9 @@ class Trial:
 
         Threads count only in real time: they change no bit of a plan.
         """
-        facts = flat(self) | {"config": to_json(self.config)}
+        config = self.config  # with the weights that cost terms from outside have of themselves
+        config = replace(config, cost=replace(config.cost, extra=extra_weights(config.cost)))
+        facts = flat(self) | {"config": to_json(config)}
         for name in ("scene", "number", *flat(self.settings), *(["threads"] * (not self.real_time))):
             del facts[name]
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
