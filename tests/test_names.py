@@ -12,7 +12,7 @@ from oimppi_warp.log import to_json
 from oimppi_warp.names import SETTINGS, present_name
 from oimppi_warp.presets import PRESETS, best
 from oimppi_warp.settings import changed, from_record, options, set_option
-from oimppi_warp.task import make_config
+from oimppi_warp.task import SettingsRequest
 
 
 def old_names() -> list[tuple[str, str]]:
@@ -43,8 +43,20 @@ def test_every_old_name_sets_what_its_present_name_sets(old: str, present: str):
 
 
 def test_a_command_with_old_names_makes_the_same_settings():
-    old = make_config("best", "cloi", assignments=["robot.mppi.samples=512", "object.mppi.knots=0"])
-    new = make_config("best", "cloi", assignments=["robot.optimizer.samples=512", "object.optimizer.knots=0"])
+    old = SettingsRequest(
+        "best",
+        (
+            "robot.mppi.samples=512",
+            "object.mppi.knots=0",
+        ),
+    ).config("cloi")
+    new = SettingsRequest(
+        "best",
+        (
+            "robot.optimizer.samples=512",
+            "object.optimizer.knots=0",
+        ),
+    ).config("cloi")
     assert old == new
     assert (new.robot.optimizer.samples, new.object.optimizer.knots) == (512, 0)
 

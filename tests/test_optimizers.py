@@ -26,7 +26,7 @@ from oimppi_warp.optimizer import Optimizer, make_optimizer, wrapped_seed
 from oimppi_warp.presets import best
 from oimppi_warp.registries import COST_TERMS, OPTIMIZERS
 from oimppi_warp.settings import changed, extra_weights, from_record, options, set_option, settings_of, validate
-from oimppi_warp.task import make_config
+from oimppi_warp.task import SettingsRequest
 
 SHARED = [item.name for item in fields(Sampling) if item.name != "kind"]
 
@@ -65,7 +65,13 @@ def test_an_optimizer_that_does_not_exist_is_answered_with_those_that_do():
 def test_a_setting_of_another_optimizer_says_which_one_is_chosen():
     with pytest.raises(ConfigError, match=r"of the optimizer mppi\n(.|\n)*robot\.optimizer=NAME"):
         set_option(best(), "robot.optimizer.elites=0.1")
-    assert make_config("best", "cloi", assignments=["robot.optimizer=cem", "robot.optimizer.elites=0.1"])
+    assert SettingsRequest(
+        "best",
+        (
+            "robot.optimizer=cem",
+            "robot.optimizer.elites=0.1",
+        ),
+    ).config("cloi")
 
 
 def test_an_optimizer_refuses_settings_of_another():
@@ -142,11 +148,14 @@ def search() -> Iterator[str]:
 
 
 def test_an_optimizer_from_outside_is_chosen_set_and_plans(search: str):
-    config = make_config(
+    config = SettingsRequest(
         "best",
-        "cloi",
-        assignments=["robot.optimizer=search", "robot.optimizer.spread=2", "object.optimizer=search"],
-    )
+        (
+            "robot.optimizer=search",
+            "robot.optimizer.spread=2",
+            "object.optimizer=search",
+        ),
+    ).config("cloi")
     assert config.robot.optimizer == SearchSettings(kind="search", samples=1200, horizon=25, spread=2.0)
     assert settings_of(config)["robot.optimizer.spread"].help == "Factor on the noise of random search."
     assert "search" in settings_of(best())["robot.optimizer"].allowed
