@@ -301,8 +301,9 @@ def _weigh(
     else:  # nothing to tell by: a ball of water
         inertia = 0.4 * mass * (mass / WATER * 3.0 / (4.0 * math.pi)) ** (2.0 / 3.0) * np.eye(3)
     builder.body_mass[body], builder.body_inv_mass[body] = mass, 1.0 / mass
-    builder.body_inertia[body] = wp.mat33(inertia)
-    builder.body_inv_inertia[body] = wp.inverse(builder.body_inertia[body])
+    tensor: Any = wp.mat33(inertia)
+    inverse: Any = wp.inverse(tensor)
+    builder.body_inertia[body], builder.body_inv_inertia[body] = tensor, inverse
     if center is not None:
         builder.body_com[body] = _vector(center)
 

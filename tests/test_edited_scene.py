@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -28,6 +30,7 @@ from oimppi_warp.scene import Obstacle, Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas
+from oimppi_warp.view.live import LiveView
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.shown import ShownScene
 from oimppi_warp.world import World
@@ -369,6 +372,28 @@ def test_the_canvas_loads_a_scene_anew_when_other_things_stand_in_it_but_not_for
     for each, models in scenes:
         canvas.draw(Picture(each, 0.0, each.robot.start, at))
         assert viewer.models == models
+
+
+class Asked:
+    """In the place of a session: what was asked for last."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.wanted = SimpleNamespace(scene=scene)
+        self.problem = ""
+
+    def change(self, *, scene: Scene) -> None:
+        self.wanted = SimpleNamespace(scene=scene)
+
+
+def test_an_obstacle_is_dragged_without_any_file(scene):
+    view = object.__new__(LiveView)
+    view._session = Asked(replace(scene, file=Path("/nowhere/at/all.usda")))
+    before = scene.obstacle(CUBE).center
+    view._let_go(CUBE, np.array([0.6, 0.2, 0.3]), np.array([*before[:2], 0.0]))
+    moved = view._session.wanted.scene.obstacle(CUBE)
+    np.testing.assert_allclose(moved.center, [0.6, 0.2, before[2]], atol=1e-12)
+    view._let_go("/World/Gone", np.zeros(3), np.zeros(3))
+    assert "no obstacle </World/Gone>" in view._session.problem
 
 
 # Saving

@@ -16,6 +16,7 @@ from oimppi_warp.scene import Collider, Obstacle, PushedObject, Scene, Tolerance
 from oimppi_warp.usd.frames import scales
 from oimppi_warp.usd.shapes import define_collider
 from oimppi_warp.usd.stage import SceneStage
+from oimppi_warp.usd.units import editable_prims
 
 _SAVED = 1e-5
 """How far a number may be from the scene's after it was written and read again."""
@@ -81,6 +82,7 @@ def _edited(scene: Scene, opened: SceneStage, original: Scene) -> Usd.Stage:
     It is a flattened copy: the layers of the file itself are shared by all in this process that have it open.
     """
     stage = Usd.Stage.Open(opened.stage.Flatten(addSourceFileComment=False))
+    list(editable_prims(stage))  # what stands in an instance gets prims of its own
     _write_task(stage.GetPrimAtPath(opened.the("OimppiTaskAPI", "task", "the default prim").GetPath()), scene, original)
     _write_obstacles(stage, scene.obstacles, {obstacle.path: obstacle for obstacle in original.obstacles})
     _write_object(stage, scene.object, original.object)

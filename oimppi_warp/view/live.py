@@ -175,7 +175,10 @@ class LiveView:
             self._session.move_object(pose)
         else:
             x, y, turn = (float(value) for value in to - before)
-            self._session.change(scene=scene.with_obstacle_moved(name, (x, y, turn)))
+            try:
+                self._session.change(scene=scene.with_obstacle_moved(name, (x, y, turn)))
+            except OimppiError as error:  # it is gone by now
+                self._session.problem = str(error)
 
     def _click(self, event: Any) -> None:
         """Knock at the object where it was clicked at."""
