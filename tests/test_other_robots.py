@@ -45,7 +45,7 @@ def on_a_rail(scene: Scene) -> Scene:
     rail = Joint("/rail", np.array([0, 0, 0, *turn.as_quat()]), -0.3, 0.3, 0.5, 500.0, "prismatic")
     first = scene.robot.joints[0]
     back = turn.inv()
-    pose = np.array([*back.apply(first.parent_transform[:3]), *back.as_quat()])
+    pose = np.array([*back.apply(np.array(first.parent_transform[:3])), *back.as_quat()])
     joints = (rail, replace(first, parent_transform=pose), *scene.robot.joints[1:])
     links = (Link("/carriage", 1.0, ()), *scene.robot.links)
     robot = replace(scene.robot, joints=joints, links=links, start=np.array([0.05, *scene.robot.start]))
