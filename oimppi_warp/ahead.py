@@ -13,6 +13,7 @@ from warp._src.context import user_modules
 from oimppi_warp.clearance import build_geometry
 from oimppi_warp.compute import Compute
 from oimppi_warp.config import Config
+from oimppi_warp.device import start_warp
 from oimppi_warp.dynamics.base import RolloutTask
 from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
 from oimppi_warp.kernels import clearance
@@ -109,6 +110,7 @@ def rehearsal() -> Iterator[list[Variant]]:
     cache), and nothing else is. With ``enable_cpu_blocks`` the CPU takes the block sizes that launches ask for. A
     launch of no threads loads nothing, here as on a GPU: kernels for tendons, say, of a model that has none.
     """
+    start_warp()
     variants: list[Variant] = []
     usual = wp.config.enable_cpu_blocks
     for module in _modules():
