@@ -70,12 +70,16 @@ class PlannerLoop:
         )
         self.mppi: Optimizer = self.planner.mppi
         self.first = self.seen = first_observation(scene)
+        self.stopped = ""
         self.planner.warm_up()
         self.planner.start(self.first)
 
     def __call__(self) -> None:
         """One plan, and on to where it leads."""
         plan = self.planner.plan(self.seen)
+        self.stopped = plan.problem
+        if plan.problem:
+            return
         joints = self.seen.joint_position + self.planner.config.control_period * plan.command
         pose = plan.object_poses[1]
         height = self.seen.object_transform[2]
@@ -84,6 +88,8 @@ class PlannerLoop:
 
     def problems(self) -> list[str]:
         """What is wrong with the latest plan."""
+        if self.stopped:
+            return [f"nothing was planned: {self.stopped}"]
         update = self.mppi.found()
         found = [f"{update.lost} samples have no finite cost"] if update.lost else []
         return found + ([] if update.effective_samples > 0.999 else ["no effective sample"])
