@@ -69,6 +69,8 @@ class Run(TaskOptions):
         with _progress(setup.config.episode.max_sim_seconds, console) as on_step:
             log = episode.run(on_step=on_step)
         metrics = summarize(log)
+        for step, reason in log.header.get("problems", []):
+            console.print(f"step {step}: the arm was stopped, {reason}", soft_wrap=True)
         if self.json is not None:
             self.json.absolute().parent.mkdir(parents=True, exist_ok=True)
             write_whole(self.json, metrics.json().encode())

@@ -100,7 +100,10 @@ class Episode:
         if spec.threads is None and spec.mode == "realtime":
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
-        self.plant: Plant = plant or PLANTS.get_checked(spec.plant)(scene, config, seed=spec.seed)
+        if plant is None:
+            self.plant: Plant = PLANTS.get_checked(spec.plant)(scene, config, seed=spec.seed)
+        else:
+            self.plant = plant
         resolved = resolve(validate(config), scene, control_period=self.plant.control_period)
         self.config = config = resolved.config
         self.planner = make_planner(scene, config, spec)

@@ -144,6 +144,8 @@ class Session:
                 beat = next(self._steps, None)
             except FloatingPointError:
                 self._episode.log.header["ended"], beat = "diverged", None
+            except OimppiError as error:  # what the plant reports cannot be planned from
+                self.problem, beat = str(error), None
             self._over = beat is None
             if beat is None:
                 continue
