@@ -26,6 +26,7 @@ class Cem(Optimizer):
     """
 
     Settings = config.Cem
+    one_graph = True
 
     def __init__(self, dynamics: Dynamics, settings: config.Cem, *, seed: int) -> None:
         super().__init__(dynamics, settings, seed=seed)

@@ -214,7 +214,7 @@ def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
         f"{metrics.max_contact_object_obstacle_n:.1f} N, robot on obstacles or table "
         f"{metrics.max_contact_robot_obstacle_n:.1f} N at the most",
     }
-    if run.plant == "lab":
+    if metrics.detections > 0:
         rows["perception"] = (
             f"{metrics.detections} detections, {metrics.rejected_detections} rejected, "
             f"{metrics.recoveries} recoveries; {1000 * metrics.mean_estimate_error_m:.0f} mm off on average, "

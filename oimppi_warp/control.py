@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from oimppi_warp.estimator import Estimator, Event
-from oimppi_warp.observation import Observation
+from oimppi_warp.observation import Observation, check_shapes
 from oimppi_warp.planner import Plan
 from oimppi_warp.plant import Plant, latency_of
 
@@ -86,11 +86,11 @@ class _Thinker:
 
     def __init__(self, planner: Plans) -> None:
         self._planner = planner
-        self._started = False
+        self.started = False
 
     def think(self, observation: Observation) -> _Thought:
-        preplan = 0.0 if self._started else self._planner.start(observation)
-        self._started = True
+        preplan = 0.0 if self.started else self._planner.start(observation)
+        self.started = True
         began = time.perf_counter()
         plan = self._planner.plan(observation)
         return _Thought(plan, time.perf_counter() - began, preplan)
@@ -104,12 +104,15 @@ def lock_step(plant: Plant, planner: Plans, estimator: Estimator | None, *, dof:
         planner: What plans.
         estimator: Between the two; ``None`` for a plant that tells the truth at once.
         dof: Number of joints.
+
+    Raises:
+        ObservationError: An array that the plant reports has the wrong length.
     """
     thinker, command, latency = _Thinker(planner), np.zeros(dof), latency_of(plant)
-    observation = plant.observe()
+    observation = _observed(plant, dof)
     known = observation if estimator is None else estimator.update(observation)
     while True:
-        thought = None
+        thought, lost = None, known is None and thinker.started
         if known is None:
             command = np.zeros(dof)
         else:
@@ -118,9 +121,10 @@ def lock_step(plant: Plant, planner: Plans, estimator: Estimator | None, *, dof:
             thought = thinker.think(known)
             command = thought.plan.command
         plant.apply(command)
-        observation = plant.observe()
+        observation = _observed(plant, dof)
         known = observation if estimator is None else estimator.update(observation)
-        yield _beat(command, thought, observation, known, estimator)
+        beat = _beat(command, thought, observation, known, estimator)
+        yield replace(beat, stopped=beat.stopped or lost)
 
 
 def real_time(
@@ -147,10 +151,10 @@ def real_time(
     """
     period, thinker, still = plant.control_period, _Thinker(planner), np.zeros(dof)
     before, command, age = still, still, 0
-    planned = False
+    planned = halted = False
     job: Future[_Thought] | None = None
     latency = latency_of(plant)
-    known = estimator.update(plant.observe())
+    known = estimator.update(_observed(plant, dof))
     own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if workers is None else None
     pool = workers or own
     assert pool is not None
@@ -161,6 +165,7 @@ def real_time(
             if job is not None and job.done():
                 thought, job = job.result(), None
                 command, age, planned = thought.plan.command, 0, True
+                halted = bool(thought.plan.problem)
             elif planned:
                 missed, age = True, age + 1
                 if age * period > expires + 1e-9:
@@ -176,13 +181,20 @@ def real_time(
                 sleep(left)
             else:  # the world stood still meanwhile, as a real one would not have: the clock is set anew
                 due -= left
-            observation = plant.observe()
+            observation = _observed(plant, dof)
             known = estimator.update(observation)
             beat = _beat(command, thought, observation, known, estimator)
-            yield replace(beat, missed=missed, stopped=stopped or beat.stopped, lag=max(-left, 0.0))
+            yield replace(beat, missed=missed, stopped=stopped or halted, lag=max(-left, 0.0))
     finally:
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)
+
+
+def _observed(plant: Plant, dof: int) -> Observation:
+    """What a plant reports, its shapes checked."""
+    observation = plant.observe()
+    check_shapes(observation, dof)
+    return observation
 
 
 def _beat(

@@ -23,6 +23,7 @@ the annotations.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -47,6 +48,13 @@ class CostTerm:
     function: wp.Function
     weight: float = 0.0
     about: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.weight < math.inf:
+            raise ConfigError(
+                f"a cost term with the weight {self.weight:g}\n  allowed: 0 or more (finite)\n"
+                "  to do:   for a reward, return a negative cost"
+            )
 
 
 @dataclass(frozen=True)
@@ -73,13 +81,12 @@ def weighted_terms(cost: RobotCost) -> tuple[WeightedTerm, ...]:
     Raises:
         ConfigError: A weight has no term, or a term cannot be used.
     """
-    given = getattr(cost, "extra", {})
-    for name in given:
-        COST_TERMS.check(name)
+    for name, weight in cost.extra.items():
+        if weight != 0.0:
+            COST_TERMS.check(name)
     found = []
-    for name in COST_TERMS:
-        term: CostTerm = COST_TERMS[name]
-        weight = given.get(name, term.weight)
+    for name, term in COST_TERMS.loadable():
+        weight = cost.extra.get(name, term.weight)
         if weight != 0.0:
             _check(name, term.function)
             found.append(WeightedTerm(name, term.function, weight))

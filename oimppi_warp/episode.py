@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -13,23 +14,26 @@ from oimppi_warp.clearance import to_center
 from oimppi_warp.compute import core_count
 from oimppi_warp.config import Config
 from oimppi_warp.control import Beat, lock_step, real_time
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.estimator import Estimator
 from oimppi_warp.feasibility import check_task
 from oimppi_warp.kinematics import tip_frame
 from oimppi_warp.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.methods import make_planner
 from oimppi_warp.metrics import hold_steps, pose_error
-from oimppi_warp.observation import Observation
+from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.planner import Plan
-from oimppi_warp.plant import ContactPlant, Plant, TruthfulPlant, has_tipped
+from oimppi_warp.plant import ContactPlant, Plant, TruthfulPlant, has_tipped, latency_of
 from oimppi_warp.registries import PLANTS
-from oimppi_warp.resolve import resolve
+from oimppi_warp.resolve import entries_used, resolve
 from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.scene import Scene
 from oimppi_warp.settings import validate
 
 _REFERENCE_EVERY = 10
 """Object plans that are renewed at every step are logged every so many steps."""
+_LONGEST_LATENCY = 1.0
+"""Longest latency of a plant that can be planned for [s]."""
 _FALLEN = 0.05
 """Depth of the object's frame below the table's top at which it has fallen off [m]."""
 
@@ -97,6 +101,7 @@ class Episode:
             options["plant"], plant = plant, None
         spec = (spec or RunSpec()).changed(**options)
         check_task(scene)
+        validate(config)
         if spec.threads is None and spec.mode == "realtime":
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
@@ -104,8 +109,12 @@ class Episode:
             self.plant: Plant = PLANTS.get_checked(spec.plant)(scene, config, seed=spec.seed)
         else:
             self.plant = plant
-        resolved = resolve(validate(config), scene, control_period=self.plant.control_period)
-        self.config = config = resolved.config
+        resolved = resolve(config, scene, control_period=self.plant.control_period)
+        self.config = config = validate(resolved.config)
+        if not 0.0 <= latency_of(self.plant) <= _LONGEST_LATENCY:
+            raise ConfigError(
+                f"a plant with a latency of {latency_of(self.plant):g} s\n  allowed: 0 to {_LONGEST_LATENCY:g} s"
+            )
         self.planner = make_planner(scene, config, spec)
         self.planner.warm_up()
         self.spec = replace(
@@ -137,7 +146,7 @@ class Episode:
                 "preplan_time_s": 0.0,
                 "ended": "interrupted",
                 "problems": [],
-                "versions": versions(),
+                "versions": versions() | _packages(spec, config),
             }
         )
 
@@ -160,7 +169,6 @@ class Episode:
                         on_step(self.log)
         except KeyboardInterrupt:
             self.log.header["ended"] = "interrupted"
-            self.plant.apply(np.zeros(self.scene.robot.dof))
         except FloatingPointError:
             self.log.header["ended"] = "diverged"
         return self.log
@@ -192,8 +200,9 @@ class Episode:
                     break
             else:
                 self.log.header["ended"] = "time limit"
-            self.plant.apply(np.zeros(self.scene.robot.dof))
         finally:
+            with suppress(Exception):  # however it ended, the arm is told to stop before anything else
+                self.plant.apply(np.zeros(self.scene.robot.dof))
             self._beats.close()
 
     def _loop(self) -> Generator[Beat]:
@@ -202,8 +211,8 @@ class Episode:
         if self.spec.mode == "realtime":
             estimator = Estimator(self.scene, self.config)
             return real_time(self.plant, self.planner, estimator, dof=dof, expires=self.config.episode.plan_expires)
-        dated = self.plant.observe().object_time is not None
-        return lock_step(self.plant, self.planner, Estimator(self.scene, self.config) if dated else None, dof=dof)
+        behind = self.plant.observe().object_time is not None or latency_of(self.plant) > 0.0
+        return lock_step(self.plant, self.planner, Estimator(self.scene, self.config) if behind else None, dof=dof)
 
     def _fell(self) -> bool:
         """Whether the object has tipped over or fallen off the table, as far as the plant knows."""
@@ -216,7 +225,9 @@ class Episode:
         """Returns the state at the end of a beat: the truth, or what is believed where the plant does not know it."""
         if isinstance(self.plant, TruthfulPlant):
             return self.plant.truth()
-        return replace(beat.observed, object_pose=beat.estimate)
+        x, y, yaw = beat.estimate
+        transform = planar_transform((x, y, yaw), self.scene.object.rest_height)
+        return replace(beat.observed, object_pose=beat.estimate, object_transform=transform)
 
     def _record(self, beat: Beat) -> tuple[float, float]:
         """Log a control step; returns the object's distance [m] and angle [rad] to its goal."""
@@ -264,6 +275,12 @@ class Episode:
             **row,
         )
         return position_error, yaw_error
+
+
+def _packages(spec: RunSpec, config: Config) -> dict[str, str]:
+    """Versions of the packages from elsewhere that take part in a run."""
+    names = {registry.package_of(name) for registry, name in entries_used(spec, config)}
+    return {name: version(name) for name in sorted(names) if name}
 
 
 def _of_plan(plan: Plan) -> dict[str, Any]:

@@ -83,4 +83,4 @@ class DeviceError(OimppiError):
 
 
 class ObservationError(OimppiError):
-    """An observation of the wrong form: an array of another length than the robot or the object needs."""
+    """An observation that cannot be used: an array of the wrong length, or, at the start, impossible numbers."""

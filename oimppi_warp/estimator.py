@@ -22,7 +22,14 @@ from oimppi_warp.dynamics.packing import object_model, surroundings, velocity_bo
 from oimppi_warp.footprint import wrap_angle
 from oimppi_warp.kernels.tracking import make_track_object
 from oimppi_warp.kinematics import pack_arm
-from oimppi_warp.observation import FARTHEST_OBJECT, Observation, check_shapes, planar_transform
+from oimppi_warp.observation import (
+    BEYOND_LIMITS,
+    FARTHEST_OBJECT,
+    Observation,
+    beyond_limits,
+    check_shapes,
+    planar_transform,
+)
 from oimppi_warp.scene import Scene
 
 _CAPACITY = 1024
@@ -104,14 +111,14 @@ class Estimator:
 
         Returns:
             The observation with the believed pose in place of the reported one, or ``None`` as long as nothing is
-            believed: the object was not seen, no two detections agreed yet, or joint positions are not finite.
+            believed: the object was not seen, no two detections agreed yet, or joint positions cannot be true.
 
         Raises:
             ObservationError: An array has the wrong length.
         """
         check_shapes(observation, self._scene.robot.dof)
         self.event = "none"
-        if not np.isfinite(observation.joint_position).all():
+        if not self._plausible(observation.joint_position):
             return None  # a sensor's error: what the arm has done to the object is not known
         self._record(observation)
         if not self._count:
@@ -169,7 +176,7 @@ class Estimator:
         rows = observation.trail
         if not len(rows):
             rows = np.concatenate([[observation.time], observation.joint_position])[None]
-        rows = rows[np.isfinite(rows).all(axis=1)]
+        rows = rows[np.isfinite(rows[:, 0]) & self._plausible(rows[:, 1:])]
         rows = rows[rows[:, 0] > self._times[self._count - 1]] if self._count else rows
         if self._count + len(rows) > _CAPACITY:
             self._forget(rows[-1, 0] - self._config.memory)
@@ -180,6 +187,12 @@ class Estimator:
         for track in (self._believed, self._rival):
             if track is not None:
                 self._follow(track, track.count - 1)
+
+    def _plausible(self, joint_position: np.ndarray) -> np.ndarray:
+        """Whether joint positions [..., dof] can be true, shape [...]."""
+        finite = np.isfinite(joint_position).all(axis=-1)
+        within = (beyond_limits(self._scene.robot, joint_position) <= BEYOND_LIMITS).all(axis=-1)
+        return np.logical_and(finite, within)
 
     def _forget(self, before: float) -> None:
         """Drop what is older than a time [s]."""

@@ -93,7 +93,7 @@ COLUMNS: dict[str, Column] = {
     "cost_terms": Column(("n_terms",), "1", "weighted cost terms of the nominal, summed over the horizon"),
     "lost_samples": Column((), "1", "samples whose cost was not finite"),
     "missed_deadline": Column((), "1", "1 where a plan was due and not there"),
-    "stopped": Column((), "1", "1 where the arm was told to stop because the last plan had expired"),
+    "stopped": Column((), "1", "1 where the arm was told to stop: the plan had expired, or none could be made"),
     "lag_ms": Column((), "ms", "how far the loop was behind the wall clock"),
 }
 """Every column, one row a control step. A row stands for one step: the command applied during it, the plan that gave

@@ -50,7 +50,7 @@ class SequentialPlanner(Planner):
         # Its plan is made before the robot moves: a step of its own, with inputs and outputs of its own.
         alone = Compute(compute.device, threads=compute.threads)
         self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=alone, seed=2 * seed + 2)
-        self._object_step = alone.step(self._object.launches)
+        self._object_step = alone.step(self._object.launches, one_graph=self._object.mppi.one_graph)
         self._path = self.goal[None]
         self._step_of_path = 0
         if config.reference == "progress":
@@ -153,6 +153,7 @@ class ClosedLoopPlanner(Planner):
         hand_over = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
         self._watch = Stopwatch(self.compute.device)
         self.object_launches = [*self._object.launches, hand_over, self._watch]
+        self.object_one_graph = self._object.mppi.one_graph
 
     def start(self, observation: Observation) -> float:
         """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""

@@ -42,7 +42,7 @@ class Metrics:
         mean_effective_samples, mean_object_effective_samples: Effective sample sizes of the two levels.
         lost_samples: Samples whose cost was not finite, in all.
         missed_deadlines: Control steps in which a plan was due and not there.
-        stops: Of these, those in which the arm was told to stop because the last plan had expired.
+        stops: Control steps in which the arm was told to stop: the last plan had expired, or nothing could be planned.
         max_lag_ms: Most that the loop was behind the wall clock.
         detections, rejected_detections, recoveries: Detections that arrived, those of them that were rejected, and
             those that overruled the prediction.

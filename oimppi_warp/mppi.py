@@ -18,6 +18,7 @@ class Mppi(Optimizer):
     """
 
     Settings = config.Mppi
+    one_graph = True
 
     def __init__(self, dynamics: Dynamics, settings: config.Mppi, *, seed: int) -> None:
         super().__init__(dynamics, settings, seed=seed)

@@ -17,7 +17,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from oimppi_warp import newton_model
+from oimppi_warp import footprint, newton_model, observation
 from oimppi_warp.cache import cache_folder, content_of_data
 from oimppi_warp.newton_model import ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.scene import Scene
@@ -181,9 +181,12 @@ def _at_zero(scene: Scene) -> Scene:
 def _content(scene: Scene) -> str:
     """Hash of all that a scene's MuJoCo model is made from: the scene, what is set here, and who translates."""
     still = _at_zero(scene)
-    sources = [Path(str(source)).read_bytes() for source in (__file__, newton_model.__file__)]
+    sources = [
+        Path(str(source)).read_bytes()
+        for source in (__file__, newton_model.__file__, footprint.__file__, observation.__file__)
+    ]
     parts = (still.robot, still.object, still.table, still.obstacles, still.gravity)
-    return content_of_data(*sources, version("newton"), version("mujoco"), *parts)
+    return content_of_data(*sources, version("newton"), version("mujoco"), version("warp-lang"), *parts)
 
 
 def _save(made: MujocoModel, file: Path) -> None:

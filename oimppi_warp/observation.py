@@ -98,9 +98,15 @@ def implausible(observation: Observation, robot: Robot) -> str:
     )
     if distance > FARTHEST_OBJECT:
         return f"the object is reported {distance:.4g} m away (more than {FARTHEST_OBJECT:g} m)"
-    for number, (joint, position) in enumerate(zip(robot.joints, observation.joint_position, strict=True)):
-        beyond = max(joint.lower - position, position - joint.upper)
-        if beyond > BEYOND_LIMITS:
-            unit = "rad" if joint.kind == "revolute" else "m"
-            return f"joint {number + 1} is reported {beyond:.4g} {unit} beyond its limits"
+    beyond = beyond_limits(robot, observation.joint_position)
+    number = int(np.argmax(beyond))
+    if beyond[number] > BEYOND_LIMITS:
+        unit = "rad" if robot.joints[number].kind == "revolute" else "m"
+        return f"joint {number + 1} is reported {beyond[number]:.4g} {unit} beyond its limits"
     return ""
+
+
+def beyond_limits(robot: Robot, joint_position: np.ndarray) -> np.ndarray:
+    """How far joint positions [..., dof] are beyond the joints' limits; negative within them [rad; m]."""
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in robot.joints]).T
+    return np.maximum(lower - joint_position, joint_position - upper)

@@ -52,6 +52,7 @@ class Optimizer(ABC):
 
     Attributes:
         Settings: The class's settings, a frozen dataclass derived from :class:`oimppi_warp.config.Sampling`.
+        one_graph: Whether its launches can be captured in a CUDA graph, which work on the host cannot.
         settings: The settings.
         seed: Of the noise.
         nominal: The nominal control sequence, [horizon] of vectors, on the device.
@@ -66,6 +67,7 @@ class Optimizer(ABC):
     """
 
     Settings: ClassVar[type[Sampling]]
+    one_graph: ClassVar[bool] = False
 
     def __init__(self, dynamics: Dynamics, settings: Sampling, *, seed: int) -> None:
         if not isinstance(settings, self.Settings):

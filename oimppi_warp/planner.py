@@ -94,11 +94,13 @@ class Planner:
         dynamics: The engine.
         mppi: The robot level.
         object_launches: What a step launches before the robot level; complete before the first plan.
+        object_one_graph: Whether these can be captured in a CUDA graph.
         object_plan: The object's whole way as it was planned ahead, poses [n, 3]; ``None`` for methods that do not.
     """
 
     method: str = "mppi"
     object_plan: np.ndarray | None = None
+    object_one_graph: bool = True
 
     def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
         self.scene = scene
@@ -158,7 +160,8 @@ class Planner:
     def _step(self) -> Launch:
         """A control step of both levels."""
         launches = [*self.object_launches, *self._robot_launches]
-        return self.compute.step(launches, one_graph=self.dynamics.one_graph)
+        captured = self.dynamics.one_graph and self.mppi.one_graph and self.object_one_graph
+        return self.compute.step(launches, one_graph=captured)
 
     @property
     def letting_go(self) -> bool:

@@ -91,13 +91,27 @@ class Registry(Mapping[str, T], Generic[T]):
         point = self._installed.get(name)
         return point.dist.name if point is not None and point.dist is not None else ""
 
+    def loadable(self) -> Iterator[tuple[str, T]]:
+        """Yields names and entries, without those of installed packages that cannot be loaded."""
+        for name in self:
+            try:
+                yield name, self[name]
+            except ConfigError:
+                continue
+
     def __getitem__(self, name: str) -> T:
         if name not in self._loaded:
             if name in self._targets:
                 module, _, attribute = self._targets[name].partition(":")
                 self._loaded[name] = getattr(import_module(module), attribute)
             elif name in self._installed:
-                self._loaded[name] = self._installed[name].load()
+                try:
+                    self._loaded[name] = self._installed[name].load()
+                except Exception as error:
+                    raise ConfigError(
+                        f"{self.kind} {name!r} of the package {self.package_of(name)} cannot be loaded: {error}\n"
+                        "  to do:   mend the package or remove it; `oimppi doctor` lists what it adds"
+                    ) from error
             else:
                 raise KeyError(name)
         return self._loaded[name]

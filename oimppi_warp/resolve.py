@@ -14,8 +14,11 @@ from typing import Any
 from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.reach import Reach, reach_of
+from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS
+from oimppi_warp.registry import Registry
+from oimppi_warp.run_spec import RunSpec
 from oimppi_warp.scene import Scene
-from oimppi_warp.settings import extra_weights, options
+from oimppi_warp.settings import effective_weights, options
 from oimppi_warp.tipping import can_tip
 
 _USUAL_REACH = 0.717
@@ -92,13 +95,22 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
         if not tips:
             effective = replace(effective, cost=replace(effective.cost, w_overhang=0.0, w_rush=0.0))
             reasons |= dict.fromkeys(("cost.w_overhang", "cost.w_rush"), "a push cannot tip the object")
-        effective = replace(effective, cost=replace(effective.cost, extra=extra_weights(effective.cost)))
+        effective = replace(effective, cost=replace(effective.cost, extra=effective_weights(effective.cost)))
     if control_period is not None:
         effective = replace(effective, control_period=control_period)
         reasons["control_period"] = "the plant has a control period of its own"
     asked, used = options(config), options(effective)
     changes = {name: Change(asked[name], why) for name, why in reasons.items() if asked[name] != used[name]}
     return Resolved(effective, changes)
+
+
+def entries_used(spec: RunSpec, config: Config) -> list[tuple[Registry[Any], str]]:
+    """The registry entries that a run uses, an engine that is chosen automatically left out."""
+    used: list[tuple[Registry[Any], str]] = [(METHODS, spec.method), (PLANTS, spec.plant)]
+    used += [(ENGINES, spec.engine)] * (spec.engine != "auto")
+    used += [(OPTIMIZERS, level.optimizer.kind) for level in (config.robot, config.object)]
+    used += [(COST_TERMS, name) for name, weight in effective_weights(config.cost).items() if weight != 0.0]
+    return used
 
 
 def _task(reach: Reach, *, any_yaw: bool, tips: bool) -> str:

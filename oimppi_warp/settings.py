@@ -70,7 +70,13 @@ def kinds(config: Any) -> dict[str, Any]:
 
 def extra_weights(cost: RobotCost) -> ExtraWeights:
     """The weight of every cost term from outside the package: the one that is set, or else the term's own."""
-    return ExtraWeights({name: float(term.weight) for name, term in COST_TERMS.items()} | dict(cost.extra))
+    return ExtraWeights({name: float(term.weight) for name, term in COST_TERMS.loadable()} | dict(cost.extra))
+
+
+def effective_weights(cost: RobotCost) -> ExtraWeights:
+    """The same without weights of zero, except where they turn off a term that counts of itself."""
+    of_itself = {name for name, term in COST_TERMS.loadable() if term.weight != 0.0}
+    return ExtraWeights({name: w for name, w in extra_weights(cost).items() if w != 0.0 or name in of_itself})
 
 
 def set_option(config: T, assignment: str) -> T:
@@ -162,8 +168,9 @@ def validate(config: Config) -> Config:
         settings = getattr(config, name.partition(".")[0]).optimizer
         OPTIMIZERS.check(settings.kind)
         settings.check(name)
-    for name in config.cost.extra:
-        COST_TERMS.check(name)
+    for name, weight in config.cost.extra.items():
+        if weight != 0.0:
+            COST_TERMS.check(name)
     for setting in _walk(config, ""):
         _check(setting, setting.value)
     check_order("cost.reach", config.cost.reach)

@@ -27,7 +27,7 @@ else:
 
 @dataclass(frozen=True)
 class Warmup:
-    """Compile every kernel that runs will need, and make the scene's fields.
+    """Compile the kernels that runs with the preset best need, and make the scene's fields.
 
     A run that finds them starts at once. With --out, they go to a folder that can be taken elsewhere: a run there uses
     them with WARP_CACHE_PATH=FOLDER/warp and OIMPPI_CACHE=FOLDER/fields set. Kernels for this machine's CPU run on CPUs

@@ -197,3 +197,65 @@ def test_an_option_that_a_run_does_not_have_is_an_error():
         make_planner(shipped("task01"), small(), sead=3)
     with pytest.raises(ConfigError, match="did you mean cloi"):
         make_planner(shipped("task01"), small(), method="clio")
+
+
+class Watched(Kinematic):
+    """Keeps what it was told, and reports too few joints from some time on."""
+
+    def __init__(self, scene: Scene, fails: float) -> None:
+        super().__init__(scene)
+        self.told: list[np.ndarray] = []
+        self.fails = fails
+
+    def observe(self) -> Observation:
+        seen = super().observe()
+        return seen if self.time < self.fails else replace(seen, joint_position=seen.joint_position[:5])
+
+    def apply(self, joint_velocity: np.ndarray) -> None:
+        self.told.append(joint_velocity)
+        super().apply(joint_velocity)
+
+
+def test_however_an_episode_ends_the_arm_is_told_to_stop():
+    scene = shipped("task01")
+    for fails, steps in ((0.35, None), (np.inf, 3), (np.inf, None)):
+        plant = Watched(scene, fails)
+        episode = Episode(scene, small(), plant=plant, method="mppi", engine="quasistatic", device="cpu")
+        if fails < np.inf:
+            with pytest.raises(ObservationError, match="joint_position"):
+                episode.run()
+        elif steps is not None:  # as when a viewer is closed
+            loop = episode.steps()
+            for _ in range(steps):
+                next(loop)
+            loop.close()
+        else:
+            episode.run()
+        assert np.abs(plant.told[-2]).max() > 0.0
+        np.testing.assert_array_equal(plant.told[-1], np.zeros(6))
+
+
+def test_settings_are_checked_before_a_plant_is_made_of_them_and_a_plants_own_values_after():
+    scene = shipped("task01")
+    with pytest.raises(ConfigError, match="control_period = 0 cannot be used"):
+        Episode(scene, replace(small(), control_period=0.0), method="mppi", device="cpu")
+    plant = Kinematic(scene)
+    plant.control_period = 7.0
+    with pytest.raises(ConfigError, match="control_period = 7 cannot be used"):
+        Episode(scene, small(), plant=plant, method="mppi", device="cpu")
+    late = Kinematic(scene)
+    late.latency = 3.0  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match=r"latency of 3 s\n  allowed: 0 to 1 s"):
+        Episode(scene, small(), plant=late, method="mppi", engine="quasistatic", device="cpu")
+
+
+def test_joints_that_cannot_be_true_do_not_move_what_is_believed():
+    scene = shipped("task01")
+    estimator, seen = Estimator(scene, Config()), Kinematic(scene).observe()
+    believed = estimator.update(seen)
+    assert believed is not None
+    wild = replace(seen, time=0.1, joint_position=seen.joint_position + 1e3, object_time=0.0)
+    assert estimator.update(wild) is None
+    after = estimator.update(replace(seen, time=0.2, object_time=0.0))
+    assert after is not None
+    np.testing.assert_allclose(after.object_pose, believed.object_pose, atol=1e-5)

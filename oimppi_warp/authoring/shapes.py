@@ -222,7 +222,7 @@ def words() -> Iterator[str]:
     """A word for each shape, with what its numbers are."""
     from oimppi_warp.registries import SHAPES
 
-    return (shape.word(name) for name, shape in SHAPES.items())
+    return (shape.word(name) for name, shape in SHAPES.loadable())
 
 
 def objects() -> str:
@@ -239,7 +239,7 @@ def takers(option: str, by: Callable[[str, Shape], str] = lambda name, shape: sh
     """Which shapes take an option, by what they are called."""
     from oimppi_warp.registries import SHAPES
 
-    return list(dict.fromkeys(by(name, shape) for name, shape in SHAPES.items() if option in shape.options))
+    return list(dict.fromkeys(by(name, shape) for name, shape in SHAPES.loadable() if option in shape.options))
 
 
 def table() -> str:
@@ -247,7 +247,7 @@ def table() -> str:
     from oimppi_warp.registries import SHAPES
 
     rows: dict[str, list[str]] = {}
-    for name, shape in SHAPES.items():
+    for name, shape in SHAPES.loadable():
         numbers = f" ({', '.join(number.name for number in shape.numbers)})" if shape.numbers else ""
         rows.setdefault(shape.about + numbers, []).append(f"`{name}:{shape.example}`" if shape.example else f"`{name}`")
     return "".join(f"| {', '.join(found)} | {about} |\n" for about, found in rows.items())

@@ -161,7 +161,7 @@ def _named(word: str) -> _Named | None:
     """The shape that a word names; with a colon one that has something behind it, without one a name alone."""
     kind, colon, text = word.partition(":")
     wanted = _plain(kind)
-    for name, shape in SHAPES.items():
+    for name, shape in SHAPES.loadable():
         if _plain(name) == wanted and bool(colon) == bool(shape.example):
             return _Named(name, shape, text)
     return None
@@ -170,7 +170,7 @@ def _named(word: str) -> _Named | None:
 def _of_file(word: str) -> _Named | None:
     """The shape that is made from a file with this ending."""
     ending = Path(word).suffix.lower()
-    found = (_Named(name, shape, word) for name, shape in SHAPES.items() if ending in shape.files)
+    found = (_Named(name, shape, word) for name, shape in SHAPES.loadable() if ending in shape.files)
     return next(found, None) if ending else None
 
 
@@ -195,6 +195,6 @@ def _prim_name(what: str) -> str:
 
 def _guess(word: str) -> str:
     """What may have been meant, as a line of a message."""
-    examples = {_plain(name): f"{name}:{shape.example}" if shape.example else name for name, shape in SHAPES.items()}
+    examples = {_plain(name): f"{name}:{shape.example}" if shape.example else name for name, shape in SHAPES.loadable()}
     near = difflib.get_close_matches(_plain(word.partition(":")[0]), examples, n=1, cutoff=0.5)
     return f"\n  did you mean {examples[near[0]]}?" if near else ""

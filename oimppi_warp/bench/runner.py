@@ -23,7 +23,7 @@ from oimppi_warp.bench.trial import Trial, make_trials
 from oimppi_warp.bench.worker import Outcome, run_trial
 from oimppi_warp.errors import OimppiError
 from oimppi_warp.log import to_json, versions, write_whole
-from oimppi_warp.registries import ENGINES, METHODS, PLANTS
+from oimppi_warp.resolve import entries_used
 
 SAVE_EVERY = 10.0
 """``results.json`` is written no more often than that while trials run [s]."""
@@ -215,8 +215,7 @@ def cluster_backend(backend: Backend, cluster: str, jobs: int | None) -> Iterato
 def _check_known_elsewhere(trials: Iterable[Trial]) -> None:
     """Raise BenchError for trials that only this process can run, because of what was registered in it."""
     for trial in trials:
-        used = ((METHODS, trial.run.method), (ENGINES, trial.run.engine), (PLANTS, trial.run.plant))
-        for registry, name in used:
+        for registry, name in entries_used(trial.run, trial.config):
             if registry.is_local(name):
                 raise BenchError(
                     f"the {registry.kind} {name} was registered in this process and is unknown to others\n"

@@ -16,7 +16,7 @@ from oimppi_warp.config import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.log import flat, to_json
 from oimppi_warp.run_spec import LARGEST_SEED, RunSpec
-from oimppi_warp.settings import extra_weights
+from oimppi_warp.settings import effective_weights
 from oimppi_warp.task import SettingsRequest, make_task
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Trial:
         Threads count only in real time: they change no bit of a plan.
         """
         config = self.config  # with the weights that cost terms from outside have of themselves
-        config = replace(config, cost=replace(config.cost, extra=extra_weights(config.cost)))
+        config = replace(config, cost=replace(config.cost, extra=effective_weights(config.cost)))
         facts = flat(self) | {"config": to_json(config)}
         for name in ("scene", "number", *flat(self.settings), *(["threads"] * (not self.real_time))):
             del facts[name]

@@ -13,7 +13,8 @@ from oimppi_warp.errors import OimppiError
 from oimppi_warp.feasibility import draw_start, object_outline
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.presets import PRESETS
-from oimppi_warp.registries import ENGINES, METHODS
+from oimppi_warp.registries import ENGINES, METHODS, PLANTS
+from oimppi_warp.run_spec import LARGEST_SEED
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas
@@ -98,7 +99,8 @@ class LiveView:
             speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Simulated seconds a second")
             speed.on_update(lambda _event: setattr(session, "speed", _SPEEDS[speed.value]))
             gui.add_button("New seed and start").on_click(lambda _event: self._new_seed())
-            for name, choices in (("method", tuple(METHODS)), ("engine", ("auto", *ENGINES))):
+            offered = {"method": tuple(METHODS), "engine": ("auto", *ENGINES), "plant": tuple(PLANTS)}
+            for name, choices in offered.items():
                 control = gui.add_dropdown(name.capitalize(), choices, initial_value=getattr(session.wanted.spec, name))
                 control.on_update(lambda event, name=name: self._choose(name, event))
             preset = gui.add_dropdown("Preset", tuple(PRESETS), initial_value=session.wanted.config.preset)
@@ -125,12 +127,13 @@ class LiveView:
 
     def _new_seed(self) -> None:
         wanted = self._session.wanted
+        seed = (wanted.spec.seed + 1) % (LARGEST_SEED + 1)
         try:
-            start = draw_start(wanted.scene, wanted.spec.seed + 1)
+            start = draw_start(wanted.scene, seed)
         except OimppiError as error:
             self._session.problem = str(error)
             return
-        self._session.change(seed=wanted.spec.seed + 1, scene=wanted.scene.with_start(start), fresh=True)
+        self._session.change(seed=seed, scene=wanted.scene.with_start(start), fresh=True)
 
     def _save(self, event: Any, name: str) -> None:
         picture = self._session.latest

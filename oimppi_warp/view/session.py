@@ -19,7 +19,6 @@ import numpy as np
 from oimppi_warp.clearance import to_center
 from oimppi_warp.control import Beat
 from oimppi_warp.episode import Episode, Setup
-from oimppi_warp.errors import OimppiError
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plant import MovablePlant, TruthfulPlant
 from oimppi_warp.scene import PlanarPose
@@ -63,7 +62,6 @@ class Session:
         self._closing = threading.Event()
         self._times: deque[float] = deque(maxlen=_RATE)
         self._before = 0.0
-        self._problem_of_plan = ""
         self._begin(setup.episode())
         self.latest = self._picture(None)
         self._thread = threading.Thread(target=self._loop, name="oimppi-control", daemon=True)
@@ -144,12 +142,13 @@ class Session:
                 beat = next(self._steps, None)
             except FloatingPointError:
                 self._episode.log.header["ended"], beat = "diverged", None
-            except OimppiError as error:  # what the plant reports cannot be planned from
-                self.problem, beat = str(error), None
+            except Exception as error:  # of a plant or a method of somebody's own, say: the page goes on and says it
+                self.problem, beat = str(error) or type(error).__name__, None
             self._over = beat is None
             if beat is None:
                 continue
             self._times.append(time.perf_counter())
+            self._last = self._episode.state_after(beat)
             if beat.plan is not None:
                 self._problem_of_plan = beat.plan.problem
             self.latest = self._picture(beat)
@@ -163,6 +162,8 @@ class Session:
         self._episode = episode
         self._steps: Generator[Beat] = episode.steps()
         self._over = False
+        self._last: Observation | None = None
+        self._problem_of_plan = ""
 
     def _obey(self) -> None:
         """Do what was asked for, as far as it is ready."""
@@ -177,8 +178,8 @@ class Session:
             self._pending = None
             try:
                 episode, fresh = pending.result()
-            except (OimppiError, OSError) as error:
-                self.problem = str(error)
+            except Exception as error:
+                self.problem = str(error) or type(error).__name__
             else:
                 self.problem = ""
                 state = self._state
@@ -203,13 +204,19 @@ class Session:
 
     @property
     def _state(self) -> Observation:
-        """The state of the running episode: the truth, or from a plant that does not know it, the latest report."""
-        plant = self._episode.plant
-        return plant.truth() if isinstance(plant, TruthfulPlant) else plant.observe()
+        """The state of the running episode: the truth, or what was last believed, or else the start."""
+        episode = self._episode
+        if isinstance(episode.plant, TruthfulPlant):
+            return episode.plant.truth()
+        if self._last is not None:
+            return self._last
+        scene, joints = episode.scene, episode.scene.robot.start
+        transform = planar_transform(scene.start, scene.object.rest_height)
+        return Observation(0.0, joints, np.zeros_like(joints), np.array(scene.start), transform)
 
     def _picture(self, beat: Beat | None) -> Picture:
         episode = self._episode
-        truth, log, plant = self._state if beat is None else episode.state_after(beat), episode.log, episode.plant
+        truth, log, plant = self._state, episode.log, episode.plant
         picture = Picture(
             scene=episode.scene,
             time=self._before + truth.time,
