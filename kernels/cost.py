@@ -189,7 +189,7 @@ def collision_term(w: RobotWeights, s: Stage) -> float:
 
 @term("topple")
 def topple_term(w: RobotWeights, s: Stage) -> float:
-    """What may tip an object over: ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``, close to the object.
+    """Tipping the object: ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``, close to it.
 
     A stick that leans over the object touches it at its upper rim; ``lean . n`` times the height left to the rim is by
     how much the rim is nearer to it than the tip is.

@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Felt:
-    """What rollouts of a physics engine felt.
+    """Contact forces and failures of rollouts by a physics engine.
 
     Attributes:
         forces: lambda_2 and lambda_3 in each control step, [rollout, horizon] [N].

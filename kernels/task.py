@@ -1,4 +1,4 @@
-"""What the kernels of every robot-level engine are given, and what they know of a stage."""
+"""The robot level's task as the kernels of every engine read it, and what they make of a stage."""
 
 import warp as wp
 
@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class RobotTask:
-    """What the robot level has to do, with what, and what counts.
+    """The robot level's task: arm, object, surroundings, targets and weights.
 
     Attributes:
         arm: The arm.
@@ -39,7 +39,7 @@ class RobotTask:
 
 @wp.func
 def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
-    """Whether the tool is over the object, seen from above."""
+    """Returns whether the tool is over the object, seen from above."""
     c = wp.cos(pose[2])
     s = wp.sin(pose[2])
     local = rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1]))
@@ -48,7 +48,7 @@ def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
 
 @wp.func
 def above_counts(task: RobotTask, tip: wp.vec3) -> float:
-    """What a tip that is over the object counts, 1 or 0: one that is guided may pass ``OVER`` above it."""
+    """Returns 1 for a tip over the object, else 0; a tip that is guided may pass ``OVER`` above it."""
     counts = float(0.0)
     if task.guide[0][3] <= 0.0 or tip[2] < task.model.top + OVER:
         counts = 1.0

@@ -1,4 +1,4 @@
-"""What a cost term of the robot level reads, and how terms become one stage cost.
+"""The stage that cost terms of the robot level read, and the stage cost that terms make up together.
 
 A term is a function of the weights and of the :class:`Stage`: what one control step of a rollout led to. The built-in
 ones are in ``kernels/cost.py``; those from outside the package are :class:`oimppi_warp.cost_terms.CostTerm`.
@@ -54,7 +54,7 @@ Attributes:
 
 @wp.struct
 class Stage:
-    """What a control step of a rollout led to, as the robot level's cost terms see it.
+    """Result of one control step of a rollout, as the robot level's cost terms see it.
 
     Attributes:
         tip: Tool tip [m].

@@ -14,7 +14,7 @@ Transform = wp.types.vector(length=7, dtype=float)
 
 @wp.struct
 class Places:
-    """Where the parts of a world are in its state and its commands.
+    """Places of a world's parts in its state and its commands.
 
     Attributes:
         joint_qpos, joint_qvel: Of each joint in ``qpos`` and ``qvel``, [dof].

@@ -69,7 +69,7 @@ class Stored:
 
     @property
     def ready(self) -> bool:
-        """Whether a scene may refer to its file as it is: in SI units, z up, weighed, and not moved."""
+        """True if a scene may refer to its file as it is: in SI units, z up, weighed, and not moved."""
         stage = SceneStage(self.file)
         root = stage.stage.GetDefaultPrim()
         return stage.stage.GetSessionLayer().empty and _gives_mass(root) and not _operations(root)
