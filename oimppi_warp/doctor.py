@@ -15,6 +15,7 @@ import warp as wp
 from oimppi_warp.cache import cache_folder
 from oimppi_warp.compute import core_count
 from oimppi_warp.device import kernels_are_cached, start_warp
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
 from oimppi_warp.registry import Registry
 
@@ -193,8 +194,11 @@ def _broken_entries() -> Iterator[tuple[str, str]]:
             if package := known.package_of(name):
                 try:
                     known[name]
-                except Exception as error:  # whatever the package does when it is imported
-                    yield f"the {known.kind} {name!r} of {package}", f"{type(error).__name__}: {error}"
+                except ConfigError as error:  # it comes of whatever the package did when it was imported
+                    yield (
+                        f"the {known.kind} {name!r} of {package}",
+                        f"{type(error.__cause__).__name__}: {error.__cause__}",
+                    )
 
 
 def _memory() -> int:
