@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -108,5 +109,11 @@ def implausible(observation: Observation, robot: Robot) -> str:
 
 def beyond_limits(robot: Robot, joint_position: np.ndarray) -> np.ndarray:
     """How far joint positions [..., dof] are beyond the joints' limits; negative within them [rad; m]."""
-    lower, upper = np.array([(joint.lower, joint.upper) for joint in robot.joints]).T
+    lower, upper = _limits(robot)
     return np.maximum(lower - joint_position, joint_position - upper)
+
+
+@lru_cache(maxsize=8)
+def _limits(robot: Robot) -> np.ndarray:
+    """Lower and upper limits of all joints, shape [2, dof] [rad; m]."""
+    return np.array([(joint.lower, joint.upper) for joint in robot.joints]).T
