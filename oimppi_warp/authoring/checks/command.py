@@ -6,7 +6,6 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
@@ -45,7 +44,7 @@ class Check:
         from oimppi_warp.authoring.checks.check import check_scene
         from oimppi_warp.device import tell_compilation
 
-        tell_compilation(partial(print, file=sys.stderr))
+        tell_compilation(lambda line: print(line, file=sys.stderr))
         console = Console(highlight=False, emoji=False, markup=False)
         problems: list[Problem] = []
         missing = False
