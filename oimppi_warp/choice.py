@@ -94,7 +94,7 @@ def choose(method: str, period: float, make: Callable[[str], P]) -> Choice[P]:
 
 
 def plan_seconds(planner: Rehearsable, period: float) -> float:
-    """How long a plan takes [s]: the median of some, or the first that takes longer than ``period``.
+    """Times a plan [s]: the median of a few, or the first that takes longer than ``period``.
 
     The planner is warmed up before, which is not counted.
     """

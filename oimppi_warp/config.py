@@ -17,7 +17,7 @@ from oimppi_warp.lab_config import EstimatorConfig, LabConfig
 
 @dataclass(frozen=True)
 class Sampling:
-    """What every sampling-based optimizer has: K control sequences of H steps around a nominal one (equation 9).
+    """Settings of every sampling-based optimizer: K control sequences of H steps around a nominal one (equation 9).
 
     An optimizer of its own has a subclass of this with its settings, with ``kind`` set to its name in
     :data:`oimppi_warp.registries.OPTIMIZERS`.

@@ -12,7 +12,7 @@ _KEY = "oimppi_warp"
 
 @dataclass(frozen=True)
 class About:
-    """What a field of a settings dataclass says of itself.
+    """Help, unit and bounds of a field of a settings dataclass.
 
     Attributes:
         text: What it is, in a sentence.

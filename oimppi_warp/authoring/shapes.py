@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from oimppi_warp.authoring.task import Block, Obstacle, Pillar, Pose
 
 Given = tuple[float, ...] | tuple[str] | tuple[()]
-"""What stands after the colon of a word: numbers, a text, or nothing."""
+"""The part of a word after its colon: numbers, a text, or nothing."""
 
 WEIGHT = ("mass", "friction")
 """Options that every shape takes."""
@@ -226,12 +226,12 @@ def words() -> Iterator[str]:
 
 
 def objects() -> str:
-    """What an object can be, for help and messages."""
+    """Lists the shapes that an object can be, for help and messages."""
     return f"{', '.join(words())}, or a USD file of an object"
 
 
 def obstacles() -> str:
-    """What an obstacle can be, for help and messages."""
+    """Lists the shapes that an obstacle can be, for help and messages."""
     return f"OBJECT@X,Y[,YAW], as box:0.1x0.1x0.1@0.5,0.05, with one of these: {objects()}"
 
 

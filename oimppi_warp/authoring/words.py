@@ -194,7 +194,7 @@ def _prim_name(what: str) -> str:
 
 
 def _guess(word: str) -> str:
-    """What may have been meant, as a line of a message."""
+    """Returns the nearest known words as a line of a message; empty if none is near."""
     examples = {_plain(name): f"{name}:{shape.example}" if shape.example else name for name, shape in SHAPES.loadable()}
     near = difflib.get_close_matches(_plain(word.partition(":")[0]), examples, n=1, cutoff=0.5)
     return f"\n  did you mean {examples[near[0]]}?" if near else ""

@@ -10,4 +10,4 @@ from __future__ import annotations
 from typing import Literal
 
 Backend = Literal["loky", "dask"]
-"""What runs trials side by side: processes of this machine, or a cluster."""
+"""Back end that runs trials in parallel: processes of this machine, or a cluster."""

@@ -170,7 +170,7 @@ def _open(file: Path) -> SceneStage:
 
 
 def _gives_mass(root: Usd.Prim) -> bool:
-    """Whether a mass is given for a body as a whole; one that cannot be used is one that is given."""
+    """Returns whether the file gives a mass for the body as a whole, usable or not."""
     return bool(UsdPhysics.MassAPI(root).GetMassAttr().Get()) if root.HasAPI(UsdPhysics.MassAPI) else False
 
 
