@@ -2,7 +2,7 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-PYTEST_FLAGS ?=
+PYTEST_FLAGS ?= --numprocesses auto --dist worksteal
 LOCK_ENV := $(VENV)/.installed
 BIN := $(VENV)/bin
 
