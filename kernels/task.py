@@ -2,10 +2,10 @@
 
 import warp as wp
 
+from oimppi_warp.kernels.costs.terms import OVER, RobotWeights, Stage
 from oimppi_warp.kernels.geometry import PoseField, planar_field, pose_field, rotate
 from oimppi_warp.kernels.kinematics import Arm, Placed, Surroundings
 from oimppi_warp.kernels.pushing import ObjectModel
-from oimppi_warp.kernels.terms import OVER, RobotWeights, Stage
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING
 from oimppi_warp.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from oimppi_warp.config import Config
-    from oimppi_warp.cost_terms import CostTerm
-    from oimppi_warp.episode import Episode
+    from oimppi_warp.config.overrides import set_option
+    from oimppi_warp.config.presets import best, paper
+    from oimppi_warp.config.run_spec import RunSpec
+    from oimppi_warp.config.settings import Config
     from oimppi_warp.errors import ConfigError, DeviceError, ObservationError, OimppiError, SceneError
-    from oimppi_warp.log import EpisodeLog
-    from oimppi_warp.methods import make_planner
-    from oimppi_warp.metrics import Metrics, summarize
     from oimppi_warp.observation import Observation, planar_pose, planar_transform
-    from oimppi_warp.planner import Plan, Planner
-    from oimppi_warp.plant import Contacts, Plant, SimulatedPlant
-    from oimppi_warp.presets import best, paper
+    from oimppi_warp.physics.world import World
+    from oimppi_warp.planning.engines.cost_terms import CostTerm
+    from oimppi_warp.planning.methods import make_planner
+    from oimppi_warp.planning.robot_level import Plan, Planner
+    from oimppi_warp.plants.plant import Contacts, Plant, SimulatedPlant
+    from oimppi_warp.record.log import EpisodeLog
+    from oimppi_warp.record.metrics import Metrics, summarize
     from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
-    from oimppi_warp.run_spec import RunSpec
+    from oimppi_warp.runtime.episode import Episode
     from oimppi_warp.scene import Scene
-    from oimppi_warp.settings import set_option
     from oimppi_warp.usd import load_scene
-    from oimppi_warp.world import World
 
 __version__ = "0.1.0"
 
@@ -37,33 +37,33 @@ _MODULES = {
     "OPTIMIZERS": "registries",
     "PLANTS": "registries",
     "SHAPES": "registries",
-    "Config": "config",
+    "Config": "config.settings",
     "ConfigError": "errors",
-    "Contacts": "plant",
-    "CostTerm": "cost_terms",
+    "Contacts": "plants.plant",
+    "CostTerm": "planning.engines.cost_terms",
     "DeviceError": "errors",
-    "Episode": "episode",
-    "EpisodeLog": "log",
-    "Metrics": "metrics",
+    "Episode": "runtime.episode",
+    "EpisodeLog": "record.log",
+    "Metrics": "record.metrics",
     "Observation": "observation",
     "ObservationError": "errors",
     "OimppiError": "errors",
-    "Plan": "planner",
-    "Planner": "planner",
-    "Plant": "plant",
-    "RunSpec": "run_spec",
+    "Plan": "planning.robot_level",
+    "Planner": "planning.robot_level",
+    "Plant": "plants.plant",
+    "RunSpec": "config.run_spec",
     "Scene": "scene",
     "SceneError": "errors",
-    "SimulatedPlant": "plant",
-    "World": "world",
-    "best": "presets",
+    "SimulatedPlant": "plants.plant",
+    "World": "physics.world",
+    "best": "config.presets",
     "load_scene": "usd",
-    "make_planner": "methods",
-    "paper": "presets",
+    "make_planner": "planning.methods",
+    "paper": "config.presets",
     "planar_pose": "observation",
     "planar_transform": "observation",
-    "set_option": "settings",
-    "summarize": "metrics",
+    "set_option": "config.overrides",
+    "summarize": "record.metrics",
 }
 
 __all__ = [

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from oimppi_warp.registry import Registry
-
-if TYPE_CHECKING:
-    from oimppi_warp.authoring.shapes import Shape
 
 METHODS: Registry[Any] = Registry(
     "method",
     "oimppi_warp.methods",
     {
-        "mppi": "oimppi_warp.planner:Planner",
-        "soi": "oimppi_warp.methods:SequentialPlanner",
-        "cloi": "oimppi_warp.methods:ClosedLoopPlanner",
+        "mppi": "oimppi_warp.planning.robot_level:Planner",
+        "soi": "oimppi_warp.planning.methods:SequentialPlanner",
+        "cloi": "oimppi_warp.planning.methods:ClosedLoopPlanner",
     },
 )
-"""Who replans when: subclasses of :class:`oimppi_warp.planner.Planner`."""
+"""Who replans when: subclasses of :class:`oimppi_warp.planning.robot_level.Planner`."""
 
 OPTIMIZERS: Registry[Any] = Registry(
-    "optimizer", "oimppi_warp.optimizers", {"mppi": "oimppi_warp.mppi:Mppi", "cem": "oimppi_warp.cem:Cem"}
+    "optimizer",
+    "oimppi_warp.optimizers",
+    {"mppi": "oimppi_warp.planning.optimizers.mppi:Mppi", "cem": "oimppi_warp.planning.optimizers.cem:Cem"},
 )
 """Sampling-based optimisers of a control sequence, for either level."""
 
@@ -29,39 +28,39 @@ ENGINES: Registry[Any] = Registry(
     "engine",
     "oimppi_warp.engines",
     {
-        "quasistatic": "oimppi_warp.dynamics.quasistatic:QuasistaticDynamics",
-        "newton": "oimppi_warp.dynamics.engines:newton",
+        "quasistatic": "oimppi_warp.planning.engines.quasistatic:QuasistaticDynamics",
+        "newton": "oimppi_warp.planning.engines.factory:newton",
     },
 )
-"""Rollout engines of the robot level (:class:`oimppi_warp.dynamics.base.RobotDynamics`)."""
+"""Rollout engines of the robot level (:class:`oimppi_warp.planning.engines.dynamics.RobotDynamics`)."""
 
 PLANTS: Registry[Any] = Registry(
     "plant",
     "oimppi_warp.plants",
-    {"ideal": "oimppi_warp.plant:ideal_plant", "lab": "oimppi_warp.lab:lab_plant"},
+    {"ideal": "oimppi_warp.plants.plant:ideal_plant", "lab": "oimppi_warp.plants.lab:lab_plant"},
 )
-"""What is moved: ``(scene, config, *, seed) -> Plant`` (:class:`oimppi_warp.plant.Plant`)."""
+"""What is moved: ``(scene, config, *, seed) -> Plant`` (:class:`oimppi_warp.plants.plant.Plant`)."""
 
 COST_TERMS: Registry[Any] = Registry("cost term", "oimppi_warp.cost_terms", {})
-"""Cost terms of the robot level beside the built-in ones (:class:`oimppi_warp.cost_terms.CostTerm`)."""
+"""Cost terms of the robot level beside the built-in ones (:class:`oimppi_warp.CostTerm`)."""
 
-SHAPES: Registry[Shape] = Registry(
+SHAPES: Registry[Any] = Registry(
     "shape",
     "oimppi_warp.shapes",
     {
-        "t-block": "oimppi_warp.authoring.shapes:T_BLOCK",
-        "lab-t": "oimppi_warp.authoring.shapes:LAB_T",
-        "soup-can": "oimppi_warp.authoring.shapes:SOUP_CAN",
-        "letter-i": "oimppi_warp.authoring.shapes:LETTER_I",
-        "letter-r": "oimppi_warp.authoring.shapes:LETTER_R",
-        "letter-o": "oimppi_warp.authoring.shapes:LETTER_O",
-        "letter-s": "oimppi_warp.authoring.shapes:LETTER_S",
-        "letter": "oimppi_warp.authoring.shapes:LETTER",
-        "text": "oimppi_warp.authoring.shapes:TEXT",
-        "box": "oimppi_warp.authoring.shapes:BOX",
-        "cylinder": "oimppi_warp.authoring.shapes:CYLINDER",
-        "prism": "oimppi_warp.authoring.shapes:PRISM",
-        "mesh": "oimppi_warp.authoring.shapes:MESH",
+        "t-block": "oimppi_warp.authoring.named_shapes:T_BLOCK",
+        "lab-t": "oimppi_warp.authoring.named_shapes:LAB_T",
+        "soup-can": "oimppi_warp.authoring.named_shapes:SOUP_CAN",
+        "letter-i": "oimppi_warp.authoring.named_shapes:LETTER_I",
+        "letter-r": "oimppi_warp.authoring.named_shapes:LETTER_R",
+        "letter-o": "oimppi_warp.authoring.named_shapes:LETTER_O",
+        "letter-s": "oimppi_warp.authoring.named_shapes:LETTER_S",
+        "letter": "oimppi_warp.authoring.named_shapes:LETTER",
+        "text": "oimppi_warp.authoring.named_shapes:TEXT",
+        "box": "oimppi_warp.authoring.named_shapes:BOX",
+        "cylinder": "oimppi_warp.authoring.named_shapes:CYLINDER",
+        "prism": "oimppi_warp.authoring.named_shapes:PRISM",
+        "mesh": "oimppi_warp.authoring.named_shapes:MESH",
     },
 )
-"""Objects and obstacles by words, as ``letter:S`` (:class:`oimppi_warp.authoring.shapes.Shape`)."""
+"""Objects and obstacles by words, as ``letter:S`` (:class:`oimppi_warp.authoring.named_shapes.Shape`)."""

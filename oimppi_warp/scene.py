@@ -300,11 +300,11 @@ class Scene(_ReadOnly):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
     def with_start(self, start: PlanarPose) -> Scene:
-        """The same task from another start; nothing is checked (see :func:`oimppi_warp.feasibility.check_task`)."""
+        """The same task from another start; nothing is checked (see ``feasibility.check_task``)."""
         return replace(self, start=start)
 
     def with_goal(self, goal: PlanarPose) -> Scene:
-        """The same task to another goal; nothing is checked (see :func:`oimppi_warp.feasibility.check_task`)."""
+        """The same task to another goal; nothing is checked (see ``feasibility.check_task``)."""
         return replace(self, goal=goal)
 
     def with_obstacle(self, obstacle: Obstacle) -> Scene:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from oimppi_warp.cli import main
-from oimppi_warp.feasibility import check_task
+from oimppi_warp.cli.main import main
+from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.usd import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from oimppi_warp.log import EpisodeLog
+from oimppi_warp.record.log import EpisodeLog
 from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
 from oimppi_warp.usd import load_scene
 

@@ -10,8 +10,8 @@ import pytest
 import shapely
 
 from oimppi_warp.authoring import Block, Number, Shape, Thing, flat
-from oimppi_warp.authoring.shapes import objects
-from oimppi_warp.cli import main
+from oimppi_warp.authoring.named_shapes import objects
+from oimppi_warp.cli.main import main
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import SHAPES
 from oimppi_warp.usd import load_scene

@@ -5,25 +5,25 @@ from __future__ import annotations
 from importlib.metadata import EntryPoint
 
 import pytest
-from outside_terms import high
-from tasks import shipped
+from support.outside_terms import high
+from support.tasks import shipped
 
 from oimppi_warp.bench.runner import BenchError, _check_known_elsewhere
 from oimppi_warp.bench.suite import load_suite
 from oimppi_warp.bench.trial import make_trials
-from oimppi_warp.cost_terms import CostTerm
+from oimppi_warp.config.overrides import set_option, validate
+from oimppi_warp.config.presets import best
+from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.presets import best
+from oimppi_warp.planning.engines.cost_terms import CostTerm
+from oimppi_warp.planning.resolve import entries_used, resolve
 from oimppi_warp.registries import COST_TERMS
 from oimppi_warp.registry import Registry
-from oimppi_warp.resolve import entries_used, resolve
-from oimppi_warp.run_spec import RunSpec
-from oimppi_warp.settings import set_option, validate
 
 
 @pytest.fixture
 def colors() -> Registry[int]:
-    return Registry("color", "nowhere.colors", {"red": "oimppi_warp.run_spec:LARGEST_SEED"})
+    return Registry("color", "nowhere.colors", {"red": "oimppi_warp.config.run_spec:LARGEST_SEED"})
 
 
 def test_names_are_listed_in_the_order_in_which_they_were_added(colors: Registry[int]):

@@ -21,10 +21,10 @@ import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from PIL import Image  # noqa: E402
 
-from oimppi_warp.authoring.objects.letters import letter  # noqa: E402
-from oimppi_warp.authoring.objects.thing import Box  # noqa: E402
-from oimppi_warp.cli import main as oimppi  # noqa: E402
-from oimppi_warp.drawing import STYLE, add_rings, rendered  # noqa: E402
+from oimppi_warp.authoring.letters.letters import letter  # noqa: E402
+from oimppi_warp.authoring.objects.flat_object import Box  # noqa: E402
+from oimppi_warp.cli.main import main as oimppi  # noqa: E402
+from oimppi_warp.plots.style import STYLE, add_rings, rendered  # noqa: E402
 
 WIDTH = 640
 """Of a picture of a way [pixels]."""

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute import Compute
-from oimppi_warp.config import Config
-from oimppi_warp.methods import make_planner
-from oimppi_warp.object_level import ObjectLevel
+from oimppi_warp.compute.step import Compute
+from oimppi_warp.config.settings import Config
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.optimizer import Optimizer
-from oimppi_warp.planner import Planner
+from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.object_level import ObjectLevel
+from oimppi_warp.planning.optimizers.optimizer import Optimizer
+from oimppi_warp.planning.robot_level import Planner
 from oimppi_warp.scene import Scene
 
 WARM_UP = 3
@@ -59,7 +59,7 @@ class PlannerLoop:
     Args:
         scene: The task.
         config: All settings.
-        method, engine, device, threads: As for :func:`oimppi_warp.methods.make_planner`.
+        method, engine, device, threads: As for :func:`oimppi_warp.planning.methods.make_planner`.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class ObjectLoop:
     """The object level alone, the object following its own plan."""
 
     def __init__(self, scene: Scene, config: Config, *, device: str, threads: int | None = None) -> None:
-        from oimppi_warp.clearance import build_geometry, to_center
+        from oimppi_warp.geometry.fields import build_geometry, to_center
 
         compute = Compute(device, threads=threads)
         geometry = build_geometry(scene, device)
@@ -174,8 +174,8 @@ def first_observation(scene: Scene) -> Observation:
 
 def solves(engine: str, device: str, config: Config) -> bool:
     """Whether planning on an engine brings the T of the open table to a goal 15 cm away, in the simulator."""
-    from oimppi_warp.episode import Episode
-    from oimppi_warp.metrics import summarize
+    from oimppi_warp.record.metrics import summarize
+    from oimppi_warp.runtime.episode import Episode
     from oimppi_warp.usd import load_scene
 
     scene = load_scene("task01")

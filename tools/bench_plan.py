@@ -25,7 +25,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 if TYPE_CHECKING:
     from bench_loops import PlannerLoop, Timing
 
-    from oimppi_warp.config import Config
+    from oimppi_warp.config.settings import Config
     from oimppi_warp.scene import Scene
 
 BUDGET_MS = {"robot level": 15.0, "object level": 8.0}
@@ -52,8 +52,8 @@ class Benchmark:
     """
 
     def __init__(self, scene: Scene, *, repeats: int, quick: bool) -> None:
-        from oimppi_warp.compute import core_count
-        from oimppi_warp.presets import best
+        from oimppi_warp.compute.step import core_count
+        from oimppi_warp.config.presets import best
 
         self.scene = scene
         self.repeats = repeats
@@ -146,7 +146,7 @@ class Benchmark:
 
     def randomized(self) -> dict[str, Any]:
         """The price of four draws of the world."""
-        from oimppi_warp.config import Uncertainty
+        from oimppi_warp.config.settings import Uncertainty
 
         certain = with_mppi(self.config, samples=self.samples)
         uncertain = with_mppi(self.config, samples=self.samples, uncertainty=Uncertainty(draws=4))
@@ -176,8 +176,8 @@ class Benchmark:
 
     def memory(self) -> dict[str, float]:
         """Bytes for each rollout, or world."""
-        from oimppi_warp.compute import Compute
-        from oimppi_warp.dynamics.newton_worlds import NewtonWorlds
+        from oimppi_warp.compute.step import Compute
+        from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
 
         threads = self.loop(with_mppi(self.config, samples=64), "newton", 1).planner.dynamics
         arrays = sum(value.nbytes for value in vars(threads).values() if hasattr(value, "nbytes"))
@@ -219,9 +219,9 @@ def raw_rollouts(scene: Scene, loop: PlannerLoop) -> Callable[[], None]:
     import numpy as np
     from mujoco import rollout
 
-    from oimppi_warp.dynamics.newton_threads import NewtonThreads, model_in_draw
-    from oimppi_warp.uncertainty import CERTAIN
-    from oimppi_warp.world import World
+    from oimppi_warp.physics.world import World
+    from oimppi_warp.planning.engines.newton_threads import NewtonThreads, model_in_draw
+    from oimppi_warp.planning.engines.uncertainty import CERTAIN
 
     engine = loop.planner.dynamics
     assert isinstance(engine, NewtonThreads)
@@ -260,7 +260,7 @@ def machine() -> dict[str, str | int]:
     """What the figures were measured on."""
     import warp as wp
 
-    from oimppi_warp.compute import core_count
+    from oimppi_warp.compute.step import core_count
 
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
@@ -286,8 +286,8 @@ def main() -> int:
     from bench_start import start_seconds
     from bench_tables import print_tables
 
-    from oimppi_warp.device import tell_compilation
-    from oimppi_warp.log import versions
+    from oimppi_warp.compute.device import tell_compilation
+    from oimppi_warp.record.log import versions
     from oimppi_warp.usd import load_scene
 
     tell_compilation(lambda line: print(line, file=sys.stderr))

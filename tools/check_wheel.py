@@ -25,7 +25,7 @@ from pathlib import Path
 import warp
 import oimppi_warp
 from oimppi_warp.bench.suite import shipped_suites
-from oimppi_warp.clearance import build_geometry
+from oimppi_warp.geometry.fields import build_geometry
 from oimppi_warp.usd import shipped_scenes
 
 warp.config.log_level = warp.LOG_WARNING

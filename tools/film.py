@@ -9,8 +9,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from oimppi_warp.film import film
-from oimppi_warp.log import EpisodeLog
+from oimppi_warp.plots.film import film
+from oimppi_warp.record.log import EpisodeLog
 from oimppi_warp.usd import load_scene
 
 

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from oimppi_warp.episode import Setup
-from oimppi_warp.presets import best
-from oimppi_warp.task import make_task
+from oimppi_warp.config.presets import best
+from oimppi_warp.runtime.episode import Setup
+from oimppi_warp.runtime.request import make_task
 from oimppi_warp.usd import shipped_scenes
 from oimppi_warp.view.browser import open_viewer
 from oimppi_warp.view.canvas import Canvas

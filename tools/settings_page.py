@@ -10,11 +10,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from oimppi_warp.config import Config
-from oimppi_warp.config_field import about
-from oimppi_warp.names import SETTINGS
+from oimppi_warp.config.fields import about
+from oimppi_warp.config.overrides import Setting, set_option, settings_of
+from oimppi_warp.config.renamed import SETTINGS
+from oimppi_warp.config.settings import Config
 from oimppi_warp.registries import OPTIMIZERS
-from oimppi_warp.settings import Setting, set_option, settings_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "settings.md"
 HEAD = ("name", "default", "unit", "allowed", "what it is")
@@ -23,8 +23,9 @@ INTRO = """\
 
 Every setting of a run, by the name that `--set NAME=VALUE`, a suite's `set` and the viewer's panel know it by. Tuples
 are written with commas: `--set cost.reach=0.3,0.55`. Defaults are those of the preset `best` for CLOI; `paper`, `lab`
-and `best` for other methods begin with other values for some (`oimppi_warp/presets.py`). What takes effect on a task
-can differ from what was asked for: `oimppi_warp/resolve.py` says where, and a record holds what took effect.
+and `best` for other methods begin with other values for some (`oimppi_warp/config/presets.py`). What takes effect
+on a task can differ from what was asked for: `oimppi_warp/planning/resolve.py` says where, and a record holds what took
+effect.
 
 This page is written by `python tools/settings_page.py`.
 """

@@ -11,35 +11,35 @@ from oimppi_warp.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from oimppi_warp.authoring.checks.check import check_scene
-    from oimppi_warp.authoring.objects.letters import letter, word
-    from oimppi_warp.authoring.objects.shapes import box, cylinder, flat
-    from oimppi_warp.authoring.objects.solid import Solid, import_mesh
+    from oimppi_warp.authoring.letters.letters import letter, word
+    from oimppi_warp.authoring.meshes.solid import Solid, import_mesh
+    from oimppi_warp.authoring.named_shapes import Number, Shape
+    from oimppi_warp.authoring.objects.flat_object import Box, Disc, Thing
+    from oimppi_warp.authoring.objects.outlines import box, cylinder, flat
     from oimppi_warp.authoring.objects.stored import read_object
-    from oimppi_warp.authoring.objects.thing import Box, Disc, Thing
     from oimppi_warp.authoring.project import Written, write_object, write_task
-    from oimppi_warp.authoring.shapes import Number, Shape
     from oimppi_warp.authoring.task import Block, Pillar, Standing, Task
 
 _MODULES = {
     "Block": "task",
-    "Box": "objects.thing",
-    "Disc": "objects.thing",
-    "Number": "shapes",
+    "Box": "objects.flat_object",
+    "Disc": "objects.flat_object",
+    "Number": "named_shapes",
     "Pillar": "task",
-    "Shape": "shapes",
-    "Solid": "objects.solid",
+    "Shape": "named_shapes",
+    "Solid": "meshes.solid",
     "Standing": "task",
     "Task": "task",
-    "Thing": "objects.thing",
+    "Thing": "objects.flat_object",
     "Written": "project",
-    "box": "objects.shapes",
+    "box": "objects.outlines",
     "check_scene": "checks.check",
-    "cylinder": "objects.shapes",
-    "flat": "objects.shapes",
-    "import_mesh": "objects.solid",
-    "letter": "objects.letters",
+    "cylinder": "objects.outlines",
+    "flat": "objects.outlines",
+    "import_mesh": "meshes.solid",
+    "letter": "letters.letters",
     "read_object": "objects.stored",
-    "word": "objects.letters",
+    "word": "letters.letters",
     "write_object": "project",
     "write_task": "project",
 }

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import shapely
 
-from oimppi_warp.feasibility import object_outline
-from oimppi_warp.footprint import core_points, footprint, height_range, outline
-from oimppi_warp.kinematics import link_frames, tip_frame
-from oimppi_warp.reach import Reach, joints_for, reach_of
+from oimppi_warp.geometry.feasibility import object_outline
+from oimppi_warp.geometry.footprint import core_points, footprint, height_range, outline
+from oimppi_warp.geometry.kinematics import link_frames, tip_frame
+from oimppi_warp.geometry.reach import Reach, joints_for, reach_of
 from oimppi_warp.scene import Collider, Robot, Scene
 
 ROOM = 0.02
@@ -30,7 +30,7 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
         None where the robot's own start is clear of object and obstacles; otherwise joint positions [rad] with the tip
         as high as there and the tool pointing down, as near to it as it can be.
 
-    Where no such start is found, the robot's own is kept, and :func:`oimppi_warp.feasibility.check_task` has the word.
+    Where no such start is found, the robot's own is kept, and ``feasibility.check_task`` reports what is wrong.
     """
     robot = scene.robot
     if _clear(scene, robot.start):

@@ -14,17 +14,17 @@ from pathlib import Path
 from pxr import Sdf, Tf, Usd
 
 from oimppi_warp.authoring.arm_start import clear_start
+from oimppi_warp.authoring.attribute_docs import explain
 from oimppi_warp.authoring.bundle import copy_bundle
-from oimppi_warp.authoring.guide import explain
+from oimppi_warp.authoring.objects.flat_object import Pushable
 from oimppi_warp.authoring.objects.stored import ENDINGS, Stored, is_object_file, read_body
-from oimppi_warp.authoring.objects.thing import Pushable
 from oimppi_warp.authoring.task import Standing, Task, write
 from oimppi_warp.errors import SceneError
-from oimppi_warp.feasibility import check_task
-from oimppi_warp.log import write_whole
+from oimppi_warp.geometry.feasibility import check_task
+from oimppi_warp.record.log import write_whole
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
-from oimppi_warp.usd.sound import usd_reason
+from oimppi_warp.usd.conversion.property_types import usd_reason
 from oimppi_warp.usd.stage import SCENES
 
 _IN_WORDS = {
@@ -107,7 +107,7 @@ def write_object(thing: Pushable, folder: str | Path = ".", *, force: bool = Fal
         except SceneError as error:
             raise _moved(error, draft, folder) from None
         if picture:
-            from oimppi_warp.authoring.objects.portrait import draw_portrait
+            from oimppi_warp.authoring.objects.preview import draw_portrait
 
             draw_portrait(thing, body, draft / files[1])
         _install(draft, folder, files[0], frozenset(files))

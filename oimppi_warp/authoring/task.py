@@ -9,8 +9,8 @@ from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 
+from oimppi_warp.authoring.objects.flat_object import Pushable
 from oimppi_warp.authoring.objects.stored import is_object_file
-from oimppi_warp.authoring.objects.thing import Pushable
 from oimppi_warp.authoring.prims import (
     Color,
     Look,
@@ -27,7 +27,7 @@ from oimppi_warp.authoring.prims import (
 )
 from oimppi_warp.authoring.robots.posed import pose_robot
 from oimppi_warp.errors import SceneError
-from oimppi_warp.feasibility import check_task, draw_start
+from oimppi_warp.geometry.feasibility import check_task, draw_start
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.colliders import collider_prims
@@ -115,7 +115,7 @@ def write(
         settle: Gives the arm's joint positions at the start [rad], or ``None`` for the robot's own, once all stands.
 
     Raises:
-        SceneError: The task cannot be done (:func:`oimppi_warp.feasibility.check_task`).
+        SceneError: The task cannot be done (:func:`oimppi_warp.geometry.feasibility.check_task`).
     """
     file = folder / f"{task.name}.usda"
     stage = new_stage(file, "World", ". ".join(filter(None, (task.title, note))))

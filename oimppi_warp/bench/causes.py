@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oimppi_warp.log import EpisodeLog
-from oimppi_warp.metrics import within
+from oimppi_warp.record.log import EpisodeLog
+from oimppi_warp.record.metrics import within
 
 LAST = 5.0
 """How much of an episode's end is looked at [s]."""

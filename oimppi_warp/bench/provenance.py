@@ -9,12 +9,9 @@ from functools import cache
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-NO_PART = (
-    *("authoring", "bench", "scenes", "view"),
-    *("ahead.py", "cli.py", "doctor.py", "drawing.py", "film.py", "options.py", "report.py", "upkeep.py"),
-)
-"""Folders and modules of the package that take no part in a result: an episode imports none of them. Whatever is not
-named here counts. Scenes count one by one, in the key of a trial."""
+NO_PART = ("authoring", "bench", "cli", "plots", "scenes", "system", "view")
+"""Folders of the package that take no part in a result: an episode imports nothing from them. Whatever is not named
+here counts. Scenes count one by one, in the key of a trial."""
 
 
 @cache
@@ -34,8 +31,8 @@ def code_content() -> str:
 @cache
 def machine() -> str:
     """Processor, cores and system, in one line."""
-    from oimppi_warp.compute import core_count
-    from oimppi_warp.doctor import processor
+    from oimppi_warp.compute.step import core_count
+    from oimppi_warp.system.doctor import processor
 
     return f"{processor()}, {core_count()} cores, {platform.system()} {platform.machine()}"
 

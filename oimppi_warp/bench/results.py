@@ -19,9 +19,9 @@ import numpy as np
 
 from oimppi_warp.bench.causes import RAISED, Cause, likely_cause
 from oimppi_warp.bench.trial import Trial
-from oimppi_warp.log import EpisodeLog, LogError, flat, to_json, write_whole
-from oimppi_warp.metrics import first_hold, hold_steps, summarize, within
-from oimppi_warp.run_spec import RunSpec
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.record.log import EpisodeLog, LogError, flat, to_json, write_whole
+from oimppi_warp.record.metrics import first_hold, hold_steps, summarize, within
 
 FORMAT = 1
 """Version of the file; a reader refuses others."""
@@ -46,7 +46,7 @@ class Result:
         command: Runs it again.
         code, machine: See :mod:`oimppi_warp.bench.provenance`.
         wall_s: How long it took.
-        metrics: See :class:`oimppi_warp.metrics.Metrics`; empty if the trial raised.
+        metrics: See :class:`oimppi_warp.record.metrics.Metrics`; empty if the trial raised.
         success_steps: Control steps until success; NaN without.
         error_until_success_m: Position error averaged over time until success (without success: to the end), which is
             the paper's epsilon_d, whose episodes end there.
@@ -109,7 +109,7 @@ class ResultSet:
         planned: Number of trials that the suite has; more than the results of a run that is not finished.
         versions: Of Python and of the packages that took part.
         entries: The suite's entries as they were run.
-        places: By task, what pictures from above need, see :mod:`oimppi_warp.bench.place`.
+        places: By task, what pictures from above need, see :mod:`oimppi_warp.bench.footprints`.
         results: One a trial.
     """
 

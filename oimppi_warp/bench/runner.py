@@ -22,8 +22,8 @@ from oimppi_warp.bench.suite import Suite
 from oimppi_warp.bench.trial import Trial, make_trials
 from oimppi_warp.bench.worker import Outcome, run_trial
 from oimppi_warp.errors import OimppiError
-from oimppi_warp.log import to_json, versions, write_whole
-from oimppi_warp.resolve import entries_used
+from oimppi_warp.planning.resolve import entries_used
+from oimppi_warp.record.log import to_json, versions, write_whole
 
 SAVE_EVERY = 10.0
 """``results.json`` is written no more often than that while trials run [s]."""
@@ -60,7 +60,7 @@ class SuiteRun:
     places: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
-        from oimppi_warp.bench.place import place_of
+        from oimppi_warp.bench.footprints import place_of
 
         self.trials, scenes = make_trials(self.suite)
         self.places = {name: place_of(scene) for name, scene in scenes.items()}
@@ -171,7 +171,7 @@ class SuiteRun:
 def prepare(trials: Iterable[Trial]) -> None:
     """Compile what the trials need, once and not in every worker; nothing where that was done before."""
     from oimppi_warp.bench.trial import make_episode
-    from oimppi_warp.device import kernels_are_cached
+    from oimppi_warp.compute.device import kernels_are_cached
 
     if not kernels_are_cached():
         for trial in {(trial.run.method, trial.run.engine): trial for trial in trials}.values():

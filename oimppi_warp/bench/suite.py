@@ -14,12 +14,12 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+from oimppi_warp.config.presets import PRESETS
+from oimppi_warp.config.run_spec import LARGEST_SEED, MODES, RunSpec
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.log import flat, to_json
-from oimppi_warp.presets import PRESETS
+from oimppi_warp.record.log import flat, to_json
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
-from oimppi_warp.run_spec import LARGEST_SEED, MODES, RunSpec
-from oimppi_warp.task import SettingsRequest
+from oimppi_warp.runtime.request import SettingsRequest
 
 SUITES = Path(__file__).parent / "suites"
 """Where the shipped suites are."""

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oimppi_warp.bench.suite import Suite
-from oimppi_warp.config import Config
+from oimppi_warp.config.overrides import effective_weights
+from oimppi_warp.config.run_spec import LARGEST_SEED, RunSpec
+from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.log import flat, to_json
-from oimppi_warp.run_spec import LARGEST_SEED, RunSpec
-from oimppi_warp.settings import effective_weights
-from oimppi_warp.task import SettingsRequest, make_task
+from oimppi_warp.record.log import flat, to_json
+from oimppi_warp.runtime.request import SettingsRequest, make_task
 
 if TYPE_CHECKING:
-    from oimppi_warp.episode import Episode
+    from oimppi_warp.runtime.episode import Episode
     from oimppi_warp.scene import PlanarPose, Scene
 
 _SEEDS, _NUMBERS = 100_000, 10_000
@@ -107,8 +107,8 @@ class Trial:
 
 def make_episode(trial: Trial) -> Episode:
     """The episode of a trial, as ``oimppi run`` makes it."""
-    from oimppi_warp.device import pick_device
-    from oimppi_warp.episode import Episode
+    from oimppi_warp.compute.device import pick_device
+    from oimppi_warp.runtime.episode import Episode
 
     run = replace(trial.run, device=pick_device(trial.run.device))
     return Episode(make_task(trial.scene, start=trial.start), trial.config, run)
@@ -177,7 +177,7 @@ def _scene_path(suite: Suite, task: str) -> str:
 
 
 def _start(scene: Scene, number: int, seed: int) -> PlanarPose:
-    from oimppi_warp.feasibility import draw_start
+    from oimppi_warp.geometry.feasibility import draw_start
 
     if number < len(scene.starts):
         x, y, yaw = map(float, scene.starts[number])

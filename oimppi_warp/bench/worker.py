@@ -14,7 +14,7 @@ from functools import cache
 
 from oimppi_warp.bench.provenance import code_content, machine, without_paths
 from oimppi_warp.bench.trial import Trial, make_episode
-from oimppi_warp.log import EpisodeLog
+from oimppi_warp.record.log import EpisodeLog
 
 
 @dataclass(frozen=True)

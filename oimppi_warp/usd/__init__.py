@@ -19,10 +19,10 @@ from pxr import Sdf
 
 from oimppi_warp.errors import SceneError
 from oimppi_warp.scene import Scene
+from oimppi_warp.usd.bodies import check_roles, read_object, read_obstacle, read_table
 from oimppi_warp.usd.robot import read_robot
 from oimppi_warp.usd.stage import SCENES, SceneStage
 from oimppi_warp.usd.task import read_gravity, read_task
-from oimppi_warp.usd.things import check_roles, read_object, read_obstacle, read_table
 
 __all__ = ["Inspection", "ShippedScene", "inspect_scene", "load_scene", "scene_content", "shipped_scenes"]
 
@@ -71,7 +71,7 @@ def load_scene(scene: str | Path) -> Scene:
 
     Raises:
         SceneError: It cannot be run; the message says what is wrong, where, what is allowed and what to do. Whether the
-            arm can do the task is another question: :func:`oimppi_warp.feasibility.check_task`.
+            arm can do the task is another question: :func:`oimppi_warp.geometry.feasibility.check_task`.
     """
     found = inspect_scene(scene)
     if found.scene is None:

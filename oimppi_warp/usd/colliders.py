@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.footprint import collider_mesh, transform_points
+from oimppi_warp.geometry.footprint import collider_mesh, transform_points
 from oimppi_warp.scene import Collider
 from oimppi_warp.usd.frames import is_orthogonal, scales, transform
 from oimppi_warp.usd.meshes import approximation, triangles

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
-from oimppi_warp.cache import content_of_data
+from oimppi_warp.compute.cache import content_of_data
 from oimppi_warp.errors import SceneError
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import Collider, Obstacle, PushedObject, Scene, Tolerance
+from oimppi_warp.usd.collider_prims import define_collider
+from oimppi_warp.usd.conversion.units import editable_prims
 from oimppi_warp.usd.frames import scales
-from oimppi_warp.usd.shapes import define_collider
 from oimppi_warp.usd.stage import SceneStage
-from oimppi_warp.usd.units import editable_prims
 
 _SAVED = 1e-5
 """How far a number may be from the scene's after it was written and read again."""

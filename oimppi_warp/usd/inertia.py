@@ -1,7 +1,7 @@
 """What a rigid body weighs: its mass, and where the file says that the mass is.
 
 Where a file gives no inertia or no centre of mass, none is made up: the colliders decide, all of one density, when a
-model is built (:mod:`oimppi_warp.newton_model`). That is what OpenUSD's and Newton's readers take too, but for
+model is built (:mod:`oimppi_warp.physics.newton_model`). That is what OpenUSD's and Newton's readers take too, but for
 densities given to single shapes or materials, which are not read.
 """
 

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
-from oimppi_warp.usd.units import editable_prims
+from oimppi_warp.usd.conversion.units import editable_prims
 
 _TOKENS = UsdPhysics.Tokens
 _REPLACED = (_TOKENS.none, _TOKENS.boundingCube, _TOKENS.boundingSphere)

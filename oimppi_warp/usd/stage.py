@@ -11,11 +11,11 @@ import numpy as np
 from pxr import Ar, Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
 from oimppi_warp.errors import Problem, SceneError
+from oimppi_warp.usd.conversion.property_types import unsound_properties, usd_reason
+from oimppi_warp.usd.conversion.units import to_si, to_z_up
+from oimppi_warp.usd.conversion.upright import stand_upright
 from oimppi_warp.usd.frames import is_rigid, readable, scales, single
 from oimppi_warp.usd.meshes import simplify_meshes
-from oimppi_warp.usd.sound import unsound_properties, usd_reason
-from oimppi_warp.usd.units import to_si, to_z_up
-from oimppi_warp.usd.upright import stand_upright
 
 P = ParamSpec("P")
 Read = TypeVar("Read")

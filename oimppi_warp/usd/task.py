@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from pxr import Usd, UsdPhysics
 
-from oimppi_warp.footprint import GRAVITY
+from oimppi_warp.geometry.footprint import GRAVITY
 from oimppi_warp.scene import PlanarPose, Tolerance
 from oimppi_warp.usd.frames import readable, single
 from oimppi_warp.usd.stage import SceneStage

@@ -8,12 +8,12 @@ import numpy as np
 import shapely
 import warp as wp
 
-from oimppi_warp.feasibility import object_outline
-from oimppi_warp.footprint import footprint, height_range, outline
+from oimppi_warp.geometry.feasibility import object_outline
+from oimppi_warp.geometry.footprint import footprint, height_range, outline
 from oimppi_warp.observation import planar_pose
 from oimppi_warp.scene import Scene
 from oimppi_warp.view.picture import Picture
-from oimppi_warp.view.shown import ShownScene
+from oimppi_warp.view.posed_scene import ShownScene
 
 if TYPE_CHECKING:
     from newton.viewer import ViewerBase

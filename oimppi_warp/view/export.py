@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.log import write_whole
+from oimppi_warp.record.log import write_whole
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.replay import Replay
 
@@ -67,7 +67,7 @@ def export_usd(replay: Replay, file: Path) -> None:
 def export_mp4(replay: Replay, file: Path) -> None:
     """Writes a video from above, without a display."""
     av = _needed("av", "mp4")
-    from oimppi_warp.film import frames
+    from oimppi_warp.plots.film import frames
 
     packed = io.BytesIO()
     with av.open(packed, mode="w", format="mp4") as container:

@@ -9,12 +9,12 @@ import numpy as np
 import shapely
 import warp as wp
 
+from oimppi_warp.config.presets import PRESETS
+from oimppi_warp.config.run_spec import LARGEST_SEED
 from oimppi_warp.errors import OimppiError
-from oimppi_warp.feasibility import draw_start, object_outline
+from oimppi_warp.geometry.feasibility import draw_start, object_outline
 from oimppi_warp.observation import planar_pose, planar_transform
-from oimppi_warp.presets import PRESETS
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
-from oimppi_warp.run_spec import LARGEST_SEED
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas

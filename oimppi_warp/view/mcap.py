@@ -25,8 +25,8 @@ from foxglove.messages import (
     Vector3,
 )
 
+from oimppi_warp.view.posed_scene import ShownScene
 from oimppi_warp.view.replay import Replay
-from oimppi_warp.view.shown import ShownScene
 
 _WORLD = "world"
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.errors import SceneError
-from oimppi_warp.log import EpisodeLog, LogError
-from oimppi_warp.metrics import summarize
 from oimppi_warp.observation import planar_transform
+from oimppi_warp.record.log import EpisodeLog, LogError
+from oimppi_warp.record.metrics import summarize
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.view.canvas import Canvas

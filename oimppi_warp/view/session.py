@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from oimppi_warp.clearance import to_center
-from oimppi_warp.control import Beat
-from oimppi_warp.episode import Episode, Setup
+from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.plant import MovablePlant, TruthfulPlant
+from oimppi_warp.plants.plant import MovablePlant, TruthfulPlant
+from oimppi_warp.runtime.control import Beat
+from oimppi_warp.runtime.episode import Episode, Setup
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.view.picture import Picture
 
@@ -99,7 +99,7 @@ class Session:
 
         Args:
             fresh: Begin again from the start; otherwise things go on from where they are.
-            **fields: As for :meth:`oimppi_warp.episode.Setup.changed`.
+            **fields: As for :meth:`oimppi_warp.runtime.episode.Setup.changed`.
         """
         with self._lock:
             self.wanted = self.wanted.changed(**fields)

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 from typing import Any, get_args, get_origin
 
-from oimppi_warp.config import Config
+from oimppi_warp.config.overrides import Setting, changed, options, set_option, settings_of, validate
+from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.settings import Setting, changed, options, set_option, settings_of, validate
 
 _SLIDER_TOP = 4.0
 """A slider goes up to so many times the default."""

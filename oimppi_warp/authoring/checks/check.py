@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oimppi_warp.errors import Problem, SceneError
-from oimppi_warp.feasibility import draw_start, pose_mistakes, task_mistakes
-from oimppi_warp.footprint import height_range
+from oimppi_warp.geometry.feasibility import draw_start, pose_mistakes, task_mistakes
+from oimppi_warp.geometry.footprint import height_range
+from oimppi_warp.geometry.tipping import can_tip, tipping_height
 from oimppi_warp.scene import PlanarPose, Scene
-from oimppi_warp.tipping import can_tip, tipping_height
 from oimppi_warp.usd import Inspection, inspect_scene
-from oimppi_warp.usd.doubts import stage_doubts
 from oimppi_warp.usd.inertia import given_moments
+from oimppi_warp.usd.lint import stage_doubts
 
 if TYPE_CHECKING:
-    from oimppi_warp.authoring.checks.way import Neck, Ways
+    from oimppi_warp.authoring.checks.free_path import Neck, Ways
 
 TIGHT = 0.005
 """Room on either side of the object below which a way is called narrow [m]."""
@@ -71,8 +71,8 @@ def _task_errors(scene: Scene) -> Iterator[SceneError]:
 
 def _too_large(scene: Scene) -> Iterator[SceneError]:
     """A table for whose part within reach the planner's fields would not fit into memory."""
-    from oimppi_warp.clearance import STEP, YAW_NODES
-    from oimppi_warp.reach import stretched_length
+    from oimppi_warp.geometry.fields import STEP, YAW_NODES
+    from oimppi_warp.geometry.reach import stretched_length
 
     reach = stretched_length(scene.robot)
     size = np.minimum(scene.table.upper, reach) - np.maximum(scene.table.lower, -reach)
@@ -110,7 +110,7 @@ def _task_warnings(scene: Scene) -> Iterator[Problem]:
 
 
 def _weight_warnings(found: Inspection) -> Iterator[Problem]:
-    from oimppi_warp.authoring.checks.weight import weight_oddities
+    from oimppi_warp.authoring.checks.mass import weight_oddities
 
     scene, stage = found.scene, found.stage
     assert scene is not None and stage is not None
@@ -133,8 +133,8 @@ def _mistakes(scene: Scene, number: int, start: PlanarPose) -> Iterator[SceneErr
 
 def _way_warnings(scene: Scene) -> Iterator[Problem]:
     """Poses without room, starts from which no way is free, ways that are narrow; start and goal overlap nothing."""
-    from oimppi_warp.authoring.checks.way import Ways
-    from oimppi_warp.clearance import build_geometry
+    from oimppi_warp.authoring.checks.free_path import Ways
+    from oimppi_warp.geometry.fields import build_geometry
 
     ways = Ways(scene, build_geometry(scene, "cpu"))
     listed = {f"start {number}": start for number, start in _starts(scene) if not any(_mistakes(scene, number, start))}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from oimppi_warp.authoring.objects.letters import GREEN, letter
-from oimppi_warp.authoring.objects.shapes import WOOD
-from oimppi_warp.authoring.objects.thing import Box, Disc, Thing
+from oimppi_warp.authoring.letters.letters import GREEN, letter
+from oimppi_warp.authoring.objects.flat_object import Box, Disc, Thing
+from oimppi_warp.authoring.objects.outlines import WOOD
 from oimppi_warp.authoring.prims import Color
 
 RED: Color = (0.62, 0.09, 0.08)

@@ -10,15 +10,15 @@ import numpy as np
 from pxr import Usd, UsdPhysics, UsdShade
 
 from oimppi_warp.authoring.bundle import write_flat
-from oimppi_warp.authoring.objects.shapes import checked_mass
+from oimppi_warp.authoring.objects.outlines import checked_mass
 from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
-from oimppi_warp.footprint import collider_mesh, height_range
+from oimppi_warp.geometry.footprint import collider_mesh, height_range
 from oimppi_warp.scene import Collider, PushedObject
+from oimppi_warp.usd.bodies import center_of_mass, largest_friction
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, solid
+from oimppi_warp.usd.conversion.upright import stand_upright
 from oimppi_warp.usd.inertia import read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
-from oimppi_warp.usd.things import center_of_mass, largest_friction
-from oimppi_warp.usd.upright import stand_upright
 
 GREY: Color = (0.45, 0.47, 0.5)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oimppi_warp.authoring.prims import COLLIDER, Color, Look, Vector, z_to
-from oimppi_warp.footprint import transform_points
+from oimppi_warp.geometry.footprint import transform_points
 from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
 
 NOT_TURNED = (0.0, 0.0, 0.0, 1.0)

@@ -29,9 +29,9 @@ from oimppi_warp.authoring.prims import (
     vec3,
 )
 from oimppi_warp.authoring.robots.arm import NOT_TURNED, Arm, ArmJoint
-from oimppi_warp.footprint import rotation_matrix, transform_points
-from oimppi_warp.kinematics import link_frames
-from oimppi_warp.newton_model import DRIVE_GAIN, SLIDE_GAIN
+from oimppi_warp.geometry.footprint import rotation_matrix, transform_points
+from oimppi_warp.geometry.kinematics import link_frames
+from oimppi_warp.physics.newton_model import DRIVE_GAIN, SLIDE_GAIN
 from oimppi_warp.scene import Collider
 
 FRICTION = 0.3

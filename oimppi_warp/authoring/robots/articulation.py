@@ -14,7 +14,7 @@ from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, Visu
 from oimppi_warp.authoring.robots.chain import Chain
 from oimppi_warp.authoring.robots.fitting import fitted
 from oimppi_warp.errors import SceneError
-from oimppi_warp.footprint import rotation_matrix, transform_points
+from oimppi_warp.geometry.footprint import rotation_matrix, transform_points
 from oimppi_warp.scene import Collider
 
 if TYPE_CHECKING:

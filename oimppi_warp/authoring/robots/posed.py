@@ -9,7 +9,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.authoring.prims import attribute, matrix_quat, place
-from oimppi_warp.kinematics import link_frames
+from oimppi_warp.geometry.kinematics import link_frames
 from oimppi_warp.usd.robot import read_robot
 from oimppi_warp.usd.stage import SceneStage
 

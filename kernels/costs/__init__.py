@@ -1,0 +1,1 @@
+"""Stage costs: the terms and how they add up."""

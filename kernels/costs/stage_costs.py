@@ -1,0 +1,235 @@
+"""The stage costs of both levels (equations 15 to 19 of the paper), the single source for every engine.
+
+A term of the robot level is one function of the weights and the stage, added by :func:`term` under its name. Its
+weights are fields of ``RobotCost`` (``config/settings.py``). Poses are planar (x, y, yaw) of the object's friction
+centre.
+"""
+
+from functools import lru_cache
+
+import warp as wp
+
+from oimppi_warp.config.settings import ObjectCost
+from oimppi_warp.kernels.costs.terms import ExtraTerms, RobotWeights, Stage, compose, weights_struct
+from oimppi_warp.kernels.geometry import wrap_angle
+
+wp.set_module_options({"enable_backward": False})
+
+ObjectWeights = weights_struct("ObjectWeights", ObjectCost)
+"""Weights of the object level; see ``oimppi_warp.config.settings.ObjectCost`` for each."""
+
+
+@wp.func
+def squared(x: float) -> float:
+    """``x`` times itself."""
+    return x * x
+
+
+@wp.func
+def pose_distance_squared(a: wp.vec3, b: wp.vec3, w_theta: float) -> float:
+    """Squared distance of two planar poses (equation 16) [m^2]; for planar poses its arc cosine is the yaw error."""
+    return squared(a[0] - b[0]) + squared(a[1] - b[1]) + w_theta * squared(wrap_angle(a[2] - b[2]))
+
+
+@wp.func
+def contact_cost(force: float, f_0: float) -> float:
+    """Hinge on the contact force of object and environment (second term of equation 15) [N^2]."""
+    return squared(wp.max(force - f_0, 0.0))
+
+
+@wp.func
+def shortfall(value: float, wanted: float) -> float:
+    """Square of what ``value`` lacks to ``wanted``."""
+    return squared(wp.max(wanted - value, 0.0))
+
+
+@wp.func
+def out_of_reach(pose: wp.vec3, reach: wp.vec2) -> float:
+    """Distance of the object's centre to the ring around the base in which the arm can push well [m]."""
+    distance = wp.sqrt(pose[0] * pose[0] + pose[1] * pose[1])
+    return wp.max(reach[0] - distance, 0.0) + wp.max(distance - reach[1], 0.0)
+
+
+@wp.func
+def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, clearance: float, to_go: float) -> float:
+    """Stage cost of the object level (equation 15 and our additions)."""
+    return (
+        w.w_d * pose_distance_squared(pose, goal, w.w_theta)
+        + w.w_f * contact_cost(force, w.f_0)
+        + w.w_margin * shortfall(clearance, w.margin)
+        + w.w_to_go * to_go
+        + w.w_reach * out_of_reach(pose, w.reach)
+    )
+
+
+_TERMS: dict[str, wp.Function] = {}
+
+
+def term(name: str):
+    """Makes a function ``(w: RobotWeights, s: Stage) -> float`` the robot level's cost term of that name."""
+
+    def add(function):
+        _TERMS[name] = wp.func(function)
+        return _TERMS[name]
+
+    return add
+
+
+# The paper's
+
+
+@term("goal")
+def goal_term(w: RobotWeights, s: Stage) -> float:
+    """Way to the goal: ``w_d d(x, x_goal)^2`` (first term of equation 15, d of equation 16) ``+ w_to_go V(x)``."""
+    return w.w_d * pose_distance_squared(s.pose, s.goal, w.w_theta) + w.w_to_go * s.to_go
+
+
+@term("contact")
+def contact_term(w: RobotWeights, s: Stage) -> float:
+    """Contact with obstacles: ``w_f max(lambda_2 - f_0, 0)^2`` (equation 15), ``w_margin max(margin - phi_2, 0)^2``."""
+    return w.w_f * contact_cost(s.force, w.f_0) + w.w_margin * shortfall(s.gap, w.margin)
+
+
+@term("reference")
+def reference_term(w: RobotWeights, s: Stage) -> float:
+    """The coupling cost l_c: ``w_reference d(x, x_ref)^2``, with d of equation 16."""
+    return w.w_reference * pose_distance_squared(s.pose, s.reference, w.w_theta)
+
+
+@term("approach")
+def approach_term(w: RobotWeights, s: Stage) -> float:
+    """Tool and object apart: ``w_ee max(|x_ee - x_o|^2 - r_0^2, 0)`` (equation 17); none where guided."""
+    cost = float(0.0)
+    if s.guide[3] <= 0.0:
+        center = wp.vec3(s.pose[0], s.pose[1], 0.5 * s.top)
+        cost = w.w_ee * wp.max(wp.length_sq(s.tip - center) - w.r_0 * w.r_0, 0.0)
+    return cost
+
+
+@term("align")
+def align_term(w: RobotWeights, s: Stage) -> float:
+    """Tool not behind the object: ``w_align max(gamma_0 - cos(x_o - x_ee, x_target - x_o), 0)`` (equations 17 and 18).
+
+    Closer than ``align_fade`` to the target the direction loses its meaning, and the cost its weight; 0 turns that off.
+    There is none where the tool is guided.
+    """
+    cost = float(0.0)
+    if s.guide[3] <= 0.0:
+        push = wp.vec2(s.pose[0], s.pose[1]) - wp.vec2(s.tip[0], s.tip[1])
+        way = wp.vec2(s.target[0], s.target[1]) - wp.vec2(s.pose[0], s.pose[1])
+        length = wp.length(way)
+        cosine = wp.dot(push, way) / wp.max(wp.length(push) * length, 1.0e-6)
+        share = float(1.0)
+        if w.align_fade > 0.0:
+            share = wp.min(length / w.align_fade, 1.0)
+        cost = w.w_align * (share * wp.max(w.gamma_0 - cosine, 0.0))
+    return cost
+
+
+@term("tilt")
+def tilt_term(w: RobotWeights, s: Stage) -> float:
+    """Tilt of the tool from vertical: ``w_tilt sqrt(roll^2 + pitch^2)`` (equations 17 and 19).
+
+    The third row of the tip's rotation is ``up``. The tip's z axis points out of the tool, so the paper's upright frame
+    is the tip's turned by pi about x, which changes the sign of R32 and R33.
+    """
+    roll = wp.atan2(-s.up[1], -s.up[2])
+    pitch = wp.atan2(-s.up[0], wp.sqrt(s.up[1] * s.up[1] + s.up[2] * s.up[2]))
+    return w.w_tilt * wp.sqrt(roll * roll + pitch * pitch)
+
+
+# Not in the paper
+
+
+@term("height")
+def height_term(w: RobotWeights, s: Stage) -> float:
+    """Tip off its height above the table: ``w_height (z_ee - height)^2``; none where the tool is guided."""
+    cost = float(0.0)
+    if s.guide[3] <= 0.0:
+        cost = w.w_height * squared(s.tip[2] - w.height)
+    return cost
+
+
+@term("clearance")
+def clearance_term(w: RobotWeights, s: Stage) -> float:
+    """Arm close to obstacles or table: ``w_clearance max(clearance - phi_3, 0)^2``."""
+    return w.w_clearance * shortfall(s.room, w.clearance)
+
+
+@term("above")
+def above_term(w: RobotWeights, s: Stage) -> float:
+    """Tip above the object: ``w_above`` a step."""
+    return w.w_above * s.above
+
+
+@term("reach")
+def reach_term(w: RobotWeights, s: Stage) -> float:
+    """Object where the arm pushes badly, or close to the table's edge: ``w_reach`` and ``w_edge`` times how far [m]."""
+    along = wp.max(w.edge_lower[0] - s.pose[0], 0.0) + wp.max(s.pose[0] - w.edge_upper[0], 0.0)
+    across = wp.max(w.edge_lower[1] - s.pose[1], 0.0) + wp.max(s.pose[1] - w.edge_upper[1], 0.0)
+    return w.w_reach * out_of_reach(s.pose, w.reach) + w.w_edge * (along + across)
+
+
+@term("press")
+def press_term(w: RobotWeights, s: Stage) -> float:
+    """Tool that presses into the object, or rises as it pushes: ``w_press depth^2 + w_lift rise^2``."""
+    return w.w_press * squared(s.pressed) + w.w_lift * squared(s.rise)
+
+
+@term("control")
+def control_term(w: RobotWeights, s: Stage) -> float:
+    """Control effort: ``w_control |u|^2``."""
+    return w.w_control * s.speed_squared
+
+
+@term("collision")
+def collision_term(w: RobotWeights, s: Stage) -> float:
+    """Contact force of arm and tool on obstacles and table: ``w_collision max(lambda_3 - f_0, 0)``."""
+    return w.w_collision * wp.max(s.collision - w.f_0, 0.0)
+
+
+@term("topple")
+def topple_term(w: RobotWeights, s: Stage) -> float:
+    """Tipping the object: ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``, close to it.
+
+    A stick that leans over the object touches it at its upper rim; ``lean . n`` times the height left to the rim is by
+    how much the rim is nearer to it than the tip is.
+    """
+    cost = float(0.0)
+    if w.w_overhang > 0.0 or w.w_rush > 0.0:
+        to = wp.vec2(s.pose[0], s.pose[1]) - wp.vec2(s.tip[0], s.tip[1])
+        distance = wp.max(wp.length(to), 1.0e-6)
+        share = 1.0 - (distance - w.size) / w.topple_near
+        if share > 0.0 and s.tip[2] < s.top:
+            overhang = wp.max(wp.dot(s.lean, to), 0.0) / distance * (s.top - s.tip[2])
+            rush = wp.max(wp.dot(s.velocity, to) / distance - w.topple_speed, 0.0)
+            cost = wp.min(share, 1.0) * (w.w_overhang * squared(overhang) + w.w_rush * squared(rush))
+    return cost
+
+
+@term("guide")
+def guide_term(w: RobotWeights, s: Stage) -> float:
+    """Tip away from where it is called to while the object is let go: the guide's weight times the distance squared."""
+    cost = float(0.0)
+    if s.guide[3] > 0.0:
+        cost = s.guide[3] * wp.length_sq(s.tip - wp.vec3(s.guide[0], s.guide[1], s.guide[2]))
+    return cost
+
+
+TERMS: tuple[str, ...] = tuple(_TERMS)
+"""Names of the built-in cost terms of the robot level, in the order in which they are added up."""
+
+
+def terms_vector(extra: int = 0) -> type:
+    """The vector type of the weighted cost terms: the built-in ones, then ``extra`` from outside the package."""
+    return wp.types.vector(length=len(TERMS) + extra, dtype=float)
+
+
+@lru_cache
+def make_robot_cost(extra: ExtraTerms) -> wp.Function:
+    """The stage cost ``(w: RobotWeights, s: Stage)`` of the robot level: a vector of all terms, weighted.
+
+    Args:
+        extra: Cost terms from outside the package, whose weights are ``w.extra``.
+    """
+    return compose(tuple(_TERMS.values()), extra)

@@ -1,0 +1,153 @@
+"""The stage that cost terms of the robot level read, and the stage cost that terms make up together.
+
+A term is a function of the weights and of the :class:`Stage`: what one control step of a rollout led to. The built-in
+ones are in ``kernels/costs/stage_costs.py``; those from outside the package are :class:`oimppi_warp.CostTerm`.
+"""
+
+from collections.abc import Sequence
+from typing import Any, get_type_hints
+
+import warp as wp
+
+from oimppi_warp.config.settings import RobotCost
+
+wp.set_module_options({"enable_backward": False})
+
+FREE = wp.constant(1.0)
+"""Clearance of an object that is not being pushed, for costs [m]."""
+
+OVER = wp.constant(0.01)
+"""Height above the object's top from which a tip that is guided over it costs nothing [m]."""
+
+ExtraTerms = tuple[tuple[str, wp.Function], ...]
+"""Cost terms from outside the package: names, and functions ``(s: Stage) -> float`` of the unweighted cost."""
+
+_PACKED = {float: float, int: int, tuple[float, float]: wp.vec2}
+"""Types of settings that kernels read, and what they are there."""
+
+
+def weights_struct(name: str, settings: type, **more: type) -> Any:
+    """A struct with the fields of a dataclass of settings that are numbers or pairs of numbers, and ``more`` fields."""
+    fields = {key: _PACKED[kind] for key, kind in get_type_hints(settings).items() if kind in _PACKED}
+    about = f"``oimppi_warp.config.settings.{settings.__name__}`` as the kernels read it."
+    return wp.struct(type(name, (), {"__module__": __name__, "__doc__": about, "__annotations__": fields | more}))
+
+
+RobotWeights = weights_struct(
+    "RobotWeights",
+    RobotCost,
+    edge_lower=wp.vec2,
+    edge_upper=wp.vec2,
+    topple_speed=float,
+    size=float,
+    extra=wp.array[float],
+)
+"""Weights of the robot level; see ``oimppi_warp.config.settings.RobotCost`` for each, and besides:
+
+Attributes:
+    edge_lower, edge_upper: Corners of the rectangle within which the object's centre keeps all of it on the table [m].
+    topple_speed: Speed from which coming close to an object that may tip costs [m/s].
+    size: Largest distance of the object's outline from its centre [m].
+    extra: Weights of the terms from outside the package, shape [extra term].
+"""
+
+
+@wp.struct
+class Stage:
+    """Result of one control step of a rollout, as the robot level's cost terms see it.
+
+    Attributes:
+        tip: Tool tip [m].
+        up: The world's z axis in the tip's frame.
+        lean: How far the stick leans, see ``Placed``.
+        velocity: Of the tip, in x and y [m/s].
+        pose: The object's pose.
+        top: Height of the object's top above the table [m].
+        goal: The object's goal.
+        reference: Where the object plan has the object at this step.
+        target: Where the object plan has it some steps ahead, for the alignment.
+        to_go: Cost-to-go of the pose [m]; 0 where no weight asks for it.
+        force: Contact force of object and environment, lambda_2 [N].
+        room: Clearance of arm and tool to obstacles and table, phi_3 [m].
+        above: 1 where the tip is above the object, else 0.
+        pressed: Depth by which the tool presses into an object that cannot yield [m].
+        gap: Clearance phi_2 of the pose that the tool pushes the object to; ``FREE`` while it does not [m].
+        rise: Speed at which the tip rises while it pushes [m/s].
+        speed_squared: Squared norm of the joint velocities [rad^2/s^2].
+        collision: Contact force of robot and environment, lambda_3 [N].
+        guide: Where the tip is called to while the object is let go (x, y, z [m]), and the weight of that [1/m^2]; a
+            weight of zero is none.
+    """
+
+    tip: wp.vec3
+    up: wp.vec3
+    lean: wp.vec2
+    velocity: wp.vec2
+    pose: wp.vec3
+    top: float
+    goal: wp.vec3
+    reference: wp.vec3
+    target: wp.vec3
+    to_go: float
+    force: float
+    room: float
+    above: float
+    pressed: float
+    gap: float
+    rise: float
+    speed_squared: float
+    collision: float
+    guide: wp.vec4
+
+
+def module_of(name: str, extra: ExtraTerms) -> dict[str, str]:
+    """Arguments of ``wp.kernel``: the kernel's name and module, of its own where terms from outside are compiled in.
+
+    That module's name has those of the terms in it and ends with a hash of all that is compiled.
+    """
+    if not extra:
+        return {"module": f"oimppi_warp.kernels.{name}"}
+    return {"name": "_".join((name, *(key for key, _ in extra))), "module": "unique"}
+
+
+def compose(terms: Sequence[wp.Function], extra: ExtraTerms) -> wp.Function:
+    """One function ``(w: RobotWeights, s: Stage)`` that returns a vector with the weighted cost of each term.
+
+    Args:
+        terms: Functions ``(w: RobotWeights, s: Stage) -> float``.
+        extra: Terms that follow, whose weights are ``w.extra``.
+    """
+    vector = wp.types.vector(length=len(terms) + len(extra), dtype=float)
+
+    @wp.func(name="cost_of_no_terms", module="oimppi_warp.kernels.robot_cost")
+    def no_terms(w: RobotWeights, s: Stage) -> vector:
+        return vector()
+
+    # One function is made of another: with wp.static in a loop over the terms, a module's hash would depend on what was
+    # compiled before it.
+    cost = no_terms
+    for index, weighted in enumerate((*terms, *(_weighted(function, i) for i, (_, function) in enumerate(extra)))):
+        cost = _with_term(cost, weighted, index, vector)
+    return cost
+
+
+def _weighted(function: wp.Function, index: int) -> wp.Function:
+    """A term from outside the package times its weight, which is the one at ``index`` in ``w.extra``."""
+
+    @wp.func(name=f"weighted_{index}", module="oimppi_warp.kernels.robot_cost")
+    def weighted(w: RobotWeights, s: Stage) -> float:
+        return w.extra[index] * function(s)
+
+    return weighted
+
+
+def _with_term(cost: wp.Function, added: wp.Function, index: int, vector: type) -> wp.Function:
+    """A stage cost with one term more, at ``index``."""
+
+    @wp.func(name=f"cost_of_{index + 1}_terms", module="oimppi_warp.kernels.robot_cost")
+    def with_term(w: RobotWeights, s: Stage) -> vector:
+        terms = cost(w, s)
+        terms[index] = added(w, s)
+        return terms
+
+    return with_term

@@ -1,0 +1,1 @@
+"""Kernels of the sampling-based optimizers: sampling and updates."""

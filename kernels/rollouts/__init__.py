@@ -1,0 +1,1 @@
+"""Rollouts: control sequences in, costs out."""

@@ -1,0 +1,56 @@
+"""Rollouts of the object level: the object moved by a virtual wrench (equations 5 and 6)."""
+
+import warp as wp
+
+from oimppi_warp.kernels.costs.stage_costs import ObjectWeights, object_cost
+from oimppi_warp.kernels.geometry import PoseField, pose_field
+from oimppi_warp.kernels.pushing import ObjectModel, settle
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def object_rollout(
+    # in:
+    first: int,
+    model: ObjectModel,
+    weights: ObjectWeights,
+    to_go: PoseField,
+    start: wp.array[wp.vec3],
+    goal: wp.array[wp.vec3],
+    wrenches: wp.array2d[wp.vec3],
+    dt: float,
+    # out:
+    costs: wp.array[float],
+    poses: wp.array2d[wp.vec3],
+):
+    """Cost of each wrench sequence, and its poses where ``poses`` has room for them.
+
+    Shapes: ``start`` [1], ``goal`` [1], ``wrenches`` [sample, horizon] (N, N, N m), ``costs`` [sample],
+    ``poses`` [sample, horizon + 1] or empty.
+    """
+    k = first + wp.tid()
+    ease = 1.0 / (model.radius * model.radius)
+    mobility = wp.vec3(1.0, 1.0, ease) * (dt / model.force)
+    pose = start[0]
+    keep = k < poses.shape[0]
+    if keep:
+        poses[k, 0] = pose
+    cost = float(0.0)
+    for h in range(wrenches.shape[1]):
+        settled = settle(model, pose + wp.cw_mul(mobility, wrenches[k, h]), dt)
+        pose = settled.pose
+        way = float(0.0)
+        if weights.w_to_go > 0.0:
+            way = pose_field(to_go, pose)[0]
+        cost += object_cost(weights, pose, goal[0], settled.force, settled.clearance, way)
+        if keep:
+            poses[k, h + 1] = pose
+    costs[k] = cost
+
+
+@wp.kernel
+def follow_path(path: wp.array2d[wp.vec3], reference: wp.array[wp.vec3]):
+    """Makes a path [1, horizon + 1] the reference [n]; its last pose is held."""
+    i = wp.tid()
+    reference[i] = path[0, wp.min(i, path.shape[1] - 1)]

@@ -1,0 +1,156 @@
+"""Rollouts of the robot level in one kernel: arm, contact, object, obstacles and costs, one thread a sample."""
+
+from functools import lru_cache
+
+import warp as wp
+
+from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
+from oimppi_warp.kernels.costs.terms import FREE, ExtraTerms, module_of
+from oimppi_warp.kernels.geometry import planar_field, rotate
+from oimppi_warp.kernels.kinematics import make_place_arm
+from oimppi_warp.kernels.pushing import ObjectModel, push, settle
+from oimppi_warp.kernels.rollouts.uncertainty import Draw
+from oimppi_warp.kernels.task import RobotTask, above_counts, known_stage, over_object
+
+wp.set_module_options({"enable_backward": False})
+
+GIVE = wp.constant(5.0e-4)
+"""Depth that a contact may grow by before the arm is held back [m]."""
+
+
+@lru_cache
+def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
+    """The rollout kernel.
+
+    Args:
+        chain: The chain of joints, like ``"RRRRRR"``.
+        extra: Cost terms from outside the package.
+    """
+    dof = len(chain)
+    vec = wp.types.vector(length=dof, dtype=float)
+    vector = terms_vector(len(extra))
+    place_arm = make_place_arm(chain)
+    robot_cost = make_robot_cost(extra)
+
+    @wp.kernel(**module_of(f"robot_rollout_{chain}", extra), enable_backward=False)
+    def robot_rollout(
+        # in:
+        first: int,
+        task: RobotTask,
+        draws: wp.array[Draw],
+        per_sample: int,
+        contact_steps: int,
+        start_joints: wp.array[vec],
+        start_object: wp.array[wp.vec3],
+        controls: wp.array2d[vec],
+        # out:
+        costs: wp.array[float],
+        terms: wp.array[vector],
+        tips: wp.array2d[wp.vec3],
+        poses: wp.array2d[wp.vec3],
+    ):
+        """Cost of each rollout of a joint velocity sequence; its terms, tips and poses where those have room for them.
+
+        Shapes: ``draws`` [draw] (rollout n is in draw n modulo their number), ``start_joints`` and ``start_object``
+        [1], ``controls`` [sample, horizon] [rad/s], ``costs`` [sample * per_sample], ``terms`` [rollout] or empty,
+        ``tips`` and ``poses`` [rollout, horizon + 1] or empty.
+        """
+        n = first + wp.tid()
+        k = n / per_sample
+        draw = draws[n % draws.shape[0]]
+        arm = task.arm
+        model = task.model
+        surroundings = task.surroundings
+        dt = task.dt
+        body = ObjectModel()
+        body.force = model.force * draw.force
+        body.radius = model.radius
+        body.tool_friction = model.tool_friction * draw.tool_friction
+        body.top = model.top
+        body.clearance = model.clearance
+        body.body = model.body
+        body.slack = model.slack
+        tool = arm.tip_position + arm.tip_rotation * wp.vec3(draw.tool[0], draw.tool[1], 0.0)
+        q = start_joints[0]
+        pose = start_object[0] + draw.pose
+        placed = place_arm(arm, surroundings, tool, q)
+        total = vector()
+        if n < tips.shape[0]:
+            tips[n, 0] = placed.tip
+            poses[n, 0] = pose
+
+        for h in range(controls.shape[1]):
+            old_q = q
+            old = placed
+            speed_squared = float(0.0)
+            u = controls[k, h]
+            for j in range(dof):
+                speed = wp.clamp(u[j], -arm.speed[j], arm.speed[j])
+                speed_squared += speed * speed
+                q[j] = wp.clamp(q[j] + dt * speed, wp.min(arm.lower[j], q[j]), wp.max(arm.upper[j], q[j]))
+            placed = place_arm(arm, surroundings, tool, q)
+            tip = placed.tip
+            room = placed.room
+
+            # A step that would carry the arm further into an obstacle or the table, or the tool down onto the object,
+            # is not taken: the arm stalls.
+            stalled = room < -GIVE and room < old.room
+            above = float(0.0)
+            if tip[2] >= body.top or old.tip[2] >= body.top:
+                if over_object(task, tip, pose):
+                    above = above_counts(task, tip)
+                    if tip[2] < body.top:
+                        stalled = True
+            pressed = float(0.0)
+            force = float(0.0)
+            gap = FREE
+            rise = float(0.0)
+            new_pose = pose
+            if not stalled:
+                if tip[2] < body.top and old.tip[2] < body.top:
+                    last = wp.vec2(old.tip[0], old.tip[1])
+                    move = (wp.vec2(tip[0], tip[1]) - last) / float(contact_steps)
+                    for _ in range(contact_steps):
+                        new_pose = push(body, new_pose, last, last + move, surroundings.tool_radius)
+                        last = last + move
+                if new_pose[0] != pose[0] or new_pose[1] != pose[1] or new_pose[2] != pose[2]:
+                    settled = settle(body, new_pose, dt)
+                    new_pose = settled.pose
+                    force = settled.force
+                    gap = settled.clearance
+                    rise = wp.max(tip[2] - old.tip[2], 0.0) / dt
+                    if force > 0.0:
+                        # The obstacle pushed back: what is left between tool and object is a jam.
+                        c = wp.cos(new_pose[2])
+                        s = wp.sin(new_pose[2])
+                        local = rotate(c, -s, wp.vec2(tip[0] - new_pose[0], tip[1] - new_pose[1]))
+                        pressed = wp.max(surroundings.tool_radius - planar_field(body.body, local)[0], 0.0)
+                        stalled = pressed > 2.0e-3
+            if stalled:
+                q = old_q
+                placed = old
+            else:
+                pose = new_pose
+
+            stage = known_stage(task, h, placed, pose)
+            stage.velocity = wp.vec2(tip[0] - old.tip[0], tip[1] - old.tip[1]) / dt
+            stage.force = force
+            stage.room = room
+            stage.above = above
+            stage.pressed = pressed
+            stage.gap = gap
+            stage.rise = rise
+            stage.speed_squared = speed_squared
+            total += robot_cost(task.weights, stage)
+            if n < tips.shape[0]:
+                tips[n, h + 1] = placed.tip
+                poses[n, h + 1] = pose
+
+        cost = float(0.0)
+        for i in range(wp.static(len(vector()))):
+            cost += total[i]
+        costs[n] = cost
+        if n < terms.shape[0]:
+            terms[n] = total
+
+    return robot_rollout

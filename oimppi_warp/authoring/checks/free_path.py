@@ -1,0 +1,164 @@
+"""Whether a free way leads from an object's start to its goal, and where the widest way is narrowest.
+
+A way is free where phi_2 is above zero and the arm reaches the object's centre. The widest way is the one whose least
+clearance is largest: that is the largest threshold of phi_2 at which start and goal are still in one connected part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from oimppi_warp.geometry.feasibility import object_outline, surroundings
+from oimppi_warp.geometry.fields import Geometry, from_center, to_center
+from oimppi_warp.geometry.reach import reach_of
+from oimppi_warp.scene import PlanarPose, Scene
+
+RESOLVED = 1e-4
+"""How exactly the least clearance of the widest way is found [m]."""
+
+BESIDE = 0.01
+"""What is this much further from the object than the nearest thing is not beside it [m]."""
+
+Node = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Neck:
+    """The narrowest place of the widest way to the goal.
+
+    Attributes:
+        clearance: What is left around the object there, below zero where it does not fit [m].
+        pose: Where the object is there.
+        beside: What it passes there, in words; at most two things.
+        gap: How far apart the two are [m]; ``None`` where there is only one.
+    """
+
+    clearance: float
+    pose: PlanarPose
+    beside: tuple[str, ...]
+    gap: float | None
+
+
+class Ways:
+    """The ways to a scene's goal over the grid of phi_2.
+
+    Args:
+        scene: The task; neither its start nor its goal overlaps anything.
+        geometry: Its distance fields.
+    """
+
+    def __init__(self, scene: Scene, geometry: Geometry) -> None:
+        self._scene, self._surface = scene, geometry.surface
+        field = geometry.clearance
+        values = np.asarray(field.values.numpy(), dtype=float)
+        self._origin = np.array([0.0, *field.origin])
+        self._step = 1.0 / np.array([field.inv_yaw_step, field.inv_step, field.inv_step])
+        x, y = (self._origin[i] + self._step[i] * np.arange(values.shape[i]) for i in (1, 2))
+        at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+        within = reach_of(scene.robot).room(at.reshape(-1, 2)).reshape(at.shape[:2]) >= 0.0
+        self._values = np.where(within, values, -np.inf)
+        self._free = _parts(self._values > 0.0)
+        self._goals = self._nodes(scene.goal)
+        if np.isinf(scene.tolerance.yaw):
+            self._goals = [(turn, i, j) for _, i, j in self._goals for turn in range(len(values))]
+
+    def room(self, pose: PlanarPose) -> float:
+        """The largest clearance on the grid right around a pose [m]."""
+        return max(float(self._values[node]) for node in self._nodes(pose))
+
+    def is_blocked(self, start: PlanarPose) -> bool:
+        """Whether no way from a start is free."""
+        return not self._joined(self._free, self._nodes(start))
+
+    def neck(self, start: PlanarPose) -> Neck | None:
+        """The narrowest place of the widest way from a start; ``None`` where that is at one of its ends."""
+        starts = self._nodes(start)
+        end = float(min(max(self._values[node] for node in nodes) for nodes in (starts, self._goals)))
+        if not self._joined(_parts(np.isfinite(self._values)), starts):
+            return None
+        if self._joined(_parts(self._values >= end), starts):
+            return None
+        lower, upper = float(self._values[np.isfinite(self._values)].min()), end
+        while upper - lower > RESOLVED:
+            middle = 0.5 * (lower + upper)
+            if self._joined(_parts(self._values >= middle), starts):
+                lower = middle
+            else:
+                upper = middle
+        way = self._way(lower, starts)
+        values = self._values[tuple(way.T)]
+        pose = self._origin + self._step * way[values.argmin()]
+        x, y, yaw = map(float, from_center(self._surface, pose[[1, 2, 0]]))
+        return Neck(float(values.min()), (x, y, yaw), *self.beside((x, y, yaw)))
+
+    def _nodes(self, pose: PlanarPose) -> list[Node]:
+        """The eight nodes around a pose of the object's frame."""
+        x, y, yaw = to_center(self._surface, np.array(pose))
+        turns, *size = self._values.shape
+        first = np.floor((np.array([yaw % (2.0 * np.pi), x, y]) - self._origin) / self._step).astype(int)
+        corners = first + np.array(list(np.ndindex(2, 2, 2)))
+        corners[:, 1:] = np.clip(corners[:, 1:], 0, np.array(size) - 1)
+        return [(int(k % turns), int(i), int(j)) for k, i, j in corners]
+
+    def _joined(self, parts: np.ndarray, starts: Sequence[Node]) -> bool:
+        return bool(({parts[node] for node in starts} & {parts[node] for node in self._goals}) - {0})
+
+    def _way(self, threshold: float, starts: Sequence[Node]) -> np.ndarray:
+        """Nodes of a way that keeps to a clearance at which there is one, shape [n, 3]."""
+        free = self._values >= threshold
+        parts = _parts(free)
+        shared = {parts[node] for node in starts} & {parts[node] for node in self._goals} - {0}
+        free = parts == min(shared)
+        nodes, number = np.argwhere(free), np.full(free.shape, -1)
+        number[free] = np.arange(len(nodes))
+        after = [np.roll(number, -1, axis=0), *(_next(number, axis) for axis in (1, 2))]
+        pairs = np.concatenate([np.stack([number[free], other[free]]) for other in after], axis=1)
+        pairs = pairs[:, pairs[1] >= 0]
+        graph = coo_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(len(nodes),) * 2).tocsr()
+        start, goal = (next(number[node] for node in ends if free[node]) for ends in (starts, self._goals))
+        _, before = breadth_first_order(graph, start, directed=False)
+        way = [int(goal)]
+        while before[way[-1]] >= 0:
+            way.append(int(before[way[-1]]))
+        return nodes[way]
+
+    def beside(self, pose: PlanarPose) -> tuple[tuple[str, ...], float | None]:
+        """The one or two things next to the object at a pose, and how far they are apart."""
+        shape = object_outline(self._scene, pose)
+        table = shapely.box(*self._scene.table.lower, *self._scene.table.upper)
+        things = [(f"{noun} <{path}>", outline) for noun, path, outline in surroundings(self._scene)]
+        things.append(("the table's edge", table.exterior))
+
+        def distance(thing: tuple[str, shapely.Geometry]) -> tuple[float, float]:
+            return shapely.distance(shape, thing[1]), -shapely.area(shapely.intersection(shape, thing[1]))
+
+        first, *others = sorted(things, key=distance)
+        near = [thing for thing in others if distance(thing)[0] <= distance(first)[0] + BESIDE][:1]
+        gap = shapely.distance(first[1], near[0][1]) if near else None
+        return tuple(name for name, _ in (first, *near)), gap
+
+
+def _next(number: np.ndarray, axis: int) -> np.ndarray:
+    """The numbers of the next nodes along an axis that does not close; -1 where there is none."""
+    shifted = np.roll(number, -1, axis=axis)
+    shifted[tuple(-1 if i == axis else slice(None) for i in range(number.ndim))] = -1
+    return shifted
+
+
+def _parts(free: np.ndarray) -> np.ndarray:
+    """The connected part that each node is in, from one; zero where it is not free. Yaw, the first axis, closes."""
+    parts, count = ndimage.label(free)
+    seam = (parts[0] > 0) & (parts[-1] > 0)
+    pairs = parts[0][seam], parts[-1][seam]
+    links = coo_array((np.ones(len(pairs[0]), dtype=np.int8), pairs), shape=(count + 1, count + 1))
+    _, joined = connected_components(links, directed=False)
+    joined = joined + 1
+    joined[0] = 0
+    return joined[parts]

@@ -1,0 +1,161 @@
+"""Letters and words as objects: hollow, forked or crooked shapes that are made on the spot."""
+
+from __future__ import annotations
+
+import re
+import string
+
+import shapely
+from shapely import affinity
+from shapely.geometry.base import BaseGeometry
+
+from oimppi_warp.authoring.letters.alphabet import CAP, SIMPLE, outline_of
+from oimppi_warp.authoring.objects.flat_object import Thing
+from oimppi_warp.authoring.objects.outlines import FRICTION, checked_friction, checked_mass, checked_sides, flat
+from oimppi_warp.authoring.prims import Color
+from oimppi_warp.errors import ConfigError
+
+BLUE: Color = (0.1, 0.22, 0.55)
+GREEN: Color = (0.12, 0.42, 0.2)
+
+HEIGHT = 0.05
+"""Thickness of letters and words [m]."""
+
+LONGEST = 0.30
+"""A word whose size is not given is made so small that it is no longer than this [m]."""
+
+SMALLEST = 0.03
+"""Letters lower than this are refused [m]: the stick is 0.016 m wide."""
+
+_GAP, _SPACE = 0.12, 0.45  # between letters and between words, in heights of a letter
+_BAR = 0.18  # thickness of the bar that carries a word, in heights of a letter
+
+
+def letter(
+    letter: str,
+    *,
+    size: float = CAP,
+    height: float = HEIGHT,
+    mass: float | None = None,
+    friction: float = FRICTION,
+    font: str | None = None,
+    color: Color = BLUE,
+) -> Thing:
+    """A letter that lies on the table.
+
+    Args:
+        letter: One of A to Z; with a font, any character that it has.
+        size: Height of a capital letter as it lies [m].
+        height: Thickness [m].
+        mass: [kg]; ``None``: what wood weighs.
+        friction: Coulomb coefficient with the table.
+        font: An installed font's name, or the file of one; without it, our own alphabet.
+        color: Red, green and blue.
+
+    Raises:
+        ConfigError: There is no such letter or font, or a number cannot be used.
+    """
+    if len(letter) != 1:
+        raise ConfigError(f"letter:{letter}: that is not one letter\n  allowed: letter:S, or a word as text:{letter}")
+    outline = _letter_outline(letter, size, font)
+    shown = letter if font else letter.upper()
+    name, doc = f"letter_{_plain(shown)}", f"The letter {shown}" + (f" of the font {font}" if font else "")
+    if shown in SIMPLE and font is None and size == CAP:  # cut by hand, as the shipped scenes have them
+        x0, y0, x1, y1 = outline.bounds
+        checked_sides(doc, x1 - x0, y1 - y0, height)
+        weight = checked_mass(mass, shapely.area(outline) * height)
+        return Thing(name, f"Letter{shown}", doc, SIMPLE[shown], height, weight, checked_friction(friction), color)
+    prim = f"Letter{_plain(shown).title()}"
+    return flat(name, prim, doc, outline, height, mass=mass, friction=friction, color=color)
+
+
+def word(
+    text: str,
+    *,
+    size: float | None = None,
+    height: float = HEIGHT,
+    mass: float | None = None,
+    friction: float = FRICTION,
+    font: str | None = None,
+    color: Color = BLUE,
+) -> Thing:
+    """A word as one rigid object: letters that stand on a bar, which joins them.
+
+    Args:
+        text: Letters and spaces; with a font, any characters that it has.
+        size: Height of a capital letter [m]; ``None``: as large as shipped letters are, but no longer than
+            :data:`LONGEST` altogether.
+        height: Thickness [m].
+        mass: [kg]; ``None``: what wood weighs.
+        friction: Coulomb coefficient with the table.
+        font: An installed font's name, or the file of one; without it, our own alphabet.
+        color: Red, green and blue.
+
+    Raises:
+        ConfigError: There is no such letter or font, or a number cannot be used.
+    """
+    text = " ".join(text.split())
+    if not text:
+        raise ConfigError("text: there is no word\n  allowed: letters and spaces, as in text:WARP")
+    outline = _line_of(text, font)
+    x0, _, x1, _ = outline.bounds
+    if size is None:
+        size = min(CAP, CAP * LONGEST / (x1 - x0))
+        if size < SMALLEST:
+            raise ConfigError(
+                f"text:{text}: too long, its letters would be {1000 * size:.0f} mm high\n"
+                f"  allowed: words whose letters are {1000 * SMALLEST:.0f} mm high or more when the word is "
+                f"{LONGEST:g} m long"
+            )
+    outline = affinity.scale(outline, size / CAP, size / CAP, origin=(0.0, 0.0))
+    name, doc = f"text_{_plain(text)}", f"The word {text if font else text.upper()}, on a bar"
+    prim = "Text" + "".join(part.title() for part in _plain(text).split("_"))
+    return flat(name, prim, doc, outline, height, mass=mass, friction=friction, color=color)
+
+
+def _letter_outline(letter: str, size: float, font: str | None) -> BaseGeometry:
+    """A letter's outline about the middle of its box [m]."""
+    if size < SMALLEST:
+        raise ConfigError(f"--size {size:g}: too small for the stick\n  allowed: {SMALLEST:g} m or more")
+    outline = _glyph(letter, font)
+    x0, y0, x1, y1 = outline.bounds
+    outline = affinity.translate(outline, -(x0 + x1) / 2, -(y0 + y1) / 2) if font else outline
+    return outline if size == CAP else affinity.scale(outline, size / CAP, size / CAP, origin=(0.0, 0.0))
+
+
+def _glyph(letter: str, font: str | None) -> BaseGeometry:
+    """What a letter of height :data:`CAP` covers, its foot at ``-CAP / 2``."""
+    if font is not None:
+        from oimppi_warp.authoring.letters.fonts import glyph_outline
+
+        return affinity.translate(glyph_outline(letter, font, CAP), 0.0, -CAP / 2)
+    capital = letter.upper()
+    if capital not in string.ascii_uppercase:
+        raise ConfigError(
+            f"{letter!r}: our alphabet has no such letter\n  allowed: A to Z, or --font and any character that it has"
+        )
+    return outline_of(capital)
+
+
+def _line_of(text: str, font: str | None) -> BaseGeometry:
+    """Letters of height :data:`CAP` in a row on a bar, about the middle of their box [m]."""
+    parts, pen = [], 0.0
+    for character in text:
+        if character == " ":
+            pen += _SPACE * CAP
+            continue
+        glyph = _glyph(character, font)
+        parts.append(affinity.translate(glyph, pen - glyph.bounds[0], 0.0))
+        pen = parts[-1].bounds[2] + _GAP * CAP
+    letters = shapely.union_all(parts)
+    x0, _, x1, _ = letters.bounds
+    bar = shapely.box(x0, -CAP / 2 - _BAR * CAP, x1, -CAP / 2)
+    whole = shapely.union(letters, bar, grid_size=1e-5)
+    x0, y0, x1, y1 = whole.bounds
+    return affinity.translate(whole, -(x0 + x1) / 2, -(y0 + y1) / 2)
+
+
+def _plain(text: str) -> str:
+    """Text as part of a file's name: small letters, digits and underscores; others by their number."""
+    found = (c if re.fullmatch(r"[a-z0-9]", c) else "_" if c == " " else f"u{ord(c):x}" for c in text.lower())
+    return "".join(found)

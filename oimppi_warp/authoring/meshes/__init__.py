@@ -1,0 +1,1 @@
+"""Meshes as objects: read, repaired, weighed and cut into convex pieces."""

@@ -1,0 +1,200 @@
+"""A closed surface as convex pieces, and how far they are from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import coacd
+import numpy as np
+import shapely
+import trimesh
+from scipy.spatial import KDTree
+from shapely.geometry.base import BaseGeometry
+
+from oimppi_warp.authoring.meshes.moments import moments, points_in_box
+
+Hull = tuple[np.ndarray, np.ndarray]
+"""Corners [n, 3] [m] and triangles [m, 3] of a convex piece."""
+
+THRESHOLDS = (0.05, 0.02)
+"""CoACD's concavity, coarse to fine: the first that is close enough is taken."""
+
+CLOSE = (0.04, 0.04, 0.004)
+"""Close enough: errors of the volume and of the footprint, and distance of the surfaces [m]."""
+
+PIECES, CORNERS = 32, 200
+"""Most pieces of an object, and most corners of a piece."""
+
+FINE, COARSER = 10_000, 40
+"""A part of more triangles is made anew by CoACD, with so many cells along its longest side, before it is cut: it would
+take minutes otherwise."""
+
+_POINTS = 60_000  # that a volume is sampled with
+_ON_SURFACE = 8000  # that a distance is sampled with
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How far convex pieces are from the mesh that they stand for.
+
+    Attributes:
+        volume: Volume of their union over the mesh's, less one.
+        footprint: What only one of them covers of the table, over what the mesh covers.
+        distance: Hausdorff distance, sampled [m]: how far the mesh's surface is from the pieces, or what sticks out of
+            it from the mesh. Slits between pieces, within the mesh, do not count: nothing gets there.
+    """
+
+    volume: float
+    footprint: float
+    distance: float
+
+    @property
+    def close(self) -> bool:
+        """Whether it is good enough to stop."""
+        return abs(self.volume) < CLOSE[0] and self.footprint < CLOSE[1] and self.distance < CLOSE[2]
+
+    def __str__(self) -> str:
+        """The three errors in words."""
+        return (
+            f"volume {100 * self.volume:+.1f} %, footprint {100 * self.footprint:.1f} %, "
+            f"at most {1000 * self.distance:.1f} mm off"
+        )
+
+
+def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
+    """Cut a closed surface into convex pieces with CoACD (Wei et al., 2022).
+
+    It is cut finer until the pieces are :data:`CLOSE` to the mesh or as many as :data:`PIECES`.
+
+    Args:
+        mesh: A closed surface [m].
+
+    Returns:
+        The pieces, and how far they are from the mesh.
+    """
+    solids = mesh.split(only_watertight=False)
+    shares = _shares(solids)
+    coacd.set_log_level("error")
+    best: tuple[tuple[Hull, ...], Fit] | None = None
+    for threshold in THRESHOLDS:
+        hulls = tuple(h for solid, most in zip(solids, shares, strict=True) for h in _cut(solid, threshold, most))
+        fit = compare(mesh, hulls)
+        if best is None or fit.footprint + fit.distance < best[1].footprint + best[1].distance:
+            best = hulls, fit
+        if fit.close or len(hulls) >= PIECES:
+            break
+    assert best is not None
+    return best
+
+
+def _shares(solids: Sequence[trimesh.Trimesh]) -> list[int]:
+    """How many pieces each part may be cut into, :data:`PIECES` in all; what is left over goes to the hollowest."""
+    lacking = np.array([0.0 if each.is_convex else each.convex_hull.volume - each.volume for each in solids])
+    shares, hollow = np.ones(len(solids), dtype=int), np.argsort(-lacking, kind="stable")[: (lacking > 0.0).sum()]
+    for number in range(PIECES - len(solids) if len(hollow) else 0):
+        shares[hollow[number % len(hollow)]] += 1
+    return shares.tolist()
+
+
+def _cut(solid: trimesh.Trimesh, threshold: float, most: int) -> list[Hull]:
+    """Convex pieces of one solid part."""
+    if solid.is_convex or most == 1:
+        return [_hull(solid.vertices)]
+    parts = coacd.run_coacd(
+        coacd.Mesh(solid.vertices, solid.faces),
+        threshold=threshold,
+        max_convex_hull=most,
+        preprocess_mode="on" if len(solid.faces) > FINE else "auto",
+        preprocess_resolution=COARSER,
+        seed=0,
+    )
+    return [_hull(np.asarray(corners)) for corners, _ in parts]
+
+
+def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
+    """How far convex pieces are from the closed surface that they stand for."""
+    covered, shadow = shadow_of(mesh.vertices, mesh.faces), shapely.union_all([_shadow_of_hull(h) for h in hulls])
+    footprint = shapely.area(shapely.symmetric_difference(covered, shadow)) / shapely.area(covered)
+    volume = _volume_of_union(hulls) / moments(mesh).volume - 1.0
+    whole = cast(trimesh.Trimesh, trimesh.util.concatenate([trimesh.Trimesh(*hull) for hull in hulls]))
+    lost = distances(whole, np.vstack([_sampled(mesh, _ON_SURFACE, 0)[0], mesh.vertices]))
+    gained = -signed_depths(mesh, np.vstack([_sampled(whole, _ON_SURFACE, 0)[0], whole.vertices]))
+    return Fit(float(volume), float(footprint), float(max(lost.max(), gained.max(initial=0.0))))
+
+
+def shadow_of(vertices: np.ndarray, faces: np.ndarray) -> BaseGeometry:
+    """What triangles cover of the table, seen from above."""
+    triangles = vertices[faces][:, :, :2]
+    (ux, uy), (vx, vy) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
+    return shapely.union_all(shapely.polygons(triangles[np.abs(ux * vy - uy * vx) > 1e-12]), grid_size=1e-6)
+
+
+def _shadow_of_hull(hull: Hull) -> BaseGeometry:
+    return shapely.MultiPoint(hull[0][:, :2]).convex_hull
+
+
+def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """Distance of points [n, 3] to a surface, shape [n] [m]."""
+    return np.abs(signed_depths(mesh, points))
+
+
+def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """How deep points [n, 3] are below a surface, negative above it, shape [n] [m]: exact to the triangles near by.
+
+    Where an edge or a corner is nearest, its triangles are equally far, and the one that the point is farthest out of
+    the plane of tells the side.
+    """
+    samples, owner = _sampled(mesh, 4 * _ON_SURFACE, 1)
+    samples = np.vstack([samples, mesh.triangles_center])
+    owner = np.concatenate([owner, np.arange(len(mesh.faces))])
+    _, near = KDTree(samples).query(points, k=min(20, len(samples)))
+    candidates = owner[near]
+    repeated = np.repeat(points, candidates.shape[1], axis=0)
+    closest = trimesh.triangles.closest_point(mesh.triangles[candidates.ravel()], repeated)
+    away = (repeated - closest).reshape(*candidates.shape, 3)
+    far = np.linalg.norm(away, axis=-1)
+    nearest = far.min(axis=1)
+    lift = np.einsum("nki,nki->nk", away, mesh.face_normals[candidates])
+    decisive = np.where(far < nearest[:, None] + 1e-9, np.abs(lift), -1.0).argmax(axis=1)
+    above = lift[np.arange(len(points)), decisive] > 0.0
+    return np.where(above, -1.0, 1.0) * nearest
+
+
+def _sampled(mesh: trimesh.Trimesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points on a surface [n, 3] [m], and the triangles that they are on [n]."""
+    points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)[:2]
+    return np.asarray(points), np.asarray(faces)
+
+
+def _volume_of_union(hulls: tuple[Hull, ...]) -> float:
+    """Volume of the union of convex pieces [m^3]: their sum less what is covered more than once, which is sampled."""
+    total = sum(float(trimesh.Trimesh(*hull).volume) for hull in hulls)
+    if len(hulls) == 1:
+        return total
+    every = np.vstack([corners for corners, _ in hulls])
+    points, box = points_in_box(np.array([every.min(axis=0), every.max(axis=0)]), _POINTS)
+    times = sum((_depth(hull, points) > 0.0).astype(int) for hull in hulls)
+    return total - float(box * np.maximum(times - 1, 0).mean())
+
+
+def _depth(hull: Hull, points: np.ndarray) -> np.ndarray:
+    """How deep points are in a piece [m]; negative outside."""
+    shell = trimesh.Trimesh(*hull, process=False)
+    inward = np.einsum("fi,fi->f", shell.face_normals, shell.triangles[:, 0]) - points @ shell.face_normals.T
+    return inward.min(axis=1)
+
+
+def _hull(points: np.ndarray) -> Hull:
+    """The convex hull of points, its corners rounded as they are written.
+
+    One of more than :data:`CORNERS` corners is that of fewer of them, one for each cell of a grid: it shrinks by no
+    more than a cell.
+    """
+    hull = trimesh.convex.convex_hull(np.round(points, 5))
+    cell = 0.0005
+    while len(hull.vertices) > CORNERS:
+        _, kept = np.unique(np.round(hull.vertices / cell), axis=0, return_index=True)
+        hull, cell = trimesh.convex.convex_hull(hull.vertices[np.sort(kept)]), 1.5 * cell
+    return np.asarray(hull.vertices), np.asarray(hull.faces)

@@ -1,0 +1,83 @@
+"""How a mesh comes to lie on the table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import shapely
+import trimesh
+from shapely.geometry import MultiPoint
+from trimesh.poses import compute_stable_poses
+
+from oimppi_warp.authoring.meshes.moments import moments
+from oimppi_warp.authoring.prims import z_to
+from oimppi_warp.errors import SceneError
+from oimppi_warp.geometry.footprint import rotation_matrix
+
+Lay = Literal["stable", "as-is"]
+
+_ALIKE = 0.9  # of the best pose's probability: as good
+
+
+def lay(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
+    """Lay a mesh on the table: its centre of mass above the origin, z = 0 at half its height.
+
+    In its most stable pose it rests where it would come to rest most often if it were dropped (trimesh, after Goldberg
+    et al., 1999); of poses that are alike the one that turns it least is taken. Its long sides are laid along the axes.
+
+    Args:
+        mesh: A closed surface [m]; it is moved.
+        how: In its most stable pose, or with its z axis up as it is.
+        file: For errors.
+
+    Returns:
+        What was done, in words.
+
+    Raises:
+        SceneError: It cannot lie so.
+    """
+    done = "lies as it was modelled"
+    if how == "stable":
+        chance, turn = _most_stable(mesh)
+        mesh.apply_transform(turn)
+        mesh.apply_transform(_along_axes(mesh))
+        tilt = np.degrees(np.arccos(np.clip(turn[2, 2], -1.0, 1.0)))
+        done = f"lies in its most stable pose ({100 * chance:.0f} % of drops)"
+        done += f", turned over by {tilt:.0f} degrees" if tilt > 1.0 else ", as it was modelled"
+    elif not _stands(mesh):
+        raise SceneError(
+            "it would fall over as it is: its centre of mass is not above what it stands on",
+            file=file,
+            allowed="a pose in which it can stand",
+            fix="lay it in its most stable pose (--lay stable), or turn it in the program that it comes from",
+        )
+    (low, high), center = mesh.bounds, moments(mesh).center
+    mesh.apply_translation([-center[0], -center[1], -(low[2] + high[2]) / 2])
+    return done
+
+
+def _most_stable(mesh: trimesh.Trimesh) -> tuple[float, np.ndarray]:
+    """The likeliest resting pose: its probability, and the least rotation that brings it about [4, 4]."""
+    poses, chances = compute_stable_poses(mesh, center_mass=moments(mesh).center, threshold=0.01)
+    alike = [(pose[2, :3], chance) for pose, chance in zip(poses, chances, strict=True) if chance > _ALIKE * chances[0]]
+    up, chance = max(alike, key=lambda each: round(each[0][2], 3))
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_matrix(z_to(up)).T
+    return float(chance), turn
+
+
+def _along_axes(mesh: trimesh.Trimesh) -> np.ndarray:
+    """The least turn about z that lays the tightest rectangle around the mesh along the axes [4, 4]."""
+    rectangle = MultiPoint(mesh.vertices[:, :2]).minimum_rotated_rectangle
+    a, b = np.asarray(shapely.get_coordinates(rectangle))[:2]
+    angle = np.arctan2(b[1] - a[1], b[0] - a[0])
+    return trimesh.transformations.rotation_matrix(-(angle - np.pi / 2 * np.round(angle / (np.pi / 2))), [0, 0, 1])
+
+
+def _stands(mesh: trimesh.Trimesh) -> bool:
+    """Whether the centre of mass is above the hull of what touches the table."""
+    low = mesh.vertices[mesh.vertices[:, 2] < mesh.bounds[0, 2] + 1e-4]
+    hull = MultiPoint(low[:, :2]).convex_hull
+    return hull.geom_type == "Polygon" and bool(shapely.contains_xy(hull, *moments(mesh).center[:2]))

@@ -1,0 +1,190 @@
+"""A mesh file as one closed surface in metres: read, repaired, or refused with the reason."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from oimppi_warp.authoring.meshes.formats import MESHES
+from oimppi_warp.authoring.meshes.parts import tidied
+from oimppi_warp.errors import ConfigError, SceneError
+
+UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
+"""Units that a mesh may be in [m]."""
+
+SIZES = (0.03, 0.5)
+"""Least and greatest length of an object's longest side [m]: the stick is 0.016 m wide, the arm reaches 0.7 m."""
+
+PARTS = 20
+"""Separate parts that one object may have."""
+
+FILLED = 0.15
+"""Largest share of its surface that may be missing from a mesh."""
+
+FACES = 200_000
+"""Most triangles that a mesh may have."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A closed surface.
+
+    Attributes:
+        mesh: It [m].
+        parts: Number of separate parts.
+        notes: What was done to the mesh, one line each.
+    """
+
+    mesh: trimesh.Trimesh
+    parts: int
+    notes: tuple[str, ...]
+
+
+def read_surface(file: str | Path, scale: str | None = None) -> Surface:
+    """Read a mesh, scale it to metres, and close it.
+
+    Args:
+        file: The mesh; those of several parts are taken as one.
+        scale: The unit it is in, one of :data:`UNITS`; ``None``: metres.
+
+    Raises:
+        ConfigError: There is no such unit.
+        SceneError: It is no mesh, has no volume, is not of a size that the arm can push, falls into too many parts, or
+            is open and cannot be closed.
+    """
+    file = Path(file).expanduser()
+    if scale is not None and scale not in UNITS:
+        raise ConfigError(f"--scale {scale}: there is no such unit\n  allowed: {', '.join(UNITS)}")
+    mesh = _read(file)
+    _check_size(file, mesh, scale)
+    mesh.apply_scale(UNITS[scale or "m"])
+    mesh = tidied(mesh)
+    _check_volume(file, mesh)
+    parts = mesh.body_count
+    if parts > PARTS:
+        raise SceneError(
+            f"the mesh falls into {parts} separate parts",
+            file=file,
+            allowed=f"one solid, or up to {PARTS} that move as one",
+            fix="join them, and leave out screws, text and other small things, in the program that the mesh comes from",
+        )
+    notes = _close(file, mesh)
+    if mesh.volume < 0.0:
+        mesh.invert()
+        notes.append("turned inside out")
+    if mesh.volume < 1e-3 * mesh.convex_hull.volume:
+        raise _flat(file, f"the mesh encloses {1e6 * mesh.volume:.3g} cm3")
+    return Surface(mesh, parts, tuple(notes))
+
+
+def _read(file: Path) -> trimesh.Trimesh:
+    """The triangles of a file, whatever its units."""
+    formats = ", ".join(MESHES)
+    if not file.is_file():
+        raise SceneError("there is no such file", file=file, allowed=f"a mesh: {formats}")
+    if file.suffix.lower() not in MESHES:
+        fix = "export the part as STL from the program that it comes from"
+        raise SceneError(f"{file.suffix or 'no ending'}: not a mesh", file=file, allowed=formats, fix=fix)
+    try:
+        mesh = trimesh.load_scene(str(file)).to_mesh()
+    except Exception as error:  # readers of a dozen formats raise what they like
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SceneError(f"not a mesh that can be read ({reason})", file=file, allowed=formats) from None
+    if file.suffix.lower() in (".glb", ".gltf"):  # y is up in glTF
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
+        what = "the mesh has no faces" if not len(mesh.faces) else "the mesh has corners that are not finite"
+        raise SceneError(what, file=file, allowed="triangles that enclose a volume")
+    if len(mesh.faces) > FACES:
+        raise SceneError(
+            f"the mesh has {len(mesh.faces)} triangles",
+            file=file,
+            allowed=f"up to {FACES}",
+            fix="export it coarser, or decimate it: half a millimetre is fine enough",
+        )
+    return mesh
+
+
+def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
+    """Refuse what the arm cannot push, and say which unit would fit."""
+    low, high = SIZES
+    longest = float(mesh.extents.max())
+    in_meters = longest * UNITS[scale or "m"]
+    if low <= in_meters <= high:
+        return
+    fitting = [unit for unit, meters in UNITS.items() if low <= longest * meters <= high]
+    size = " x ".join(f"{side * UNITS[scale or 'm']:.3g}" for side in mesh.extents)
+    taken = f"with --scale {scale}" if scale else "taken in metres"
+    would = ", ".join(f"--scale {unit} makes it {longest * UNITS[unit]:.3g} m long" for unit in fitting)
+    raise SceneError(
+        f"too {'large' if in_meters > high else 'small'} for the arm: {size} m, {taken}",
+        file=file,
+        allowed=f"{low:g} to {high:g} m for the longest side",
+        fix=f"probably the mesh is in another unit: {would}" if would else "scale the part; no unit makes it fit",
+    )
+
+
+def _check_volume(file: Path, mesh: trimesh.Trimesh) -> None:
+    """Refuse a sheet: whatever its rim is closed with, it stays flat."""
+    if len(mesh.faces) < 4 or mesh.bounding_box_oriented.primitive.extents.min() < 1e-4:
+        raise _flat(file, "the mesh is flat")
+
+
+def _flat(file: Path, what: str) -> SceneError:
+    fix = "give the part a thickness in the program that it comes from"
+    return SceneError(what, file=file, allowed="a solid: a surface that encloses a volume", fix=fix)
+
+
+def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
+    """Close the surface; says what was done."""
+    notes = []
+    if not mesh.is_winding_consistent:
+        trimesh.repair.fix_winding(mesh)
+        notes.append("faces that looked the wrong way were turned")
+    if not mesh.is_watertight:
+        area, holes = float(mesh.area), _rims(mesh)
+        if holes:
+            trimesh.repair.fill_holes(mesh)
+        if not mesh.is_watertight:
+            if not _rims(mesh):
+                raise _open(file, "the surface crosses itself: some of its edges have more than two faces")
+            _stitch(mesh)
+        share = 1.0 - area / float(mesh.area)
+        missing = f"{_counted(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of it"
+        if not mesh.is_watertight or not mesh.is_winding_consistent:
+            raise _open(file, f"the surface is open ({_counted(holes, 'hole')}) and could not be closed")
+        if share > FILLED:
+            raise _open(file, f"the surface is open: {missing}, would have to be made up")
+        notes.append(f"closed {missing}")
+    trimesh.repair.fix_inversion(mesh, multibody=mesh.body_count > 1)
+    return notes
+
+
+def _stitch(mesh: trimesh.Trimesh) -> None:
+    """Close the larger holes with fans of triangles."""
+    with suppress(ValueError):  # none of the rims goes all the way round: it stays open
+        mesh.faces = np.vstack([mesh.faces, trimesh.repair.stitch(mesh)])
+    trimesh.repair.fix_winding(mesh)
+
+
+def _open(file: Path, what: str) -> SceneError:
+    return SceneError(
+        what,
+        file=file,
+        allowed=f"a closed surface, or one with up to {100 * FILLED:.0f} % of it missing",
+        fix="close it in the program that it comes from, as a solid: in Blender `3D Print > Make Manifold`",
+    )
+
+
+def _rims(mesh: trimesh.Trimesh) -> int:
+    """Number of holes: connected rims of edges that belong to one face only."""
+    lone = mesh.edges_sorted[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]
+    return len(trimesh.graph.connected_components(lone, min_len=3))
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,0 +1,176 @@
+"""Objects made from meshes: convex pieces of any height, and the surface that is shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from oimppi_warp.authoring.meshes.convex import Fit, Hull, decompose
+from oimppi_warp.authoring.meshes.moments import moments
+from oimppi_warp.authoring.meshes.pose import Lay, lay
+from oimppi_warp.authoring.meshes.read import read_surface
+from oimppi_warp.authoring.objects.outlines import FRICTION, checked_friction, checked_mass
+from oimppi_warp.authoring.prims import (
+    COLLIDER,
+    Color,
+    Look,
+    bind_physics,
+    mass_properties,
+    mesh,
+    new_stage,
+    physics_material,
+)
+from oimppi_warp.errors import SceneError
+
+STEEL: Color = (0.45, 0.47, 0.5)
+
+LOWEST = 0.008
+"""Least height of an object [m]: the tip of the stick is round, and has to touch its side."""
+
+SHOWN_FACES = 20_000
+"""A surface of more triangles is not kept; its convex pieces are shown instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """An object from a mesh; its frame is above its centre of mass, seen from above, at half its height.
+
+    Attributes:
+        name: Its name, and that of its file.
+        about: Its size, and where it is from.
+        hulls: Its convex pieces in its frame: corners [n, 3] [m] and triangles [m, 3] each.
+        surface: What is shown of it, as the pieces are given; empty: the pieces.
+        mass: [kg].
+        friction: Coulomb coefficient with the table.
+        center: Centre of mass, shape [3] [m].
+        inertia: About the centre of mass, shape [3, 3] [kg m^2].
+        fit: How far the pieces are from the mesh.
+        notes: What was done to the mesh, one line each.
+        color: Red, green and blue.
+    """
+
+    name: str
+    about: str
+    hulls: tuple[Hull, ...]
+    surface: tuple[Hull, ...]
+    mass: float
+    friction: float
+    center: np.ndarray
+    inertia: np.ndarray
+    fit: Fit
+    notes: tuple[str, ...] = field(default=())
+    color: Color = STEEL
+
+    @property
+    def doc(self) -> str:
+        """What it is."""
+        return f"{self.name}: {self.about}"
+
+    @property
+    def prim(self) -> str:
+        """Name of its prim."""
+        title = "".join(part.title() for part in self.name.split("_"))
+        return title if title[0].isalpha() else f"Object{title}"
+
+    @property
+    def rest_height(self) -> float:
+        """Height of its frame when it lies on the table [m]."""
+        return round(-min(float(corners[:, 2].min()) for corners, _ in self.hulls), 6)
+
+    @property
+    def turns(self) -> bool:
+        """Whether its yaw can be seen."""
+        return True
+
+    def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
+        """Write what is shown of it below ``root``."""
+        for number, (corners, triangles) in enumerate(self.surface or self.hulls):
+            mesh(stage, f"{root}/surface{number}", corners, triangles.tolist(), look)
+
+    def write(self, file: Path, *, note: str = "") -> None:
+        """Write the object's file; ``note`` is what its documentation says beyond what it is."""
+        stage = new_stage(file, self.prim, ". ".join(filter(None, (self.doc, *self.notes, note))))
+        root = stage.GetDefaultPrim()
+        material = physics_material(stage, f"/{self.prim}/Material", self.friction)
+        UsdGeom.Scope.Define(stage, f"/{self.prim}/shape")
+        self.draw(stage, f"/{self.prim}/shape", Look(self.color))
+        UsdGeom.Scope.Define(stage, f"/{self.prim}/colliders")
+        for number, (corners, triangles) in enumerate(self.hulls):
+            mesh(stage, f"/{self.prim}/colliders/piece{number}", corners, triangles.tolist(), COLLIDER)
+        bind_physics(root, material)
+        mass_properties(root, self.mass, self.center, self.inertia)
+        stage.Save()
+
+
+def import_mesh(
+    file: str | Path,
+    *,
+    name: str | None = None,
+    mass: float | None = None,
+    friction: float = FRICTION,
+    scale: str | None = None,
+    lying: Lay = "stable",
+    color: Color = STEEL,
+) -> Solid:
+    """An object from a mesh: closed, laid on the table, cut into convex pieces.
+
+    Args:
+        file: STL, OBJ, GLB, PLY or OFF; all that is in it is one object.
+        name: Name of the object; ``None``: that of the file.
+        mass: [kg]; ``None``: what wood of its volume weighs.
+        friction: Coulomb coefficient with the table.
+        scale: Unit of the mesh: mm, cm, m or inch; ``None``: metres.
+        lying: In its most stable pose, or with its z axis up as it was modelled.
+        color: Red, green and blue.
+
+    Raises:
+        ConfigError: A number or unit cannot be used.
+        SceneError: The mesh cannot be an object; the message says why, and what to do.
+    """
+    file = Path(file).expanduser()
+    friction = checked_friction(friction)
+    found = read_surface(file, scale)
+    surface = found.mesh
+    done = lay(surface, lying, file)
+    height = float(surface.extents[2])
+    if height < LOWEST:
+        raise SceneError(
+            f"too flat for the stick: {1000 * height:.1f} mm high as it lies",
+            file=file,
+            allowed=f"{1000 * LOWEST:.0f} mm or more",
+            fix="make the part thicker, or stand it up in the program that it comes from and take --lay as-is",
+        )
+    solid = moments(surface)
+    weight = checked_mass(mass, solid.volume)
+    hulls, fit = decompose(surface)
+    size = " x ".join(f"{side:.3g}" for side in surface.extents)
+    pieces = f"{len(hulls)} convex piece{'' if len(hulls) == 1 else 's'}: {fit}"
+    shown = ((np.asarray(surface.vertices), np.asarray(surface.faces)),) if len(surface.faces) <= SHOWN_FACES else ()
+    return Solid(
+        name=plain_name(name or file.stem),
+        about=f"a mesh of {size} m, from {file.name}",
+        hulls=hulls,
+        surface=shown,
+        mass=weight,
+        friction=friction,
+        center=solid.center,
+        inertia=weight * solid.inertia,
+        fit=fit,
+        notes=(*found.notes, done, pieces),
+        color=color,
+    )
+
+
+def plain_name(text: str) -> str:
+    """Text as the name of a file and of a prim: letters, digits and underscores.
+
+    Raises:
+        SceneError: Nothing is left of it.
+    """
+    name = "_".join(part for part in "".join(c if c.isascii() and c.isalnum() else " " for c in text).split()).lower()
+    if not name:
+        raise SceneError(f"{text!r}: no name for an object", allowed="letters, digits and underscores", fix="--name")
+    return name

@@ -1,0 +1,153 @@
+"""Objects of plain shape: boxes, cylinders, and whatever a flat outline covers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from oimppi_warp.authoring.objects.flat_object import Box, Disc, Thing
+from oimppi_warp.authoring.objects.polygons import convex_pieces
+from oimppi_warp.authoring.prims import Color
+from oimppi_warp.errors import ConfigError
+
+DENSITY = 650.0
+"""Of an object whose mass is not given [kg/m^3]: that of the shipped ones, which are of wood."""
+
+FRICTION = 0.4
+"""Of an object with the table, if it is not given."""
+
+SIDES = (0.01, 0.6)
+"""Least and greatest side length of an object [m]."""
+
+SIDES_OF_PRISM = (3, 24)
+"""Least and greatest number of sides of a prism; a rounder one is a cylinder."""
+
+WOOD: Color = (0.72, 0.45, 0.2)
+
+
+def box(length: float, width: float, height: float, *, mass: float | None = None, friction: float = FRICTION) -> Thing:
+    """A box with its side lengths along x, y and z [m].
+
+    Raises:
+        ConfigError: A length, the mass or the friction cannot be used.
+    """
+    sides = checked_sides("box", length, width, height)
+    doc = f"A box of {length:g} x {width:g} x {height:g} m"
+    weight = checked_mass(mass, math.prod(sides))
+    pieces = (Box((0.0, 0.0), (length, width)),)
+    return Thing(_named("box", sides), "Box", doc, pieces, height, weight, checked_friction(friction), WOOD)
+
+
+def cylinder(radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION) -> Thing:
+    """An upright cylinder [m].
+
+    Raises:
+        ConfigError: A length, the mass or the friction cannot be used.
+    """
+    checked_sides("cylinder", 2.0 * radius, height)
+    doc = f"A cylinder of {radius:g} m radius, {height:g} m high"
+    weight = checked_mass(mass, math.pi * radius**2 * height)
+    name = _named("cylinder", (radius, height))
+    return Thing(name, "Cylinder", doc, (Disc(radius),), height, weight, checked_friction(friction), WOOD)
+
+
+def regular_prism(
+    sides: float, radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION
+) -> Thing:
+    """An upright prism over a regular polygon, one of its sides facing -y.
+
+    Args:
+        sides: Number of the polygon's sides.
+        radius: From its centre to its corners [m].
+        height: [m].
+        mass: [kg]; ``None``: what wood weighs.
+        friction: With the table.
+
+    Raises:
+        ConfigError: A number, the mass or the friction cannot be used.
+    """
+    if sides not in range(SIDES_OF_PRISM[0], SIDES_OF_PRISM[1] + 1):
+        few, many = SIDES_OF_PRISM
+        raise ConfigError(f"prism: {sides:g} sides are none for it\n  allowed: {few} to {many}, a whole number")
+    count = int(sides)
+    angles = math.tau * (np.arange(count) + 0.5) / count - math.pi / 2
+    outline = Polygon(radius * np.column_stack([np.cos(angles), np.sin(angles)]))
+    doc = f"A prism of {count} sides, {radius:g} m from centre to corner, {height:g} m high"
+    name = f"prism_{count}{_named('', (radius, height))}"
+    return flat(name, "Prism", doc, outline, height, mass=mass, friction=friction)
+
+
+def flat(
+    name: str,
+    prim: str,
+    doc: str,
+    outline: BaseGeometry,
+    height: float,
+    *,
+    mass: float | None = None,
+    friction: float = FRICTION,
+    color: Color = WOOD,
+) -> Thing:
+    """What an outline covers, hollow or not, with a thickness.
+
+    Args:
+        name, prim, doc: Name of its file, name of its prim, and what it is.
+        outline: Polygons, seen from above; their origin is the object's [m].
+        height: Thickness [m].
+        mass: [kg]; ``None``: what wood weighs.
+        friction: With the table.
+        color: Red, green and blue.
+
+    Raises:
+        ConfigError: A length, the mass or the friction cannot be used.
+    """
+    x0, y0, x1, y1 = outline.bounds
+    checked_sides(doc, x1 - x0, y1 - y0, height)
+    weight = checked_mass(mass, shapely.area(outline) * height)
+    return Thing(name, prim, doc, convex_pieces(outline), height, weight, checked_friction(friction), color)
+
+
+def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
+    """Lengths that are neither too small for the tool nor too large for the arm.
+
+    Raises:
+        ConfigError: One is.
+    """
+    low, high = SIDES
+    for length in lengths:
+        if not low <= length <= high:
+            raise ConfigError(f"{what}: {length:.4g} m is no size for it\n  allowed: {low:g} to {high:g} m a side")
+    return lengths
+
+
+def checked_mass(mass: float | None, volume: float) -> float:
+    """A mass [kg]; one that is not given is that of wood of this volume [m^3].
+
+    Raises:
+        ConfigError: It cannot be used.
+    """
+    if mass is None:
+        return max(round(DENSITY * volume, 2), 0.01)
+    if not (math.isfinite(mass) and 0.001 <= mass <= 20.0):
+        raise ConfigError(f"--mass {mass:g}: cannot be used\n  allowed: 0.001 to 20 kg")
+    return mass
+
+
+def checked_friction(friction: float) -> float:
+    """A Coulomb coefficient.
+
+    Raises:
+        ConfigError: It cannot be used.
+    """
+    if not (math.isfinite(friction) and 0.0 < friction <= 2.0):
+        raise ConfigError(f"--friction {friction:g}: cannot be used\n  allowed: more than 0, up to 2")
+    return friction
+
+
+def _named(word: str, lengths: tuple[float, ...]) -> str:
+    """A file's name that says the sizes in millimetres."""
+    return "_".join([word, *(f"{1000 * length:.4g}".replace(".", "p") for length in lengths)])

@@ -1,0 +1,42 @@
+"""What pictures from above need of a scene, as plain lists: outlines on the table, goal and starts.
+
+An outline is a list of rings, a ring a list of points (x, y) [m]; the object's are in its own frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import shapely
+
+from oimppi_warp.geometry.footprint import footprint, outline
+from oimppi_warp.geometry.reach import reach_of
+from oimppi_warp.scene import Collider, Scene
+
+
+def place_of(scene: Scene) -> dict[str, Any]:
+    """Everything about a scene that pictures show, for JSON."""
+    return {
+        "title": scene.title,
+        "table": [list(scene.table.lower), list(scene.table.upper)],
+        "base": _rings(scene.robot.base.colliders),
+        "obstacles": [_rings(obstacle.colliders) for obstacle in scene.obstacles],
+        "object": _rings(scene.object.colliders),
+        "goal": list(scene.goal),
+        "tolerance": scene.tolerance.position,
+        "reach": round(reach_of(scene.robot).radius, 3),
+    }
+
+
+def moved(rings: Iterable[Any], pose: Any) -> list[np.ndarray]:
+    """Rings in an object's frame, carried to its planar pose; each of shape [n, 2]."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[c, s], [-s, c]])
+    return [np.asarray(ring) @ turn + np.asarray(pose[:2]) for ring in rings]
+
+
+def _rings(colliders: Iterable[Collider]) -> list[list[list[float]]]:
+    parts = shapely.get_parts(outline(footprint(colliders)))
+    return [np.asarray(part.exterior.coords).round(4).tolist() for part in parts if part.geom_type == "Polygon"]

@@ -1,0 +1,102 @@
+"""The report as Markdown, with its pictures as files beside it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from oimppi_warp.bench.report.tables import Table, every_table, failures, rate
+from oimppi_warp.bench.results import ResultSet
+from oimppi_warp.bench.statistics import wilson
+
+
+def write_markdown(results: ResultSet, pictures: dict[str, tuple[str, str]]) -> str:
+    """The whole report.
+
+    Args:
+        results: What is reported.
+        pictures: Caption and file by name.
+    """
+    lines = [f"# {results.title}", "", *facts(results), ""]
+    for table in every_table(results):
+        lines += [f"## {table.title}", "", table.note, "", *markdown_table(table), ""]
+    lines += ["## Pictures", ""]
+    for caption, file in pictures.values():
+        lines += [f"![{caption}]({file})", "", f"*{caption}*", ""]
+    lines += ["## Failures", "", *_failures(results), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def write_comparison(table: Table, pairs: Table) -> str:
+    """Two result sets compared, and the pairs that differ."""
+    lines = [f"# {table.title}", "", table.note, "", *markdown_table(table), ""]
+    if pairs.rows:
+        lines += [f"## {pairs.title}", "", pairs.note, "", *markdown_table(pairs), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def markdown_table(table: Table) -> list[str]:
+    """A table's lines; numbers on the right."""
+    rule = "|---|---|" + "---:|" * (len(table.header) - 2)
+    lines = ["| " + " | ".join(table.header) + " |", rule]
+    return lines + ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in table.rows]
+
+
+def facts(results: ResultSet) -> list[str]:
+    """With what the results were made, in a few sentences."""
+    found = results.results
+    succeeded = wilson(sum(result.success for result in found), len(found))
+    count = f"{rate(succeeded)} trials succeeded" if found else "No trial is finished"
+    text = [f"Suite `{results.suite}`: {count}."]
+    if len(found) < results.planned:
+        text.append(
+            f"**Not complete:** {results.planned - len(found)} of {results.planned} trials are still to be run."
+        )
+    if raised := sum(bool(result.error) for result in found):
+        text.append(f"**{raised} trials raised an error** and count as failures.")
+    if len(results.codes) > 1:
+        text.append(
+            f"**Made by {len(results.codes)} versions of the code** ({', '.join(results.codes)}); run the suite into a "
+            "new folder to have them all by one."
+        )
+    if drawn := dict.fromkeys(filter(None, map(_numbers, results.entries))):
+        text.append(f"Trials {'; '.join(drawn)}.")
+    kinds = dict.fromkeys(f"{r.preset}, engine {r.run.engine}, {r.run.mode}, {r.run.plant} plant" for r in found)
+    changed = dict.fromkeys(filter(None, map(_changed, results.entries)))
+    if changed:
+        text.append(f"Changed settings: {'; '.join(changed)}.")
+    machines = dict.fromkeys(result.machine for result in found)
+    packages = ", ".join(f"{name} {version}" for name, version in results.versions.items())
+    text.append(f"Preset {'; '.join(kinds)}. On {'; '.join(machines)}. Code {', '.join(results.codes)}; {packages}.")
+    return text
+
+
+def _numbers(entry: dict[str, Any]) -> str:
+    """Which trials an entry has, where they are not the first ones with the seed 0."""
+    first, seed = entry.get("first", 0), entry.get("seed", 0)
+    return f"number {first} to {first + entry['trials'] - 1}, seed {seed}" if first or seed else ""
+
+
+def _changed(entry: dict[str, Any]) -> str:
+    """What an entry of the suite changes, in words."""
+    changes = [f"`{assignment}`" for assignment in entry.get("set", [])]
+    if (limit := entry.get("max_sim_seconds")) is not None:
+        changes.append(f"at most {limit:g} simulated seconds")
+    if not changes:
+        return ""
+    return ", ".join(changes) + (f" ({entry['label']})" if entry.get("label") else "")
+
+
+def _failures(results: ResultSet) -> list[str]:
+    found = failures(results)
+    if not found:
+        return ["None."]
+    lines = ["The cause is what the log suggests. Each command runs its trial again, with the same result.", ""]
+    for result in found:
+        name = f"{result.task}, {result.run.method.upper()}, start {result.number}"
+        lines += [
+            f"- **{name}**: {result.cause} ({result.evidence})",
+            "",
+            f"      {result.command}",
+            "",
+        ]
+    return lines

@@ -1,0 +1,26 @@
+"""Writes the report of a result set: one HTML page, and Markdown with its pictures beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from oimppi_warp.bench.report.figures import every_figure
+from oimppi_warp.bench.report.markdown import write_markdown
+from oimppi_warp.bench.report.page import write_page
+from oimppi_warp.bench.results import ResultSet
+from oimppi_warp.plots.style import rendered
+from oimppi_warp.record.log import write_whole
+
+PAGE, MARKDOWN, PICTURES = "report.html", "report.md", "pictures"
+
+
+def write_report(results: ResultSet, folder: Path) -> tuple[Path, Path]:
+    """Write the page and the Markdown into ``folder``, which is made if need be; returns the two files."""
+    (folder / PICTURES).mkdir(parents=True, exist_ok=True)
+    drawn = {name: (caption, rendered(figure, kind="svg")) for name, (caption, figure) in every_figure(results).items()}
+    files = {name: (caption, f"{PICTURES}/{name}.svg") for name, (caption, _) in drawn.items()}
+    for name, (_, picture) in drawn.items():
+        write_whole(folder / files[name][1], picture)
+    write_whole(folder / PAGE, write_page(results, drawn).encode())
+    write_whole(folder / MARKDOWN, write_markdown(results, files).encode())
+    return folder / PAGE, folder / MARKDOWN

@@ -1,0 +1,266 @@
+"""The commands ``oimppi bench``, ``oimppi report`` and ``oimppi compare``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
+
+from oimppi_warp.bench import Backend
+from oimppi_warp.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from oimppi_warp.bench.report.tables import Table
+    from oimppi_warp.bench.results import Result, ResultSet
+    from oimppi_warp.bench.runner import SuiteRun
+
+Assignments = Annotated[
+    UseAppendAction[tuple[tuple[str, ...], ...]],
+    arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)"),
+]
+AsInSuite = "(default: the suite's)"
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Run a suite of trials, and report what came out.
+
+    A suite that was stopped goes on where it was when it is run again. Exit status: 0 every trial was run, 1 some
+    raised an error, 2 bad input, 130 stopped by Ctrl-C.
+    """
+
+    suite: Annotated[Positional[str], arg(metavar="SUITE", help_behavior_hint="(default: list the shipped ones)")] = ""
+    """Name of a shipped suite, or a TOML file."""
+
+    out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/SUITE)")] = None
+    """Where records, results and report go."""
+
+    trials: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
+    """Number of trials of each task and method."""
+
+    first: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
+    """Number of the first trial. From 10 on, no start is one that a shipped scene lists: all are drawn by the seed."""
+
+    seed: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
+    """From which the seeds of all trials come, a 32-bit number."""
+
+    tasks: Annotated[tuple[str, ...], arg(metavar="TASK", help_behavior_hint="(default: all)")] = ()
+    """Run these tasks of the suite only."""
+
+    methods: Annotated[tuple[str, ...], arg(metavar="METHOD", help_behavior_hint="(default: all)")] = ()
+    """Run these methods of the suite only."""
+
+    assignments: Assignments = ()
+    """Change settings of all trials, after those of the suite."""
+
+    max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint=AsInSuite)] = None
+    """Time limit of an episode in simulated seconds."""
+
+    jobs: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: every core; 1 in real time)")] = None
+    """Trials at the same time, each in a process of its own; a single one runs in this process."""
+
+    backend: Backend = "loky"
+    """What runs them: processes here, or a cluster."""
+
+    cluster: Annotated[str, arg(metavar="ADDRESS", help_behavior_hint="(default: a local one)")] = ""
+    """Address of a running cluster, for dask."""
+
+    retry: FlagCreatePairsOff[bool] = False
+    """Run trials again that raised an error."""
+
+    no_report: FlagCreatePairsOff[bool] = False
+    """Write results only."""
+
+    def execute(self) -> int:
+        """Run the suite; returns the exit status."""
+        if not self.suite:
+            return _list_suites()
+        from oimppi_warp.bench.runner import SuiteRun, prepare
+        from oimppi_warp.bench.suite import check_value, load_suite
+
+        suite = load_suite(self.suite).only(tasks=self.tasks, methods=self.methods)
+        changes = {name: getattr(self, name) for name in ("trials", "first", "seed", "max_sim_seconds")}
+        for key, value in changes.items():
+            if value is not None:
+                check_value(key, value, "--")
+        if self.jobs is not None and self.jobs < 1:
+            raise ConfigError(f"--jobs {self.jobs}: cannot be used\n  allowed: 1 or more")
+        if self.cluster and self.backend == "loky":
+            raise ConfigError(f"--cluster {self.cluster}: loky has no cluster\n  to do:   --backend dask")
+        assignments = tuple(assignment for group in self.assignments for assignment in group)
+        suite = suite.changed(**changes).assigned(assignments)
+
+        from rich.console import Console
+
+        console = Console(stderr=True, highlight=False)
+        folder = self.out or Path("runs") / suite.name
+        with console.status("reading the scenes"):
+            run = SuiteRun(suite, folder, retry=self.retry)
+        kept, open_trials = len(run.finished), run.open
+        if kept:
+            console.print(f"{kept} of {len(run.trials)} trials are finished already", soft_wrap=True)
+        if open_trials:
+            with console.status("loading kernels; compiling them takes half a minute and is done once"):
+                prepare(open_trials)
+        stopped = False
+        with _progress(run, console) as on_result:
+            try:
+                run.execute(jobs=self.jobs, backend=self.backend, cluster=self.cluster, on_result=on_result)
+            except KeyboardInterrupt:
+                stopped = True
+        results = run.results()
+        if results.results and not self.no_report:
+            with console.status("drawing"):
+                from oimppi_warp.bench.report.write import write_report
+
+                write_report(results, folder)
+        _summary(results, folder)
+        if stopped:
+            console.print("stopped; the same command goes on from here", soft_wrap=True)
+            return 130
+        return 1 if any(result.error for result in results.results) else 0
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write the report of a suite's results: one HTML page, and Markdown."""
+
+    results: Annotated[Positional[Path], arg(metavar="RESULTS")]
+    """A folder that `oimppi bench` wrote, or its results.json."""
+
+    out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: beside the results)")] = None
+    """Where to."""
+
+    def execute(self) -> int:
+        """Write it; returns the exit status."""
+        from oimppi_warp.bench.results import load_results
+
+        results = load_results(self.results)
+        if not results.results:
+            raise ConfigError(f"{self.results}: no trial is finished\n  to do:   oimppi bench {results.suite}")
+        from oimppi_warp.bench.report.write import write_report
+
+        folder = self.out or (self.results if self.results.is_dir() else self.results.parent)
+        for file in write_report(results, folder):
+            print(file)
+        return 0
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Compare two results in pairs of trials with the same task, method and start."""
+
+    first: Annotated[Positional[Path], arg(metavar="A")]
+    """A folder that `oimppi bench` wrote, or its results.json."""
+
+    second: Annotated[Positional[Path], arg(metavar="B")]
+    """The other one."""
+
+    out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: only to the terminal)")] = None
+    """Write it as Markdown, too."""
+
+    def execute(self) -> int:
+        """Compare; returns the exit status."""
+        from oimppi_warp.bench.comparison import compare_sets
+        from oimppi_warp.bench.report.markdown import write_comparison
+        from oimppi_warp.bench.report.tables import comparison_table, differing
+        from oimppi_warp.bench.results import load_results
+        from oimppi_warp.record.log import write_whole
+
+        found = compare_sets(load_results(self.first), load_results(self.second))
+        table = comparison_table(found, title=f"A: {self.first}, B: {self.second}", sides=("A", "B"))
+        pairs = differing(found[0])
+        if self.out is not None:
+            self.out.absolute().parent.mkdir(parents=True, exist_ok=True)
+            write_whole(self.out, write_comparison(table, pairs).encode())
+        _print_table(table)
+        _print_table(pairs)
+        return 0
+
+
+def _list_suites() -> int:
+    """Print the shipped suites, one line each."""
+    from rich.console import Console
+    from rich.table import Table as Grid
+
+    from oimppi_warp.bench.suite import shipped_suites
+
+    grid = Grid.grid(padding=(0, 3))
+    for suite in shipped_suites():
+        trials = sum(len(entry.tasks) * len(entry.methods) * entry.trials for entry in suite.entries)
+        grid.add_row(f"[bold]{suite.name}", f"{trials} trials", suite.title)
+    Console(highlight=False).print(grid)
+    return 0
+
+
+@contextmanager
+def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], None]]:
+    """A bar over the trials with the success rate so far; yields what to call after each trial."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    began, here = time.monotonic(), 0
+
+    def state() -> str:
+        results = list(run.finished.values())
+        rates = []
+        for method in dict.fromkeys(trial.run.method for trial in run.trials):
+            found = [result.success for result in results if result.run.method == method]
+            if found:
+                rates.append(f"{method.upper()} {100 * sum(found) / len(found):.0f} %")
+        pace = f"{(time.monotonic() - began) / here:.1f} s a trial" if here else ""
+        return ", ".join([*rates, pace] if pace else rates)
+
+    columns = (BarColumn(), TextColumn("{task.completed:.0f} of {task.total:.0f}  {task.fields[state]}"))
+    with Progress(*columns, TimeRemainingColumn(), console=console, refresh_per_second=5, transient=True) as progress:
+        bar = progress.add_task("", total=len(run.trials), completed=len(run.finished), state=state())
+
+        def on_result(result: Result) -> None:
+            nonlocal here
+            here += 1
+            progress.update(bar, completed=len(run.finished), state=state())
+            if result.error:
+                progress.console.print(f"{result.command}\n  raised {result.evidence}", soft_wrap=True)
+
+        yield on_result
+
+
+def _summary(results: ResultSet, folder: Path) -> None:
+    """What came out, for a person."""
+    from rich.console import Console
+
+    from oimppi_warp.bench.report.tables import brief_table
+
+    _print_table(brief_table(results))
+    missing = results.planned - len(results.results)
+    failed = [result for result in results.results if not result.success]
+    console = Console(highlight=False)
+    left = f", {missing} still to be run" if missing else ""
+    console.print(f"{len(results.results)} trials, {len(failed)} of them failed{left}; all in {folder}", soft_wrap=True)
+    for name in sorted({result.cause for result in failed}):
+        console.print(f"  {sum(result.cause == name for result in failed):3d}  {name}")
+
+
+def _print_table(table: Table) -> None:
+    """A table to the terminal; as wide as it is where the output is no terminal."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table as Grid
+
+    if not table.rows:
+        return
+    grid = Grid(title=escape(table.title), title_justify="left", box=None, header_style="dim", padding=(0, 2, 0, 0))
+    for index, name in enumerate(table.header):
+        grid.add_column(escape(name), justify="left" if index < 2 else "right", overflow="fold")
+    for row in table.rows:
+        grid.add_row(*map(escape, row))
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=1000)
+    console.print(grid)

@@ -1,0 +1,89 @@
+"""The command ``oimppi scene check``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from oimppi_warp.errors import ConfigError, SceneError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from oimppi_warp.errors import Problem
+
+
+@dataclass(frozen=True)
+class Check:
+    """Say all that would stop or spoil a run of a scene, and how to mend it.
+
+    Exit status: 0 nothing or only warnings, 1 mistakes (with --strict warnings too), 2 bad input, as a file that is not
+    there.
+    """
+
+    files: Annotated[Positional[tuple[str, ...]], arg(metavar="FILE ...", help_behavior_hint="")]
+    """USD files, or names of shipped scenes."""
+
+    strict: FlagCreatePairsOff[bool] = False
+    """Take warnings for mistakes."""
+
+    json: FlagCreatePairsOff[bool] = False
+    """Print the problems as a list of objects with file, severity (error, warning), prim, what, allowed and fix."""
+
+    def execute(self) -> int:
+        """Print what was found; returns the exit status."""
+        if not self.files:
+            raise ConfigError("no file to check\n  allowed: one or more USD files, or names of shipped scenes")
+        from rich.console import Console
+
+        from oimppi_warp.authoring.checks.check import check_scene
+        from oimppi_warp.compute.device import tell_compilation
+
+        tell_compilation(lambda line: print(line, file=sys.stderr))
+        console = Console(highlight=False, emoji=False, markup=False)
+        problems: list[Problem] = []
+        missing = False
+        for file in self.files:
+            try:
+                found = check_scene(file)
+            except SceneError as error:
+                print(f"oimppi: {error}", file=sys.stderr)
+                missing = True
+                continue
+            problems += found
+            if not self.json:
+                _show(console, file, found)
+        if self.json:
+            print(json.dumps([asdict(problem) for problem in problems], indent=2))
+        counted = [problem for problem in problems if self.strict or problem.severity == "error"]
+        return 2 if missing else int(bool(counted))
+
+
+def _show(console: Console, file: str, problems: Sequence[Problem]) -> None:
+    """One scene's problems for a person."""
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
+    errors = sum(problem.severity == "error" for problem in problems)
+    counts = [_count(errors, "error"), _count(len(problems) - errors, "warning")]
+    verdict = ", ".join(count for count in counts if count) or "nothing wrong"
+    color = "red" if errors else "yellow" if problems else "green"
+    console.print(Text.assemble((file, "bold"), ": ", (verdict, color)), soft_wrap=True)
+    for problem in problems:
+        mark = Text(problem.severity, style="bold red" if problem.severity == "error" else "bold yellow")
+        console.print(Text.assemble("  ", mark, f"  <{problem.prim}>" if problem.prim else ""), soft_wrap=True)
+        table = Table.grid(padding=(0, 2))
+        for name, text in (("found", problem.what), ("allowed", problem.allowed), ("to do", problem.fix)):
+            if text:
+                table.add_row(Text(name, style="dim"), Text(text, overflow="fold"))
+        console.print(Padding(table, (0, 0, 0, 4), expand=False))
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}" if number else ""

@@ -1,0 +1,119 @@
+"""Options that every command has which plans: which task, who plans, with what settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
+
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.config.settings import Config
+from oimppi_warp.runtime.request import SettingsRequest, make_task, parse_pose, parse_start
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from oimppi_warp.runtime.episode import Setup
+
+
+Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
+
+
+@dataclass(frozen=True)
+class TaskOptions:
+    """A task and who plans it."""
+
+    scene: Annotated[Positional[str], arg(metavar="SCENE")]
+    """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
+
+    run: Annotated[RunSpec, arg(name="")] = field(default_factory=RunSpec)
+    """Who plans, and where."""
+
+    start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="")] = None
+    """Which of the scene's starts (from 0), or a pose: metres and radians (half a turn is 3.1416)."""
+
+    goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="")] = None
+    """Another goal than the scene's: metres and radians."""
+
+    preset: Literal["auto", "best", "paper", "lab"] = "auto"
+    """Settings to begin with; auto takes lab with --plant lab, else best."""
+
+    assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
+    """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512."""
+
+    randomize: FlagCreatePairsOff[bool] = False
+    """Try every sample in four draws of friction, mass, perceived pose and tool; a plan takes four times as long
+    (`robot.uncertainty` has the settings)."""
+
+    max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="")] = None
+    """Time limit in simulated seconds, if another than the preset's."""
+
+    def settings(self) -> Config:
+        """The preset with the options applied, validated.
+
+        Raises:
+            ConfigError: An option is wrong.
+        """
+        self.run.checked()
+        preset = ("lab" if self.run.plant == "lab" else "best") if self.preset == "auto" else self.preset
+        assignments = tuple(assignment for group in self.assignments for assignment in group)
+        request = SettingsRequest(preset, assignments, self.max_sim_seconds)
+        return request.config(self.run.method, randomize=self.randomize)
+
+    def prepare(self) -> tuple[Setup, Console]:
+        """All that makes the episode, the scene read and checked and the device there; and the console for notices.
+
+        Raises:
+            ConfigError: An option is wrong; this is known before anything heavy is imported.
+            SceneError: The scene cannot be run so.
+            DeviceError: There is no such device.
+        """
+        config = self.settings()
+        start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
+
+        console = notices()
+        from oimppi_warp.compute import device
+
+        where = device.pick_device(self.run.device)
+        with console.status("reading the scene"):
+            scene = make_task(self.scene, start=start, goal=goal, seed=self.run.seed)
+            if (doubts := _doubts(self.scene)) > 0:
+                warnings = f"{doubts} warning{'s' if doubts > 1 else ''}"
+                console.print(
+                    f"{self.scene}: {warnings}, which `oimppi scene check {self.scene}` tells", soft_wrap=True
+                )
+        if not device.kernels_are_cached():
+            console.print(
+                "First run on this machine: compiling kernels, which takes about half a minute and is done once.",
+                soft_wrap=True,
+            )
+        with console.status("loading kernels"):
+            from oimppi_warp.runtime.episode import Setup
+
+        setup = Setup(scene, config, replace(self.run, device=where))
+        return setup, console
+
+
+def notices() -> Console:
+    """The console for what is said beside a result, with a line there for each kernel that Warp compiles."""
+    from rich.console import Console
+
+    from oimppi_warp.compute.device import tell_compilation
+
+    console = Console(stderr=True, highlight=False)
+    tell_compilation(partial(console.print, soft_wrap=True))
+    return console
+
+
+def _doubts(scene: str) -> int:
+    """How many things in a file of one's own may not be meant as they stand, a misspelt attribute for one."""
+    if not Path(scene).is_file():
+        return 0
+    from oimppi_warp.usd import inspect_scene
+    from oimppi_warp.usd.lint import stage_doubts
+
+    stage = inspect_scene(scene).stage
+    return 0 if stage is None else len(list(stage_doubts(stage)))

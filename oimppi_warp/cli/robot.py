@@ -1,0 +1,119 @@
+"""The command ``oimppi scene robot``."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from oimppi_warp.errors import ConfigError, SceneError
+
+_USD = (".usd", ".usda", ".usdc", ".usdz")
+
+
+@dataclass(frozen=True)
+class AddRobot:
+    """Make a robot for scenes from a URDF or a USD: a serial arm of turning or sliding joints, with a stick at its end.
+
+    Writes robots/NAME.usda, and NAME_open.usda: a T on an open table to try it on. Exit status: 0, or 2 for bad input.
+    """
+
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """The URDF, or a USD file of an articulation. Its base stands at the world's origin, z up; the table's top is at
+    z = 0."""
+
+    tool_length: Annotated[float, arg(metavar="M")] = 0.17
+    """Length of the stick, from the flange to its tip [m]."""
+
+    tool_radius: Annotated[float, arg(metavar="M")] = 0.008
+    """Radius of the stick [m]."""
+
+    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"
+    """Axis of the flange that the stick points along."""
+
+    flange: Annotated[str, arg(metavar="LINK", help_behavior_hint="(the last link)")] = ""
+    """Link that carries the stick; what else moves, as a gripper's fingers, is left out."""
+
+    name: Annotated[str, arg(metavar="NAME", help_behavior_hint="(that of the file)")] = ""
+    """Name of the files that are written."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path(".")
+    """Folder of the scenes, with robots/ in it."""
+
+    force: FlagCreatePairsOff[bool] = False
+    """Write over a robot of that name."""
+
+    def execute(self) -> int:
+        """Write the robot and its task; returns the exit status."""
+        name = self.name or self.file.name.partition(".")[0]
+        self._check(name)
+        from rich.console import Console
+
+        from oimppi_warp.compute.device import tell_compilation
+
+        tell_compilation(Console(stderr=True, highlight=False).print)
+        from oimppi_warp.authoring.robots import arm_usd
+        from oimppi_warp.authoring.robots.from_urdf import read_urdf
+        from oimppi_warp.authoring.robots.from_usd import read_usd
+        from oimppi_warp.authoring.robots.sample_task import write_trial
+        from oimppi_warp.authoring.robots.start_pose import with_start
+        from oimppi_warp.geometry.reach import reach_of
+
+        console = Console(highlight=False, soft_wrap=True)
+        with console.status("reading the robot"):
+            read = read_usd if self.file.suffix in _USD else read_urdf
+            chain, robot = read(self.file, flange=self.flange)
+            made = robot.arm(
+                chain,
+                name="".join(part.capitalize() for part in name.replace("-", "_").split("_")),
+                doc=f"{name} with a stick of {self.tool_length:g} m, from {self.file.name}",
+                length=self.tool_length,
+                radius=self.tool_radius,
+                axis=self.tool_axis,
+            )
+            made = with_start(made, file=self.file)
+            robot = made.robot()
+            with tempfile.TemporaryDirectory() as folder:  # what is not good is not kept
+                skin = f"{name}_skin.usdc"
+                drawn = arm_usd.write_visuals(made, Path(folder) / "robots" / skin)
+                arm_usd.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
+                scene = write_trial(robot, name, Path(folder), later=self.out)
+                self._keep(Path(folder))
+        bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
+        if bare:
+            links = ", ".join(link.rpartition("/")[2] for link in bare)
+            console.print(f"warning: no collision shapes on {links}: they are not drawn, and run into things unnoticed")
+        reach = reach_of(robot)
+        console.print(f"{self.out / 'robots' / name}.usda: {robot.dof} joints ({robot.chain}), from {self.file.name}")
+        console.print(f"  joints   {', '.join(joint.rpartition('/')[2] for joint in chain.joints)}")
+        console.print(f"  stick    {self.tool_length:g} m along {self.tool_axis} of {chain.flange.rpartition('/')[2]}")
+        console.print(f"  reach    {reach.radius:.2f} m from the origin, with the stick upright")
+        console.print(f"  try it   oimppi run {self.out / scene.name}")
+        return 0
+
+    def _check(self, name: str) -> None:
+        """Raise where something that was asked for cannot be."""
+        if not name.replace("-", "_").isidentifier():
+            raise ConfigError(f"--name {name}: not a name\n  allowed: letters, digits, - and _, not a digit first")
+        for option, value, most in (("length", self.tool_length, 2.0), ("radius", self.tool_radius, 0.1)):
+            if not (math.isfinite(value) and 0.0 < value <= most):
+                raise ConfigError(f"--tool-{option} {value:g}: cannot be used\n  allowed: above 0, up to {most:g} m")
+        if self.tool_length <= 2.0 * self.tool_radius:
+            raise ConfigError(f"--tool-length {self.tool_length:g}: shorter than it is thick")
+        if self.file.suffix == ".xacro":
+            raise SceneError("xacro, not URDF", file=self.file, allowed="a URDF", fix="expand it with xacro first")
+        for file in (self.out / "robots" / f"{name}.usda", self.out / f"{name}_open.usda"):
+            if file.exists() and not self.force:
+                raise ConfigError(f"{file} is already there\n  to do:   another --name, or --force to write over it")
+
+    def _keep(self, folder: Path) -> None:
+        """Copy what was written to where it belongs."""
+        for file in folder.rglob("*.usd*"):
+            target = self.out / file.relative_to(folder)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, target)

@@ -1,0 +1,167 @@
+"""Commands that look after an installation: ``oimppi warmup`` and ``oimppi doctor``."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import ENGINES, METHODS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from rich.progress import Progress
+
+    from oimppi_warp.scene import Scene
+
+    EngineOrAll = str
+else:
+    EngineOrAll = ENGINES.choice("all")
+
+
+@dataclass(frozen=True)
+class Warmup:
+    """Compile the kernels that runs with the preset best need, and make the scene's fields.
+
+    A run that finds them starts at once. With --out, they go to a folder that can be taken elsewhere: a run there uses
+    them with WARP_CACHE_PATH=FOLDER/warp and OIMPPI_CACHE=FOLDER/fields set. Kernels for this machine's CPU run on CPUs
+    of its kind only.
+    """
+
+    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
+    """A USD file, or the name of a shipped scene: the Newton engine's kernels depend on its shapes."""
+
+    engine: EngineOrAll = "all"
+    """Of which engine."""
+
+    arch: Annotated[tuple[str, ...], arg(metavar="SM", help_behavior_hint="(default: none)")] = ()
+    """GPUs to compile for, like sm_90; no such GPU is needed. Newton's kernels take minutes."""
+
+    out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: the usual caches)")] = None
+    """Where to."""
+
+    def execute(self) -> int:
+        """Compile; returns the exit status."""
+        architectures = [_architecture(name) for name in self.arch]
+        if self.out is not None:
+            os.environ["WARP_CACHE_PATH"] = str(self.out.absolute() / "warp")
+            os.environ["OIMPPI_CACHE"] = str(self.out.absolute() / "fields")
+
+        import warp as wp
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        from oimppi_warp.compute.device import start_warp
+        from oimppi_warp.config.presets import best
+        from oimppi_warp.physics.world import World
+        from oimppi_warp.planning.methods import make_planner
+        from oimppi_warp.plants.plant import SimulatedPlant
+        from oimppi_warp.runtime.estimator import Estimator
+        from oimppi_warp.usd import load_scene
+
+        console = Console(stderr=True, highlight=False)
+        start_warp()
+        columns = (TextColumn("{task.description:48}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        engines = tuple(ENGINES) if self.engine == "all" else (self.engine,)
+        with Progress(*columns, console=console) as progress:
+            scene = load_scene(self.scene)
+            bar = progress.add_task("for the CPU", total=len(engines) * len(METHODS) + 1)
+            for engine in engines:
+                for method in METHODS:
+                    progress.update(bar, description=f"for the CPU: {engine}, {method}")
+                    make_planner(scene, best(method), method=method, engine=engine, device="cpu").warm_up()
+                    progress.advance(bar)
+            progress.update(bar, description="the simulator")
+            SimulatedPlant(World(scene))
+            Estimator(scene, best("cloi"))
+            progress.advance(bar)
+            for arch in architectures:
+                self._compile_for(arch, engines, progress, scene)
+        console.print(f"kernels in {wp.config.kernel_cache_dir}", soft_wrap=True)
+        return 0
+
+    def _compile_for(self, arch: int, engines: Sequence[str], progress: Progress, scene: Scene) -> None:
+        """Compile for a GPU's architecture."""
+        from oimppi_warp.config.presets import best
+        from oimppi_warp.system.precompile import compile_for, needed_on_cuda
+
+        bar = progress.add_task(f"for sm_{arch}: what is needed", total=None)
+        variants = needed_on_cuda(scene, best("cloi"), engines)
+        progress.update(bar, total=len(variants))
+
+        def on_module(module) -> None:
+            progress.update(bar, description=f"for sm_{arch}: {module.name[:34]}", advance=1)
+
+        compile_for(variants, arch, on_module)
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say what this machine has, what will be used, and what is wrong with it.
+
+    Exit status: 0 nothing is wrong, 1 something is.
+    """
+
+    json: FlagCreatePairsOff[bool] = False
+    """For tools: everything as JSON."""
+
+    def execute(self) -> int:
+        """Examine; returns the exit status."""
+        from oimppi_warp.system.doctor import examine, judge
+
+        facts = examine()
+        findings = judge(facts)
+        if self.json:
+            print(json.dumps({"facts": asdict(facts), "findings": [asdict(each) for each in findings]}, indent=2))
+            return 1 if findings else 0
+
+        from rich.console import Console
+        from rich.table import Table
+
+        gpus = [f"{gpu.alias}: {gpu.name}, sm_{gpu.arch}, {gpu.memory / 2**30:.0f} GiB" for gpu in facts.gpus]
+        driver = "" if facts.driver is None else f", driver for CUDA {'.'.join(map(str, facts.driver))}"
+        rows = {
+            "machine": f"{facts.cpu}, {facts.usable_cores} of {facts.cores} cores usable, "
+            f"{facts.memory / 2**30:.0f} GiB; {facts.system}",
+            "GPUs": ("; ".join(gpus) or "none that Warp can use") + driver,
+            "packages": f"Python {facts.python}, " + ", ".join(f"{k} {v or '-'}" for k, v in facts.versions.items()),
+            "will use": f"device {facts.device}, {facts.usable_cores} threads on the CPU; with --engine auto the most "
+            "successful engine that keeps up",
+            **{
+                kind.replace("_", " "): ", ".join(_with_package(entries)) or "none besides ours"
+                for kind, entries in facts.entries.items()
+            },
+            "kernels": f"{facts.kernel_cache} ({'compiled' if facts.compiled else 'none yet: oimppi warmup'})",
+            "fields": facts.field_cache,
+            "scenes": f"{facts.scenes} shipped",
+        }
+        table = Table.grid(padding=(0, 2))
+        for name, text in rows.items():
+            table.add_row(f"[dim]{name}", text)
+        console = Console(highlight=False)
+        console.print(table)
+        for finding in findings:
+            console.print(f"[bold red]wrong[/]  {finding.what}\n       to do: {finding.remedy}", soft_wrap=True)
+        if not findings:
+            console.print("[bold green]nothing is wrong")
+        return 1 if findings else 0
+
+
+def _with_package(entries: dict[str, str]) -> Iterator[str]:
+    """Names, those that an installed package adds with its name."""
+    for name, package in entries.items():
+        yield f"{name} (from {package})" if package else name
+
+
+def _architecture(name: str) -> int:
+    """The number of an architecture like ``sm_90``."""
+    number = name.removeprefix("sm_")
+    if not number.isdecimal() or not 70 <= int(number) <= 130:
+        raise ConfigError(f"--arch {name}: no such architecture\n  allowed: like sm_80, sm_90 or sm_120")
+    return int(number)

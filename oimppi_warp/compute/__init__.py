@@ -1,0 +1,1 @@
+"""Where a planner computes: devices, prepared launches, and results kept on disk."""

@@ -1,0 +1,101 @@
+"""Computed things kept on disk by their content, so that the next run need not compute them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+@cache
+def source_content(*places: str) -> bytes:
+    """Hash of our own source below folders or files of the package: what other code computed is not read again.
+
+    Args:
+        *places: Paths below the package, ``"kernels/fields"``.
+    """
+    digest = hashlib.sha256()
+    for place in places:
+        path = _PACKAGE / place
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            digest.update(file.relative_to(_PACKAGE).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.digest()
+
+
+def content_of(*parts: object) -> str:
+    """Hash of arrays and numbers, and of the kernels that fields are computed with."""
+    digest = hashlib.sha256(source_content("kernels/fields", "kernels/geometry.py"))
+    for part in parts:
+        digest.update(np.ascontiguousarray(np.asarray(part, dtype=np.float64).round(9) + 0.0).tobytes())
+        digest.update(b"|")
+    return digest.hexdigest()[:24]
+
+
+def content_of_data(*parts: object) -> str:
+    """Hash of data: dataclasses, tuples, arrays, numbers, words and ``None``, each with its type, exactly.
+
+    Raises:
+        TypeError: A part, or what is in it, is something else.
+    """
+    digest = hashlib.sha256()
+    for part in parts:
+        _feed(digest, part)
+    return digest.hexdigest()[:24]
+
+
+def _feed(digest: hashlib._Hash, part: object) -> None:
+    """Adds a value to a digest, so that no two different values add the same."""
+    if is_dataclass(part) and not isinstance(part, type):
+        names = [field.name for field in fields(part)]
+        digest.update(f"{type(part).__name__}({','.join(names)})".encode())
+        for name in names:
+            _feed(digest, getattr(part, name))
+    elif isinstance(part, tuple):
+        digest.update(f"tuple {len(part)}:".encode())
+        for each in part:
+            _feed(digest, each)
+    elif isinstance(part, np.ndarray):
+        digest.update(f"array {part.dtype.str} {part.shape}:".encode())
+        digest.update(np.ascontiguousarray(part).tobytes())
+    elif isinstance(part, bytes):
+        digest.update(f"bytes {len(part)}:".encode())
+        digest.update(part)
+    elif part is None or isinstance(part, str | bool | int | float | np.generic):
+        part = part.item() if isinstance(part, np.generic) else part
+        words = repr(part).encode()
+        digest.update(f"{type(part).__name__} {len(words)}:".encode())
+        digest.update(words)
+    else:
+        raise TypeError(f"a {type(part).__name__} is no data to make a hash of")
+
+
+def cache_folder() -> Path:
+    """Where computed fields are kept: ``$OIMPPI_CACHE``, or ``oimppi-warp`` in the user's cache folder."""
+    base = os.environ.get("OIMPPI_CACHE")
+    return Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "oimppi-warp"
+
+
+def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.ndarray:
+    """The array that ``compute`` makes, from the cache if it was made before."""
+    file = cache_folder() / f"{name}-{content}.npy"
+    try:
+        return np.load(file)
+    except (OSError, ValueError, EOFError):
+        pass  # not there, or cut short: make it again
+    values = compute()
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        partial = file.with_name(f"{file.name}.{os.getpid()}.part")
+        with partial.open("wb") as stream:
+            np.save(stream, values)
+        partial.replace(file)
+    except OSError:
+        return values  # a cache that cannot be written costs time, not the run
+    return values

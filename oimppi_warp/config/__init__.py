@@ -1,0 +1,1 @@
+"""Settings: every setting with its help and bounds, presets, and how settings are named, changed and resolved."""

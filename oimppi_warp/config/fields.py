@@ -1,0 +1,92 @@
+"""Fields of the settings' dataclasses: each carries its help, its unit and its bounds as metadata."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field
+from typing import Any
+
+_KEY = "oimppi_warp"
+
+
+@dataclass(frozen=True)
+class About:
+    """Help, unit and bounds of a field of a settings dataclass.
+
+    Attributes:
+        text: What it is, in a sentence.
+        unit: Its unit; of a tuple, one for each entry where they differ; empty for what has none.
+        low: Smallest number allowed; of a tuple, of every entry.
+        high: Largest number allowed; infinity stands for every finite number.
+        option: Whether it can be set by its name; what cannot is kept beside the settings, such as the preset's name.
+    """
+
+    text: str
+    unit: str = ""
+    low: float = 0.0
+    high: float = math.inf
+    option: bool = True
+
+
+def setting(default: Any, text: str, *, unit: str = "", low: float = 0.0, high: float = math.inf) -> Any:
+    """A field that is one setting.
+
+    Args:
+        default: Its default; its annotation is its type: bool, int, float, a tuple of them, or a ``Literal`` of texts.
+        text: What it is, in a sentence; help, tooltips and `docs/settings.md` show it.
+        unit: Its unit, SI and radians; of a tuple, one for each entry where they differ.
+        low: Smallest number allowed; of a tuple, of every entry.
+        high: Largest number allowed; infinity stands for every finite number.
+    """
+    return field(default=default, metadata={_KEY: About(text, unit, low, high)})
+
+
+def group(default: Any, text: str) -> Any:
+    """A field that is a group of settings, itself a frozen dataclass of such fields."""
+    return field(default=default, metadata={_KEY: About(text)})
+
+
+def label(default: Any, text: str) -> Any:
+    """A field that is kept beside the settings and cannot be set by its name."""
+    return field(default=default, metadata={_KEY: About(text, option=False)})
+
+
+def about(item: Field[Any]) -> About:
+    """What a field says of itself.
+
+    Raises:
+        TypeError: It was not made with :func:`setting`, :func:`group` or :func:`label`, or it has no default.
+    """
+    found = item.metadata.get(_KEY)
+    if found is None or item.default is MISSING:
+        raise TypeError(f"{item.name}: make the field with oimppi_warp.config.fields.setting(default, help, ...)")
+    return found
+
+
+class ExtraWeights(Mapping[str, float]):
+    """Weights of cost terms from outside the package, by name; immutable, so that settings compare and hash by value.
+
+    Args:
+        weights: The weights.
+    """
+
+    __slots__ = ("_weights",)
+
+    def __init__(self, weights: Mapping[str, float] | None = None) -> None:
+        self._weights = dict(sorted((weights or {}).items()))
+
+    def __getitem__(self, name: str) -> float:
+        return self._weights[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._weights)
+
+    def __len__(self) -> int:
+        return len(self._weights)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self._weights.items()))
+
+    def __repr__(self) -> str:
+        return f"ExtraWeights({self._weights})"

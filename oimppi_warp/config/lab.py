@@ -1,0 +1,81 @@
+"""Settings of the simulated lab and of the estimator, as :mod:`oimppi_warp.config.settings` takes them up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from oimppi_warp.config.fields import setting
+
+
+@dataclass(frozen=True)
+class LabConfig:
+    """How imperfect the simulated laboratory is (:class:`oimppi_warp.plants.lab.LabPlant`).
+
+    The camera's rate is the paper's. Its noise is what fitting a known shape to a depth camera's points gives at a
+    distance of one metre; the limits and rates of the arm are from the xArm6's data sheet.
+    """
+
+    rate: float = setting(1.0, "Rate at which the camera detects the object.", unit="1/s", low=0.01, high=100.0)
+    delay: float = setting(0.15, "Time from taking a picture until the pose found in it is known.", unit="s")
+    position_noise: float = setting(
+        0.005, "Standard deviation of a detection's position error, in x and in y each.", unit="m"
+    )
+    yaw_noise: float = setting(0.03, "Standard deviation of a detection's yaw error.", unit="rad")
+    outlier_probability: float = setting(0.05, "Probability that a detection is wrong.", high=1.0)
+    outlier_size: float = setting(
+        0.15, "Mean distance of a wrong detection from the object; its yaw is drawn from all angles.", unit="m"
+    )
+    camera: tuple[float, float, float] = setting(
+        (0.9, 0.0, 0.9),
+        "Position of the camera, which does not see the object where the arm hides it.",
+        unit="m",
+        low=-100.0,
+        high=100.0,
+    )
+    joint_noise: float = setting(
+        0.0005, "Standard deviation of each joint's measured position (m for a sliding joint).", unit="rad"
+    )
+    command_latency: float = setting(
+        0.02, "Time from sending a command until the arm follows it, rounded to whole reports of the joints.", unit="s"
+    )
+    acceleration_limit: float = setting(
+        19.98,
+        "Largest acceleration of each joint (m/s^2 for a sliding joint); the xArm's controller allows 1145 deg/s^2.",
+        unit="rad/s^2",
+        low=0.1,
+    )
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """What the estimator assumes about detections and about its own prediction (:mod:`oimppi_warp.runtime.estimator`).
+
+    It is not told the laboratory's true noise: these numbers are its own.
+    """
+
+    position_noise: float = setting(0.005, "Assumed standard deviation of a detection's position error.", unit="m")
+    yaw_noise: float = setting(0.03, "Assumed standard deviation of a detection's yaw error.", unit="rad")
+    position_drift: float = setting(
+        0.15, "Assumed error of the predicted position, as a fraction of the distance the object is predicted to move."
+    )
+    yaw_drift: float = setting(
+        0.3, "Assumed error of the predicted yaw, as a fraction of the angle the object is predicted to turn."
+    )
+    touch_drift: float = setting(
+        0.01,
+        "Growth of the position's uncertainty while the tool is close enough to push the object unnoticed.",
+        unit="m/sqrt(s)",
+    )
+    touch: float = setting(0.01, "Distance of tool and object below which the uncertainty grows so.", unit="m")
+    gate: float = setting(
+        4.0,
+        "Number of standard deviations from the prediction beyond which a detection is rejected as an outlier.",
+        low=0.1,
+    )
+    memory: float = setting(
+        3.0,
+        "Time for which measured joint positions are kept, so that a late detection can be applied to its moment.",
+        unit="s",
+        low=0.05,
+        high=5.0,
+    )

@@ -1,0 +1,329 @@
+"""Settings by their names: listing them, changing one from text, reading them from a record, and what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import lru_cache
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from oimppi_warp.config.fields import About, ExtraWeights, about
+from oimppi_warp.config.renamed import present_name
+from oimppi_warp.config.settings import Config, RobotCost, Sampling, check_order
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import COST_TERMS, OPTIMIZERS
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting as it stands.
+
+    Attributes:
+        name: Its dotted name, such as ``"robot.optimizer.samples"``.
+        value: Its value; of an optimizer, the kind's name.
+        kind: Its type: bool, int, float, a tuple of them, or a ``Literal`` of texts.
+        about: Its help, unit and bounds.
+    """
+
+    name: str
+    value: Any
+    kind: Any
+    about: About
+
+    @property
+    def help(self) -> str:
+        """What it is, with its unit."""
+        return f"{self.about.text} [{self.about.unit}]" if self.about.unit else self.about.text
+
+    @property
+    def allowed(self) -> str:
+        """Its type and bounds in words."""
+        low, high = self.about.low, self.about.high
+        if get_origin(self.kind) is Literal or self.kind is bool:
+            return _described(self.kind)
+        return f"{_described(self.kind)}, {_range(low, high)}"
+
+
+def settings_of(config: Any) -> dict[str, Setting]:
+    """Every setting by its dotted name: the optimizers' kinds, and the settings of the present kinds."""
+    return {setting.name: setting for setting in _walk(config, "")}
+
+
+def options(config: Any) -> dict[str, Any]:
+    """The value of every setting, e.g. ``{"control_period": 0.05, "robot.optimizer": "mppi", ...}``."""
+    return {name: setting.value for name, setting in settings_of(config).items()}
+
+
+def descriptions(config: Any) -> dict[str, str]:
+    """What every setting is, with its unit."""
+    return {name: setting.help for name, setting in settings_of(config).items()}
+
+
+def kinds(config: Any) -> dict[str, Any]:
+    """The type of every setting."""
+    return {name: setting.kind for name, setting in settings_of(config).items()}
+
+
+def extra_weights(cost: RobotCost) -> ExtraWeights:
+    """The weight of every cost term from outside the package: the one that is set, or else the term's own."""
+    return ExtraWeights({name: float(term.weight) for name, term in COST_TERMS.loadable()} | dict(cost.extra))
+
+
+def effective_weights(cost: RobotCost) -> ExtraWeights:
+    """The same without weights of zero, except where they turn off a term that counts of itself."""
+    of_itself = {name for name, term in COST_TERMS.loadable() if term.weight != 0.0}
+    return ExtraWeights({name: w for name, w in extra_weights(cost).items() if w != 0.0 or name in of_itself})
+
+
+def set_option(config: T, assignment: str) -> T:
+    """A copy of ``config`` with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.optimizer.samples=512"``.
+
+    Tuples are written with commas, ``"cost.reach=0.2,0.6"``. ``"robot.optimizer=cem"`` takes another optimizer, which
+    keeps what all have: samples, horizon, iterations, knots. Names of earlier versions are accepted
+    (:mod:`oimppi_warp.config.renamed`). The value is checked on its own; :func:`validate` checks the settings against
+    each other, once all are set.
+
+    Raises:
+        ConfigError: The name is unknown (the message suggests the nearest) or the value has another type or is out of
+            bounds.
+    """
+    given, equals, text = (part.strip() for part in assignment.partition("="))
+    if not equals:
+        raise ConfigError(f"--set {assignment!r}: no value\n  allowed: NAME=VALUE, e.g. cost.w_align=2")
+    name = present_name(given)
+    known = settings_of(config)
+    if name not in known:
+        raise ConfigError(_unknown(given, config, list(known)))
+
+    def read(kind: Any) -> Any:
+        try:
+            return _parsed(kind, text)
+        except ValueError:
+            raise ConfigError(f"--set {given}={text}: not a value for it\n  allowed: {_described(kind)}") from None
+
+    return _changed(config, name.split("."), known[name], read)
+
+
+def from_record(record: Mapping[str, Any]) -> Config:
+    """The settings that a record holds as JSON, the opposite of :func:`oimppi_warp.record.log.to_json` of a ``Config``.
+
+    Records of earlier versions are read by today's names; what they do not have keeps its default.
+
+    Raises:
+        ConfigError: It has a setting that does not exist, or a value that cannot be used.
+    """
+    labels = {item.name for item in fields(Config) if not about(item).option}
+    config = replace(Config(), **{name: record[name] for name in labels if name in record})
+    values = {present_name(name): value for name, value in _flat(record, "") if name not in labels}
+    values = {name.removesuffix(".kind"): value for name, value in values.items()}
+    # An optimizer's settings are known once its kind is.
+    for name in sorted(values, key=lambda name: name.count(".")):
+        known = settings_of(config)
+        if name.startswith("cost.extra.") and name not in known:
+            cost = replace(config.cost, extra={**config.cost.extra, name.removeprefix("cost.extra."): values[name]})
+            config = replace(config, cost=cost)
+            continue
+        if name not in known:
+            raise ConfigError(_unknown(name, config, list(known)).replace("--set ", "record: ", 1))
+
+        def read(kind: Any, name: str = name) -> Any:
+            try:
+                return _cast(kind, values[name])
+            except (TypeError, ValueError):
+                raise ConfigError(
+                    f"record: {name} = {values[name]!r}: not a value for it\n  allowed: {_described(kind)}"
+                ) from None
+
+        config = _changed(config, name.split("."), known[name], read)
+    return config
+
+
+def changed(config: Config, default: Config) -> dict[str, Any]:
+    """The settings that differ from a default, with the default's values.
+
+    Settings of an optimizer that the default does not have are compared with those that it would have with it.
+    """
+    wanted = default
+    for name, setting in settings_of(config).items():
+        if name in _OPTIMIZERS and setting.value != options(wanted)[name]:
+            wanted = set_option(wanted, f"{name}={setting.value}")
+    now, usual = options(config), options(wanted) | {name: options(default)[name] for name in _OPTIMIZERS}
+    return {name: usual[name] for name in now if now[name] != usual[name]}
+
+
+_OPTIMIZERS = ("robot.optimizer", "object.optimizer")
+
+
+def validate(config: Config) -> Config:
+    """``config`` itself, if a planner can be made from it.
+
+    Raises:
+        ConfigError: A value is out of bounds, or two of them contradict each other.
+    """
+    for name in _OPTIMIZERS:
+        settings = getattr(config, name.partition(".")[0]).optimizer
+        OPTIMIZERS.check(settings.kind)
+        settings.check(name)
+    for name, weight in config.cost.extra.items():
+        if weight != 0.0:
+            COST_TERMS.check(name)
+    for setting in _walk(config, ""):
+        _check(setting, setting.value)
+    check_order("cost.reach", config.cost.reach)
+    check_order("object_cost.reach", config.object_cost.reach)
+    return config
+
+
+def _walk(config: Any, prefix: str) -> Iterator[Setting]:
+    """The settings in a dataclass and below it, their names after ``prefix``."""
+    types = _types(type(config))
+    for item in fields(config):
+        value, said, name = getattr(config, item.name), about(item), f"{prefix}{item.name}"
+        if not said.option:
+            continue
+        if isinstance(value, Sampling):
+            yield Setting(name, value.kind, OPTIMIZERS.choice(), said)
+        if isinstance(value, Mapping):
+            yield from (_extra(term, weight, f"{name}.{term}") for term, weight in extra_weights(config).items())
+        elif is_dataclass(value):
+            yield from _walk(value, f"{name}.")
+        else:
+            yield Setting(name, value, types[item.name], said)
+
+
+def _extra(term: str, weight: float, name: str) -> Setting:
+    """The weight of a cost term from outside the package."""
+    text = COST_TERMS[term].about if term in COST_TERMS else "Weight of a cost term that is not registered here."
+    return Setting(name, weight, float, About(text))
+
+
+@lru_cache
+def _types(kind: type) -> dict[str, Any]:
+    """The types of a dataclass's fields."""
+    return get_type_hints(kind)
+
+
+def _changed(config: Any, path: list[str], setting: Setting, read: Callable[[Any], Any]) -> Any:
+    """``config`` with the setting at ``path`` replaced by what ``read`` finds for its type, checked."""
+    head, *rest = path
+    value = getattr(config, head)
+    if isinstance(value, Mapping):
+        found = read(setting.kind)
+        _check(setting, found)
+        value = ExtraWeights({**value, ".".join(rest): found})
+    elif rest:
+        value = _changed(value, rest, setting, read)
+    elif isinstance(value, Sampling):
+        value = _of_kind(read(str), value, setting.name)
+    else:
+        value = read(setting.kind)
+        _check(setting, value)
+    return replace(config, **{head: value})
+
+
+def _of_kind(kind: str, before: Sampling, name: str) -> Sampling:
+    """The settings of another kind of optimizer, with what all kinds have taken over."""
+    if kind == before.kind:
+        return before
+    try:
+        settings = OPTIMIZERS.get_checked(kind).Settings
+    except ConfigError as error:
+        raise ConfigError(f"{name}={kind}: {error}") from None
+    if not issubclass(settings, Sampling):
+        raise ConfigError(
+            f"{name}={kind}: its Settings, {settings.__name__}, are no sampling-based optimizer's\n"
+            "  to do:   derive them from oimppi_warp.config.settings.Sampling"
+        )
+    common: dict[str, Any] = {item.name: getattr(before, item.name) for item in fields(Sampling)}
+    return settings(**{**common, "kind": kind})
+
+
+def _check(setting: Setting, value: Any) -> None:
+    """Raise ConfigError for a number outside its bounds, or a text that is not allowed."""
+    if get_origin(setting.kind) is Literal and value not in get_args(setting.kind):
+        raise ConfigError(f"{setting.name} = {value} cannot be used\n  allowed: {_described(setting.kind)}")
+    low, high = setting.about.low, setting.about.high
+    numbers = value if isinstance(value, tuple) else (value,)
+    for number in numbers:
+        if isinstance(number, float | int) and not (low <= number <= high and math.isfinite(number)):
+            raise ConfigError(f"{setting.name} = {number:g} cannot be used\n  allowed: {_range(low, high)}")
+
+
+def _range(low: float, high: float) -> str:
+    """Bounds in words."""
+    bounds = [f"{bound:.0f}" if 1e6 <= bound < math.inf else f"{bound:g}" for bound in (low, high)]
+    return " to ".join(bounds) if math.isfinite(high) else f"{bounds[0]} or more (finite)"
+
+
+def _flat(record: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """What nested dictionaries hold, by dotted names."""
+    for name, value in record.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _unknown(name: str, config: Any, known: list[str]) -> str:
+    """What to say about a setting that does not exist: the nearest names, by the whole and by the last part."""
+    present = present_name(name)
+    for group in _OPTIMIZERS:
+        if present.startswith(f"{group}.") and group in known:
+            present_kind = options(config)[group]
+            own = ", ".join(other for other in known if other.startswith(f"{group}."))
+            near = difflib.get_close_matches(present, known, n=1, cutoff=0.75)
+            hint = f"did you mean {near[0]}? " if near else ""
+            return (
+                f"--set {name}: no such setting of the optimizer {present_kind}\n  allowed: {own}\n"
+                f"  to do:   {hint}another optimizer is chosen before its settings, with {group}=NAME"
+            )
+    leaf = name.rpartition(".")[2]
+    same_leaf = [other for other in known if other.rpartition(".")[2] == leaf]
+    near_leaf = difflib.get_close_matches(leaf, {other.rpartition(".")[2] for other in known}, n=1)
+    near = same_leaf or difflib.get_close_matches(name, known, n=3, cutoff=0.75)
+    near = near or [other for other in known if other.rpartition(".")[2] in near_leaf]
+    hint = f"did you mean {' or '.join(near)}?" if near else f"one of {', '.join(known)}"
+    return f"--set {name}: no such setting\n  to do:   {hint}"
+
+
+def _parsed(kind: Any, text: str) -> Any:
+    """``text`` as a value of the type ``kind``; ValueError if it is none."""
+    if get_origin(kind) is Literal:
+        if text not in get_args(kind):
+            raise ValueError(text)
+        return text
+    if get_origin(kind) is tuple:
+        parts = text.strip("()[] ").split(",")
+        return tuple(_parsed(part_kind, part.strip()) for part_kind, part in zip(get_args(kind), parts, strict=True))
+    if kind is bool:
+        if text.lower() not in _TRUTH:
+            raise ValueError(text)
+        return _TRUTH[text.lower()]
+    return kind(text)
+
+
+def _cast(kind: Any, value: Any) -> Any:
+    """A value from JSON as one of the type ``kind``; TypeError or ValueError if it is none."""
+    if get_origin(kind) is tuple:
+        return tuple(_cast(part_kind, part) for part_kind, part in zip(get_args(kind), value, strict=True))
+    if get_origin(kind) is Literal or kind is str:
+        return _parsed(kind, value) if isinstance(value, str) else _parsed(int, value)
+    if isinstance(value, bool) != (kind is bool) or not isinstance(value, int | float) or kind(value) != value:
+        raise ValueError(value)
+    return kind(value)
+
+
+_TRUTH = {"true": True, "1": True, "false": False, "0": False}
+
+
+def _described(kind: Any) -> str:
+    """The type ``kind`` in words."""
+    if get_origin(kind) is Literal:
+        return " or ".join(get_args(kind))
+    if get_origin(kind) is tuple:
+        return f"{len(get_args(kind))} numbers with commas between them"
+    return {bool: "true or false", int: "a whole number", float: "a number", str: "a name"}[kind]

@@ -1,0 +1,35 @@
+"""Names that have changed: what was called otherwise in earlier versions, and what it is called now.
+
+This is the one such table. ``--set``, :func:`oimppi_warp.set_option`, suites and records accept the old names
+through it and everything is written with the present ones, so that a command from an old record or report still runs.
+
+To rename a setting, change the field and add an entry here: its old dotted name, and the present one. An entry stands
+for everything below it too: ``"robot.mppi"`` covers ``robot.mppi.samples``. Entries are never removed; where a present
+name changes again, the entries that lead to it are changed with it. ``tests/config/test_renamed.py``
+loads every old name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+SETTINGS: Mapping[str, str] = {
+    "robot.mppi": "robot.optimizer",
+    "object.mppi": "object.optimizer",
+}
+"""Settings and groups of settings: the present dotted name by the old one."""
+
+
+def present_name(name: str, table: Mapping[str, str] = SETTINGS) -> str:
+    """The present name for a dotted name, old or present; names that nothing replaced are returned as they are.
+
+    Args:
+        name: The name.
+        table: The entries; the longest that fits counts.
+    """
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        head = ".".join(parts[:length])
+        if head in table:
+            return ".".join([table[head], *parts[length:]])
+    return name

@@ -1,0 +1,1 @@
+"""Geometry of a scene: footprints, distance fields, the arm's kinematics and reach, and whether a task can be done."""

@@ -1,0 +1,210 @@
+"""Whether a task can be done at all: nothing overlaps at its start and its goal, and the arm reaches both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import shapely
+from shapely import affinity
+
+from oimppi_warp.errors import SceneError
+from oimppi_warp.geometry.footprint import footprint, height_range, outline
+from oimppi_warp.geometry.kinematics import tip_frame
+from oimppi_warp.geometry.reach import can_lift, reach_of
+from oimppi_warp.scene import Collider, PlanarPose, Scene
+
+CLEAR = 0.045
+"""Room that a drawn start leaves around the object [m]."""
+
+DRAWS = 2000
+"""Starts that are drawn before it is given up."""
+
+
+def check_task(scene: Scene) -> None:
+    """Check that the object can stand at the scene's start and goal, and that the arm reaches them.
+
+    Raises:
+        SceneError: At its start or goal the object is off the table, in an obstacle, in the robot's base or out of the
+            arm's reach; or the tool starts inside something.
+    """
+    for mistake in task_mistakes(scene):
+        raise mistake
+
+
+def task_mistakes(scene: Scene) -> Iterator[SceneError]:
+    """Everything that :func:`check_task` may raise, one after the other."""
+    yield from pose_mistakes(scene, "start", scene.start)
+    yield from pose_mistakes(scene, "goal", scene.goal)
+    yield from _tool_mistakes(scene)
+
+
+def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneError]:
+    """Why the object cannot stand at a pose or be pushed there.
+
+    Args:
+        scene: The task.
+        name: What to call the pose: "start", "goal", or "start 3" of those that are listed.
+        pose: The pose.
+    """
+    place = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
+    prim = scene.object.path if name == "start" else ""
+    if not np.isfinite(pose).all():
+        allowed = "x [m], y [m], yaw [rad]"
+        yield SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed=allowed, fix=_move(name))
+        return
+    shape = object_outline(scene, pose)
+    if not shapely.covers(_table(scene), shape):
+        (x0, y0), (x1, y1) = scene.table.lower, scene.table.upper
+        yield SceneError(
+            f"{place} is not wholly on the table",
+            file=scene.file,
+            prim=prim,
+            allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
+            fix=_move(name),
+        )
+    for what, path, other in surroundings(scene):
+        if shapely.area(shapely.intersection(shape, other)) > 1e-8:
+            yield SceneError(
+                f"{place} is inside {what} <{path}>",
+                file=scene.file,
+                prim=prim,
+                allowed="anywhere that the object overlaps nothing",
+                fix=_move(name),
+            )
+    yield from _reach_mistakes(scene, name, place, pose)
+
+
+def draw_start(scene: Scene, seed: int) -> PlanarPose:
+    """A start drawn from the scene's spread around its start; the same for the same seed.
+
+    It leaves :data:`CLEAR` around the object, and the arm reaches behind all of it.
+
+    Args:
+        scene: The task.
+        seed: Any number from zero.
+
+    Raises:
+        SceneError: No such start was found.
+    """
+    position, yaw = scene.spread
+    if position == 0.0 and yaw == 0.0:
+        return scene.start
+    random = np.random.default_rng(seed)
+    reach = reach_of(scene.robot)
+    around = [other for _, _, other in surroundings(scene)]
+    tool = _tool(scene)
+    if tool is not None:
+        around.append(tool)
+    for _ in range(DRAWS):
+        x, y, angle = np.asarray(scene.start) + random.uniform(-1.0, 1.0, 3) * (position, position, yaw)
+        pose = (round(float(x), 4), round(float(y), 4), round(float(angle), 4))
+        shape = object_outline(scene, pose)
+        behind = reach.room(shapely.get_coordinates(shape)).min() >= 2.0 * scene.robot.tool_radius
+        free = all(shapely.distance(shape, other) >= CLEAR for other in around)
+        if free and behind and shapely.covers(_table(scene), shape):
+            return pose
+    raise SceneError(
+        f"none of {DRAWS} starts drawn around ({scene.start[0]:.3g}, {scene.start[1]:.3g}) is free and within reach",
+        file=scene.file,
+        allowed=f"{CLEAR:g} m of room around the object, and all of it {_within(scene)}",
+        fix="give a start, or make oimppi:spread smaller",
+    )
+
+
+def object_outline(scene: Scene, pose: PlanarPose) -> shapely.Geometry:
+    """What the object covers of the table at a pose."""
+    shape = affinity.rotate(outline(footprint(scene.object.colliders)), pose[2], origin=(0.0, 0.0), use_radians=True)
+    return affinity.translate(shape, pose[0], pose[1])
+
+
+def _table(scene: Scene) -> shapely.Geometry:
+    return shapely.box(*scene.table.lower, *scene.table.upper)
+
+
+def _move(name: str) -> str:
+    fixes = {
+        "start": "move the object in the file, or give another start",
+        "goal": "change oimppi:goal, or give another goal",
+    }
+    return fixes.get(name, "change it in oimppi:starts, or leave it out")
+
+
+def _reach_mistakes(scene: Scene, name: str, place: str, pose: PlanarPose) -> Iterator[SceneError]:
+    (x, y), (c, s) = scene.object.center_of_mass[:2], (np.cos(pose[2]), np.sin(pose[2]))
+    center = np.array([pose[0] + c * x - s * y, pose[1] + s * x + c * y])
+    reach = reach_of(scene.robot)
+    room = float(reach.room(center[None])[0])
+    if room < 0.0:
+        where = f"{np.hypot(*center):.2f} m from the arm's base" if reach.border is None else f"{-room:.2f} m beyond it"
+        yield SceneError(
+            f"{place} is out of reach: the object's centre would be {where}",
+            file=scene.file,
+            prim=scene.object.path if name == "start" else "",
+            allowed=f"{_within(scene)}, as far as the tool reaches when it points down",
+            fix=_move(name),
+        )
+
+
+def _within(scene: Scene) -> str:
+    """Where the arm gets, in words."""
+    reach = reach_of(scene.robot)
+    if reach.border is None:
+        return f"up to {reach.radius:.2f} m from the arm's base"
+    (x0, y0), (x1, y1) = reach.bounds
+    return f"within x from {x0:.2f} to {x1:.2f} m and y from {y0:.2f} to {y1:.2f} m"
+
+
+def surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
+    """What the object could run into: a word for it, its prim, and what it covers at the object's height."""
+    low, high = (scene.object.rest_height + z for z in height_range(scene.object.colliders))
+
+    def covered(colliders: Iterable[Collider]) -> shapely.Geometry:
+        return outline(footprint(colliders, lower=low + 1e-3, upper=high))
+
+    if scene.robot.base.colliders:
+        yield "the robot's base", scene.robot.base.path, covered(scene.robot.base.colliders)
+    for obstacle in scene.obstacles:
+        yield "the obstacle", obstacle.path, covered(obstacle.colliders)
+
+
+def _tool(scene: Scene) -> shapely.Geometry | None:
+    """What the tool covers at the start of an episode; ``None`` when it is above the object."""
+    tip = tip_frame(scene.robot, scene.robot.start)[1]
+    if tip[2] > scene.object.rest_height + height_range(scene.object.colliders)[1]:
+        return None
+    return shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
+
+
+def _tool_mistakes(scene: Scene) -> Iterator[SceneError]:
+    tip = tip_frame(scene.robot, scene.robot.start)[1]
+    disc = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
+    things = [("the object", scene.object.path, object_outline(scene, scene.start))] if _tool(scene) is not None else []
+    for obstacle in scene.obstacles:
+        if height_range(obstacle.colliders)[1] > tip[2]:
+            things.append(("the obstacle", obstacle.path, outline(footprint(obstacle.colliders, lower=tip[2]))))
+    for what, path, shape in things:
+        if disc.intersects(shape):
+            yield SceneError(
+                f"the tool starts inside {what} <{path}>, with its tip at {np.round(tip, 3).tolist()}",
+                file=scene.file,
+                prim=scene.robot.path,
+                allowed="a start of the arm in which the tool touches nothing",
+                fix="change oimppi:startJoints, or start the object elsewhere",
+            )
+    if _tool(scene) is None and not can_lift(scene.robot):
+        yield SceneError(
+            f"the tool passes over the object: its tip stays {tip[2]:.3f} m above the table",
+            file=scene.file,
+            prim=scene.robot.path,
+            allowed="lower than the object's top for a robot that cannot lower its tool",
+            fix="lengthen the stick, or take a higher object",
+        )
+    if tip[2] < 0.0:
+        yield SceneError(
+            f"the tool starts {-tip[2]:.3f} m below the table",
+            file=scene.file,
+            prim=scene.robot.path,
+            allowed="a tip above z = 0",
+            fix="change oimppi:startJoints",
+        )

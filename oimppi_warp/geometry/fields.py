@@ -1,0 +1,246 @@
+"""Distance fields of a scene: made once by kernels, kept in a cache by content, looked up by every rollout.
+
+- ``phi_2(x, y, yaw)``: clearance of the object to obstacles, the robot's base and the table's edge (the paper's gap
+  function of object and environment), over poses of the object's friction centre.
+- ``d_B(x, y)``: signed distance to the object's outline, in the frame of its friction centre (the paper's Example 1).
+- the obstacles' distance over space, for the arm and the tool (the paper's phi_3).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+import shapely
+import trimesh
+import warp as wp
+
+from oimppi_warp.compute.cache import cached, content_of
+from oimppi_warp.compute.device import start_warp
+from oimppi_warp.geometry.footprint import (
+    LimitSurface,
+    Piece,
+    collider_mesh,
+    footprint,
+    height_range,
+    limit_surface,
+    outline,
+)
+from oimppi_warp.geometry.reach import area_of, stretched_length
+from oimppi_warp.kernels.fields import distance as kernels
+from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
+from oimppi_warp.scene import Collider, Scene
+
+STEP = 0.01
+"""Grid step of phi_2 [m]."""
+YAW_NODES = 72
+"""Nodes of phi_2 over a full turn (5 degrees)."""
+FURTHEST = 0.15
+"""Distances are cut off here [m]."""
+BODY_STEP = 0.002
+"""Grid step of the object's own distance field [m]."""
+NEAR = 0.05
+"""Shapes this far above all obstacles are not looked up [m]."""
+SPACE_STEP = 0.01
+"""Grid step of the obstacles' distance field [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """What the planner knows of a scene's shapes, on one device.
+
+    Attributes:
+        surface: Limit surface of the object; planning poses are those of its ``center``.
+        top: Height of the object's top above the table [m].
+        size: Largest distance of the outline from the friction centre [m].
+        clearance: phi_2 over poses of the friction centre, to obstacles, the robot's base and the table's edge [m].
+        obstruction: The same without the table's edge: what stops a pushed object [m].
+        body: Signed distance to the object's outline around its friction centre [m].
+        space: Distance to the obstacles [m].
+        space_top: Height above which no obstacle is nearer than ``NEAR`` [m].
+    """
+
+    surface: LimitSurface
+    top: float
+    size: float
+    clearance: PoseField
+    obstruction: PoseField
+    body: PlanarField
+    space: SpaceField
+    space_top: float
+
+    def clearance_at(self, pose: np.ndarray) -> float:
+        """phi_2 at a pose [3] of the friction centre, on the host [m]."""
+        return pose_field_at(self.clearance, pose, self._clearance_values)
+
+    @cached_property
+    def _clearance_values(self) -> np.ndarray:
+        """phi_2's nodes on the host."""
+        return self.clearance.values.numpy()
+
+
+def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None = None) -> float:
+    """Value of a pose field, trilinear, on the host: the same as the kernels' look-up; NaN at a pose that is none."""
+    if not np.isfinite(pose).all():
+        return float("nan")
+    values = field.values.numpy() if values is None else values
+    nyaw, nx, ny = values.shape
+    px, py, yaw = pose.tolist()
+    x = min(max((px - field.origin[0]) * field.inv_step, 0.0), nx - 1 - 1e-3)
+    y = min(max((py - field.origin[1]) * field.inv_step, 0.0), ny - 1 - 1e-3)
+    t = (yaw / (2.0 * math.pi)) % 1.0 * nyaw
+    i, j, k = int(x), int(y), int(t) % nyaw
+    cube = values[[k, (k + 1) % nyaw], i : i + 2, j : j + 2]
+    ax, ay, at = x - i, y - j, t - int(t)
+    return float(np.einsum("tij,t,i,j->", cube, [1 - at, at], [1 - ax, ax], [1 - ay, ay]))
+
+
+def build_geometry(scene: Scene, device: str) -> Geometry:
+    """All distance fields of a scene on a device, from the cache where it has them."""
+    start_warp()
+    surface = limit_surface(scene.object)
+    body = [_shifted(piece, -surface.center) for piece in footprint(scene.object.colliders)]
+    low, high = height_range(scene.object.colliders)
+    top = scene.object.rest_height + high
+    lower = scene.object.rest_height + low
+    obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
+    pieces = footprint((*obstacles, *scene.robot.base.colliders), lower=lower + 1e-3, upper=top)
+
+    clearance = _clearance_field(body, pieces, scene, device, edge=True)
+    obstruction = _clearance_field(body, pieces, scene, device, edge=False)
+    size = max(float(np.linalg.norm(piece.vertices, axis=1).max()) + piece.radius for piece in body)
+    space, space_top = _space_field(obstacles, scene, device)
+    return Geometry(
+        surface, top, size, clearance, obstruction, _body_field(body, scene.robot.tool_radius, device), space, space_top
+    )
+
+
+def to_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
+    """Poses [..., 3] of the object's frame as poses of its friction centre."""
+    return _carry(pose, surface.center)
+
+
+def from_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
+    """Poses [..., 3] of the object's friction centre as poses of its frame."""
+    return _carry(pose, -surface.center)
+
+
+def _carry(pose: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    moved = np.array(pose, dtype=float)
+    c, s = np.cos(moved[..., 2]), np.sin(moved[..., 2])
+    moved[..., 0] += c * offset[0] - s * offset[1]
+    moved[..., 1] += s * offset[0] + c * offset[1]
+    return moved
+
+
+def pack_pieces(pieces: Iterable[Piece], device: str) -> kernels.Pieces:
+    """Convex pieces as the kernels read them."""
+    pieces = list(pieces)
+    centers = np.array([piece.vertices.mean(axis=0) for piece in pieces]).reshape(-1, 2)
+    reaches = [
+        np.linalg.norm(piece.vertices - center, axis=1).max() + piece.radius
+        for piece, center in zip(pieces, centers, strict=True)
+    ]
+    packed = kernels.Pieces()
+    vertices = np.concatenate([piece.vertices for piece in pieces]) if pieces else np.zeros((0, 2))
+    packed.vertices = wp.array(vertices, dtype=wp.vec2, device=device)
+    packed.first = wp.array(np.cumsum([0, *(len(piece.vertices) for piece in pieces)]), dtype=int, device=device)
+    packed.center = wp.array(centers, dtype=wp.vec2, device=device)
+    packed.reach = wp.array(np.array(reaches, dtype=np.float32), dtype=float, device=device)
+    packed.radius = wp.array(np.array([piece.radius for piece in pieces], np.float32), dtype=float, device=device)
+    return packed
+
+
+def _shifted(piece: Piece, offset: np.ndarray) -> Piece:
+    return Piece(piece.vertices + offset, piece.radius)
+
+
+def _clearance_field(
+    body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str, *, edge: bool
+) -> PoseField:
+    lower, upper = np.array(scene.table.lower), np.array(scene.table.upper)
+    reach = stretched_length(scene.robot)
+    first = np.maximum(lower, -reach)
+    count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
+    lower, upper = area_of(scene) if edge else (lower - 10.0, upper + 10.0)
+
+    def compute() -> np.ndarray:
+        values = wp.zeros((YAW_NODES, *count), dtype=float, device="cpu")
+        wp.launch(
+            kernels.object_clearance,
+            dim=values.shape,
+            inputs=[
+                pack_pieces(body, "cpu"),
+                pack_pieces(obstacles, "cpu"),
+                wp.vec2(*lower),
+                wp.vec2(*upper),
+                wp.vec2(*first),
+                STEP,
+                FURTHEST,
+            ],
+            outputs=[values],
+            device="cpu",
+        )
+        return values.numpy()
+
+    shapes = [x for piece in (*body, *obstacles) for x in (piece.vertices, piece.radius)]
+    content = content_of(*shapes, len(body), lower, upper, first, count, STEP, YAW_NODES, FURTHEST)
+    field = PoseField()
+    field.values = wp.array(cached("phi2" if edge else "obstruction", content, compute), dtype=float, device=device)
+    field.origin = wp.vec2(*first)
+    field.inv_step = 1.0 / STEP
+    field.inv_yaw_step = YAW_NODES / (2.0 * np.pi)
+    return field
+
+
+def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:
+    shape = outline(pieces)
+    margin = max(2.0 * tool_radius, 0.02)  # beyond it the field is cut off, which must not look like contact
+    x0, y0, x1, y1 = shape.bounds
+    xs = np.arange(x0 - margin, x1 + margin + BODY_STEP, BODY_STEP)
+    ys = np.arange(y0 - margin, y1 + margin + BODY_STEP, BODY_STEP)
+    points = shapely.points(*np.meshgrid(xs, ys, indexing="ij"))
+    shapely.prepare(shape)
+    distance = shapely.distance(points, shape.boundary)
+    values = np.where(shapely.contains(shape, points), -distance, distance)
+    field = PlanarField()
+    field.values = wp.array(values.astype(np.float32), dtype=float, device=device)
+    field.origin = wp.vec2(xs[0], ys[0])
+    field.inv_step = 1.0 / BODY_STEP
+    return field
+
+
+def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[SpaceField, float]:
+    field = SpaceField()
+    field.inv_step = 1.0 / SPACE_STEP
+    field.outside = FURTHEST
+    if not obstacles:
+        field.values = wp.full((2, 2, 2), FURTHEST, dtype=float, device=device)
+        field.origin = wp.vec3(1e3, 1e3, 1e3)
+        return field, -1.0
+
+    mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([collider_mesh(collider) for collider in obstacles]))
+    reach = stretched_length(scene.robot)
+    lower = np.maximum(mesh.bounds[0] - FURTHEST, [-reach, -reach, 0.0])
+    upper = np.minimum(mesh.bounds[1] + FURTHEST, [reach, reach, 2.0])
+    count = np.maximum(np.ceil((upper - lower) / SPACE_STEP).astype(int) + 1, 2)
+
+    def compute() -> np.ndarray:
+        values = wp.zeros(tuple(count), dtype=float, device="cpu")
+        closed = wp.Mesh(
+            points=wp.array(mesh.vertices, dtype=wp.vec3, device="cpu"),
+            indices=wp.array(mesh.faces.ravel(), dtype=int, device="cpu"),
+            support_winding_number=True,
+        )
+        inputs = [closed.id, wp.vec3(*lower), SPACE_STEP, FURTHEST]
+        wp.launch(kernels.space_distance, dim=values.shape, inputs=inputs, outputs=[values], device="cpu")
+        return values.numpy()
+
+    content = content_of(mesh.vertices, mesh.faces, lower, count, SPACE_STEP, FURTHEST)
+    field.values = wp.array(cached("space", content, compute), dtype=float, device=device)
+    field.origin = wp.vec3(*lower)
+    return field, float(mesh.bounds[1, 2]) + NEAR

@@ -1,0 +1,123 @@
+"""The arm on the host: forward kinematics and Jacobian in float64, and its packing for the kernels."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.geometry.footprint import core_points, rotation_matrix
+from oimppi_warp.kernels.kinematics import Arm
+from oimppi_warp.scene import Collider, Robot
+
+SPHERE_SPACING = 0.03
+"""Smallest spacing of the spheres that stand for a link [m]."""
+
+
+def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of all links.
+
+    Args:
+        robot: The arm.
+        joints: Joint positions, shape [dof] [rad].
+
+    Returns:
+        Rotations [dof, 3, 3] and positions [dof, 3] in the world frame [m].
+    """
+    rest, step, turns = _rest_transforms(robot), np.zeros((robot.dof, 4, 4)), turning(robot)
+    angles = np.where(turns, joints, 0.0)
+    c, s = np.cos(angles), np.sin(angles)
+    step[:, 0, 0], step[:, 0, 1], step[:, 1, 0], step[:, 1, 1] = c, -s, s, c
+    step[:, 2, 2] = step[:, 3, 3] = 1.0
+    step[:, 2, 3] = np.where(turns, 0.0, joints)
+    frames = rest @ step
+    for j in range(1, robot.dof):
+        frames[j] = frames[j - 1] @ frames[j]
+    return frames[:, :3, :3], frames[:, :3, 3]
+
+
+@lru_cache(maxsize=8)
+def turning(robot: Robot) -> np.ndarray:
+    """Which joints turn; the others slide. Shape [dof]."""
+    return np.array([joint.kind == "revolute" for joint in robot.joints])
+
+
+@lru_cache(maxsize=8)
+def _rest_transforms(robot: Robot) -> np.ndarray:
+    """Transform of each joint's frame in its parent's at zero, shape [dof, 4, 4]."""
+    rest = np.tile(np.eye(4), (robot.dof, 1, 1))
+    for transform, joint in zip(rest, robot.joints, strict=True):
+        transform[:3, :3] = rotation_matrix(joint.parent_transform[3:])
+        transform[:3, 3] = joint.parent_transform[:3]
+    return rest
+
+
+def tip_frame(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation [3, 3] and position [3] of the tool's tip in the world frame [m]."""
+    rotations, positions = link_frames(robot, joints)
+    return rotations[-1] @ rotation_matrix(robot.tip[3:]), positions[-1] + rotations[-1] @ robot.tip[:3]
+
+
+def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
+    """Jacobian of the tip's velocity (linear, angular; world frame) by the joint velocities, shape [6, dof]."""
+    rotations, positions = link_frames(robot, joints)
+    tip = positions[-1] + rotations[-1] @ robot.tip[:3]
+    axes, turns = rotations[:, :, 2], turning(robot)[:, None]
+    linear = np.where(turns, np.cross(axes, tip - positions), axes)
+    return np.concatenate([linear, np.where(turns, axes, 0.0)], axis=1).T
+
+
+def collider_spheres(collider: Collider) -> np.ndarray:
+    """Spheres [n, 4] (centre, radius) that cover a long shape along its longest axis, in its body's frame [m]."""
+    points, radius = core_points(collider)
+    middle = points.mean(axis=0)
+    _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
+    along = (points - middle) @ axes[0]
+    across = np.linalg.norm(points - middle - np.outer(along, axes[0]), axis=1)
+    radius = radius + float(across.max())
+    ends = (along.min(), along.max()) if collider.kind == "capsule" else (along.min() + radius, along.max() - radius)
+    if ends[1] <= ends[0]:
+        return np.array([[*middle, max(radius, float(np.abs(along).max()))]])
+    count = int(np.ceil((ends[1] - ends[0]) / max(radius, SPHERE_SPACING))) + 1
+    centers = middle + np.outer(np.linspace(*ends, count), axes[0])
+    return np.column_stack([centers, np.full(count, radius)])
+
+
+def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
+    """The arm as the kernels read it.
+
+    Args:
+        robot: The arm.
+        speed: Joint velocity limits to plan with, shape [dof] [rad/s].
+        device: Warp device.
+    """
+    spheres = [np.concatenate([np.zeros((0, 4)), *map(collider_spheres, link.colliders)]) for link in robot.links]
+    arm = Arm()
+    rest = _rest_transforms(robot)
+    arm.rotation = wp.array(rest[:, :3, :3].copy(), dtype=wp.mat33, device=device)
+    arm.position = wp.array(rest[:, :3, 3].copy(), dtype=wp.vec3, device=device)
+    arm.lower = wp.array([joint.lower for joint in robot.joints], dtype=float, device=device)
+    arm.upper = wp.array([joint.upper for joint in robot.joints], dtype=float, device=device)
+    arm.speed = wp.array(np.asarray(speed, dtype=np.float32), dtype=float, device=device)
+    arm.tip_position = wp.vec3(*robot.tip[:3])
+    arm.tip_rotation = wp.mat33(*rotation_matrix(robot.tip[3:]).ravel())
+    arm.sphere = wp.array(np.concatenate(spheres), dtype=wp.vec4, device=device)
+    arm.first_sphere = wp.array(np.cumsum([0, *map(len, spheres)]), dtype=int, device=device)
+    arm.hull = wp.array(np.array([enclosing_sphere(balls) for balls in spheres]), dtype=wp.vec4, device=device)
+    return arm
+
+
+def enclosing_sphere(spheres: np.ndarray) -> np.ndarray:
+    """A small sphere [4] (centre, radius) around spheres [n, 4]; around none, one of no size at the origin [m]."""
+    if not len(spheres):
+        return np.zeros(4)
+    centers, radii = spheres[:, :3], spheres[:, 3]
+    # The middle of the box around them, or of the two that are furthest apart: whichever is tighter.
+    low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
+    apart = np.linalg.norm(centers[:, None] - centers, axis=-1)
+    ends = centers[list(np.unravel_index(np.argmax(apart), apart.shape))]
+    candidates = np.array([(low + high) / 2, ends.mean(axis=0)])
+    reach = (np.linalg.norm(candidates[:, None] - centers, axis=-1) + radii).max(axis=1)
+    best = int(np.argmin(reach))
+    return np.append(candidates[best], reach[best])

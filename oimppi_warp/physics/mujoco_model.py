@@ -1,0 +1,209 @@
+"""The MuJoCo model that Newton's SolverMuJoCo makes of a scene, kept by content.
+
+Importing Newton and MuJoCo Warp to make it anew takes two seconds.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from contextlib import redirect_stdout, suppress
+from dataclasses import dataclass, fields, replace
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from oimppi_warp.compute.cache import cache_folder, content_of_data, source_content
+from oimppi_warp.physics.newton_model import ROLES, SOLVER_OPTIONS, NewtonModel, build_model
+from oimppi_warp.scene import Scene
+
+if TYPE_CHECKING:
+    import mujoco
+    from newton.solvers import SolverMuJoCo
+
+SENSED = ((("object",), ("obstacle", "base")), (("arm", "tool"), ("obstacle", "table")))
+"""Whose contact forces are sensed, the paper's lambda_2 and lambda_3: what moves, and what stands still."""
+
+
+@dataclass(frozen=True, eq=False)
+class MujocoModel:
+    """A scene as a MuJoCo model, and where everything is in it.
+
+    Attributes:
+        model: The compiled model; copy it before changing it.
+        joint_qpos: Addresses of the arm's joint positions in ``qpos``, shape [dof].
+        joint_qvel: Addresses of their velocities in ``qvel``, shape [dof].
+        joint_drive: Indices of their velocity drives in ``ctrl``, shape [dof].
+        object_qpos: Addresses of the object's pose in ``qpos`` (position, quaternion wxyz), shape [7].
+        object_qvel: Addresses of its velocity in ``qvel`` (linear in the world's frame, angular in its own), shape [6].
+        object_body: The object's body, shape [].
+        link_bodies: Bodies of the arm's moving links, shape [dof].
+        roles: Each geom's role, an index of :data:`ROLES`, shape [ngeom].
+        sensors: What each contact force sensor belongs to, an index of :data:`SENSED`, shape [nsensor]; each has three
+            numbers in ``sensordata``, a force [N].
+    """
+
+    model: mujoco.MjModel
+    joint_qpos: np.ndarray
+    joint_qvel: np.ndarray
+    joint_drive: np.ndarray
+    object_qpos: np.ndarray
+    object_qvel: np.ndarray
+    object_body: np.ndarray
+    link_bodies: np.ndarray
+    roles: np.ndarray
+    sensors: np.ndarray
+
+
+def translated(scene: Scene, *, sensing: bool) -> MujocoModel:
+    """The MuJoCo model of a scene, from the cache where that has it.
+
+    It does not depend on where the object and the arm start: both are at zero in ``qpos0``.
+
+    Args:
+        scene: The task.
+        sensing: With sensors of the contact forces.
+    """
+    file = cache_folder() / f"mujoco-{_content(scene)}{'-sensing' if sensing else ''}.npz"
+    try:
+        return _load(file)
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        pass  # not there, or cut short: make it again
+    made = _translate(build_model(_at_zero(scene)), sensing=sensing)
+    with suppress(OSError):  # a cache that cannot be written costs time, not the run
+        _save(made, file)
+    return made
+
+
+def _translate(built: NewtonModel, *, sensing: bool) -> MujocoModel:
+    """The MuJoCo model of a Newton model."""
+    import mujoco
+    from newton.solvers import SolverMuJoCo
+
+    with TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):  # it tells where it saved
+        file = Path(folder) / "model.xml"
+        solver = SolverMuJoCo(
+            built.model, use_mujoco_cpu=True, save_to_mjcf=str(file) if sensing else None, **SOLVER_OPTIONS
+        )
+        specification = mujoco.MjSpec.from_file(str(file)) if sensing else None
+    plain = mapped(solver, built)
+    if specification is None:
+        return plain
+    sensors = _add_sensors(specification, plain)
+    model = specification.compile()
+    model.jnt_actfrclimited = plain.model.jnt_actfrclimited
+    return replace(plain, model=model, sensors=sensors)
+
+
+def mapped(solver: SolverMuJoCo, built: NewtonModel) -> MujocoModel:
+    """The MuJoCo model of a solver, and where everything of the Newton model's first world is in it."""
+    import mujoco
+
+    model = solver.mj_model
+    dof_of = _first_world(solver.mjc_dof_to_newton_dof)
+    body_of = _first_world(solver.mjc_body_to_newton)
+    shape_of = _first_world(solver.mjc_geom_to_newton_shape)
+    qvel = _places(dof_of, built.joint_dofs)
+    joints = model.dof_jntid[qvel]
+    # A velocity drive never makes up for what it lost while its force was limited: the tool would lag by centimetres.
+    model.jnt_actfrclimited[joints] = 0
+    object_body = _places(body_of, built.object_body)
+    free_joint = model.body_jntadr[object_body]
+    driven = np.where(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, model.actuator_trnid[:, 0], -1)
+    return MujocoModel(
+        model=model,
+        joint_qpos=model.jnt_qposadr[joints],
+        joint_qvel=qvel,
+        joint_drive=_places(driven, joints),
+        object_qpos=model.jnt_qposadr[free_joint] + np.arange(7),
+        object_qvel=model.jnt_dofadr[free_joint] + np.arange(6),
+        object_body=object_body,
+        link_bodies=_places(body_of, built.link_bodies),
+        roles=np.where(shape_of >= 0, built.roles[shape_of], 0),
+        sensors=np.zeros(0, dtype=int),
+    )
+
+
+def _add_sensors(specification: mujoco.MjSpec, plain: MujocoModel) -> np.ndarray:
+    """Adds a contact force sensor for each pair of a moving thing and a shape that stands still.
+
+    Args:
+        specification: Of the same model, to which they are added.
+        plain: The model without them.
+
+    Returns:
+        What each belongs to, an index of :data:`SENSED`, shape [sensor].
+    """
+    import mujoco
+
+    model = plain.model
+    moving = (  # the object, and all that hangs on the arm's first link
+        (mujoco.mjtObj.mjOBJ_BODY, int(plain.object_body)),
+        (mujoco.mjtObj.mjOBJ_XBODY, int(plain.link_bodies[0])),
+    )
+    net_force = [1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1]
+    groups = []
+    for group, ((kind, body), (_, still)) in enumerate(zip(moving, SENSED, strict=True)):
+        for geom in np.flatnonzero(np.isin(plain.roles, [ROLES.index(role) for role in still])):
+            specification.add_sensor(
+                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                objtype=kind,
+                objname=model.body(body).name,
+                reftype=mujoco.mjtObj.mjOBJ_GEOM,
+                refname=model.geom(geom).name,
+                intprm=net_force,
+            )
+            groups.append(group)
+    return np.array(groups, dtype=int)
+
+
+def _first_world(array: Any) -> np.ndarray:
+    """The row of a Warp array [world, n] that belongs to the first world, shape [n]."""
+    return array.numpy()[0]
+
+
+def _places(values: np.ndarray, wanted: np.ndarray | int) -> np.ndarray:
+    """Where each of ``wanted`` stands in ``values``, in the shape of ``wanted``."""
+    return np.argmax(values == np.asarray(wanted)[..., None], axis=-1)
+
+
+def _at_zero(scene: Scene) -> Scene:
+    """The scene with the object at the origin and all joint positions zero."""
+    robot = replace(scene.robot, start=np.zeros(scene.robot.dof))
+    return replace(scene, robot=robot, start=(0.0, 0.0, 0.0))
+
+
+def _content(scene: Scene) -> str:
+    """Hash of all that a scene's MuJoCo model is made from: the scene, what is set here, and who translates."""
+    still = _at_zero(scene)
+    sources = source_content("physics", "geometry", "observation.py")
+    parts = (still.robot, still.object, still.table, still.obstacles, still.gravity)
+    return content_of_data(sources, version("newton"), version("mujoco"), version("warp-lang"), *parts)
+
+
+def _save(made: MujocoModel, file: Path) -> None:
+    """Write a translated model to one file."""
+    import mujoco
+
+    compiled = np.zeros(mujoco.mj_sizeModel(made.model), dtype=np.uint8)
+    mujoco.mj_saveModel(made.model, None, compiled)
+    places = {field.name: getattr(made, field.name) for field in fields(made) if field.name != "model"}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_name(f"{file.name}.{os.getpid()}.part")
+    with partial.open("wb") as stream:
+        np.savez(stream, model=compiled, **places)
+    partial.replace(file)
+
+
+def _load(file: Path) -> MujocoModel:
+    """Read what :func:`_save` wrote."""
+    import mujoco
+
+    with np.load(file) as saved:
+        arrays = dict(saved)
+    model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": arrays.pop("model").tobytes()})
+    return MujocoModel(model=model, **arrays)

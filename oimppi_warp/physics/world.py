@@ -1,0 +1,56 @@
+"""A scene as physics, built when it is asked for."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from oimppi_warp.physics.mujoco_model import MujocoModel, translated
+from oimppi_warp.physics.newton_model import NewtonModel, build_model
+from oimppi_warp.scene import Scene
+
+
+class World:
+    """A scene's physics, built when it is asked for.
+
+    Attributes:
+        scene: What it is built from, and all that it is built from.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    @cached_property
+    def newton(self) -> NewtonModel:
+        """The Newton model of the scene."""
+        return build_model(self.scene)
+
+    @cached_property
+    def mujoco(self) -> MujocoModel:
+        """The same for MuJoCo's C engine, as Newton's SolverMuJoCo translates it."""
+        return translated(self.scene, sensing=False)
+
+    @cached_property
+    def mujoco_sensing(self) -> MujocoModel:
+        """:attr:`mujoco` with sensors of the contact forces, for rollouts."""
+        return translated(self.scene, sensing=True)
+
+    def link_transforms(self, joint_position: np.ndarray) -> np.ndarray:
+        """Poses of the arm's moving links from Newton's forward kinematics (float32).
+
+        Args:
+            joint_position: Shape [dof] [rad].
+
+        Returns:
+            Position and quaternion xyzw of each link in the world's frame, shape [dof, 7].
+        """
+        built = self.newton
+        import newton
+        import warp as wp
+
+        coords = built.model.joint_q.numpy().copy()
+        coords[built.joint_coords] = joint_position
+        state, still = built.model.state(), wp.zeros(built.model.joint_dof_count, dtype=float, device="cpu")
+        newton.eval_fk(built.model, wp.array(coords, dtype=float, device="cpu"), still, state)
+        return state.body_q.numpy()[built.link_bodies]

@@ -1,0 +1,113 @@
+"""Which rollout engine to plan with: of those that keep up with the control period, the most successful one.
+
+What is known of an engine stands with it: ``known_success`` and ``slower_than`` of its entry in
+:data:`oimppi_warp.registries.ENGINES` (see :class:`RobotDynamics`). An engine without a figure for the method is
+never chosen: it has to be asked for by its name.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import ENGINES
+
+_TIMED = 3
+"""Plans that are timed, if none takes longer than the control period."""
+
+
+class Rehearsable(Protocol):
+    """A planner, as far as it is timed."""
+
+    def warm_up(self) -> None:
+        """Compiles and loads every kernel, so that the first plan is as fast as the others."""
+        ...
+
+    def rehearse(self) -> None:
+        """One plan from the task's start."""
+        ...
+
+
+P = TypeVar("P", bound=Rehearsable)
+
+
+@dataclass(frozen=True)
+class Choice(Generic[P]):
+    """An engine and why it was chosen.
+
+    Attributes:
+        engine: Its name.
+        reason: One line.
+        planner: A planner with it, warmed up.
+    """
+
+    engine: str
+    reason: str
+    planner: P
+
+
+def choose(method: str, period: float, make: Callable[[str], P]) -> Choice[P]:
+    """The engine to plan with.
+
+    Engines are tried in the order of their known success; of equals, those first that are slower than fewer others. An
+    engine that is known to be slower than one that was too slow is not tried. The first that keeps up is taken; where
+    none does, the fastest of those that were tried.
+
+    Args:
+        method: How it will be used.
+        period: What a plan may take [s].
+        make: Makes a planner with an engine.
+
+    Raises:
+        ConfigError: No engine has a figure for any method.
+    """
+    known = {name: figures for name, engine in ENGINES.loadable() if (figures := getattr(engine, "known_success", {}))}
+    success = {name: figures[method] for name, figures in known.items() if method in figures}
+    if not success:  # a method of somebody's own: engines count as good as they are with the best of ours
+        success = {name: max(figures.values()) for name, figures in known.items()}
+    slower = {name: getattr(ENGINES[name], "slower_than", frozenset()) for name in success}
+    if not success:
+        raise ConfigError(
+            f"--engine auto: no engine has a known success\n  allowed: {', '.join(ENGINES)}\n  to do:   name one"
+        )
+    found: dict[str, float] = {}
+    left_out: list[str] = []
+    planners: dict[str, P] = {}
+    for name in sorted(success, key=lambda name: (-success[name], len(slower[name]))):
+        if slower[name] & found.keys():
+            left_out.append(name)
+            continue
+        planners[name] = make(name)
+        found[name] = plan_seconds(planners[name], period)
+        if found[name] <= period:
+            others = "".join(f", with {other} {_ms(found[other])}" for other in found if other != name)
+            return Choice(name, f"a plan takes {_ms(found[name])} of {_ms(period)}{others}", planners[name])
+    fastest = min(found, key=lambda name: found[name])
+    reason = f"none keeps up; with this one a plan takes {_ms(found[fastest])} of {_ms(period)}"
+    if left_out:
+        reason += f", and {', '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} known to be slower"
+    return Choice(fastest, reason, planners[fastest])
+
+
+def plan_seconds(planner: Rehearsable, period: float) -> float:
+    """Times a plan [s]: the median of a few, or the first that takes longer than ``period``.
+
+    The planner is warmed up before, which is not counted.
+    """
+    planner.warm_up()
+    found: list[float] = []
+    while len(found) < _TIMED:
+        began = time.perf_counter()
+        planner.rehearse()
+        found.append(time.perf_counter() - began)
+        if found[-1] > period:
+            return found[-1]
+    return statistics.median(found)
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.0f} ms"

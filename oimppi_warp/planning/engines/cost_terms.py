@@ -1,0 +1,112 @@
+"""Cost terms of the robot level from outside the package.
+
+A term is a Warp function of the stage that a control step of a rollout led to. Where it is registered and its weight is
+not zero, it is compiled into the kernels of every engine whose costs our kernels compute::
+
+    import warp as wp
+
+    from oimppi_warp.planning.engines.cost_terms import CostTerm
+    from oimppi_warp.kernels.costs.terms import Stage
+    from oimppi_warp.registries import COST_TERMS
+
+
+    @wp.func
+    def high(s: Stage) -> float:
+        return wp.max(s.tip[2] - 0.05, 0.0)
+
+
+    COST_TERMS.register("high", CostTerm(high, about="height of the tip above 5 cm [1/m]"))
+
+Its weight is the setting ``cost.extra.high``. The file must not have ``from __future__ import annotations``: Warp reads
+the annotations.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from oimppi_warp.config.settings import RobotCost
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import COST_TERMS
+
+if TYPE_CHECKING:
+    import warp as wp
+
+
+@dataclass(frozen=True)
+class CostTerm:
+    """A cost term of the robot level.
+
+    Attributes:
+        function: A ``wp.func`` that takes a ``kernels.costs.terms.Stage`` and returns the unweighted cost.
+        weight: Its weight where the settings give none; 0 is off.
+        about: What it costs, in one line, with the weight's unit.
+    """
+
+    function: wp.Function
+    weight: float = 0.0
+    about: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.weight < math.inf:
+            raise ConfigError(
+                f"a cost term with the weight {self.weight:g}\n  allowed: 0 or more (finite)\n"
+                "  to do:   for a reward, return a negative cost"
+            )
+
+
+@dataclass(frozen=True)
+class WeightedTerm:
+    """A cost term that counts.
+
+    Attributes:
+        name: Its name.
+        function: Of the stage, unweighted.
+        weight: Its weight, not zero.
+    """
+
+    name: str
+    function: wp.Function
+    weight: float
+
+
+def weighted_terms(cost: RobotCost) -> tuple[WeightedTerm, ...]:
+    """The registered terms whose weights are not zero, in the order in which they were registered.
+
+    Args:
+        cost: Weights of the robot level: those in ``extra`` take the place of the terms' own.
+
+    Raises:
+        ConfigError: A weight has no term, or a term cannot be used.
+    """
+    for name, weight in cost.extra.items():
+        if weight != 0.0:
+            COST_TERMS.check(name)
+    found = []
+    for name, term in COST_TERMS.loadable():
+        weight = cost.extra.get(name, term.weight)
+        if weight != 0.0:
+            _check(name, term.function)
+            found.append(WeightedTerm(name, term.function, weight))
+    return tuple(found)
+
+
+def _check(name: str, function: wp.Function) -> None:
+    """Raises ConfigError where a term cannot be compiled into the stage cost."""
+    from oimppi_warp.kernels.costs.stage_costs import TERMS
+    from oimppi_warp.kernels.costs.terms import Stage
+
+    if not name.isidentifier() or name in TERMS:
+        raise ConfigError(
+            f"cost term {name!r}: the name cannot be used\n"
+            f"  allowed: letters, digits and underscores, none of {', '.join(TERMS)}"
+        )
+    takes = list(getattr(function, "input_types", {}).values())
+    if takes != [Stage]:
+        found = ", ".join(getattr(kind, "key", str(kind)) for kind in takes) or "no wp.func, or one without arguments"
+        raise ConfigError(
+            f"cost term {name!r}: its function cannot be used\n  found:   {found}\n"
+            "  allowed: a wp.func with one argument, annotated oimppi_warp.kernels.costs.terms.Stage"
+        )

@@ -1,0 +1,194 @@
+"""The seam between MPPI and what it plans with."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.compute.step import Compute, Launch
+from oimppi_warp.config.settings import RobotCost, RobotLevel
+from oimppi_warp.geometry.fields import Geometry, to_center
+from oimppi_warp.geometry.kinematics import tip_frame
+from oimppi_warp.kernels.geometry import PoseField
+from oimppi_warp.observation import Observation
+from oimppi_warp.planning.engines.packing import velocity_bound
+from oimppi_warp.planning.engines.uncertainty import CERTAIN, Draws
+from oimppi_warp.scene import Scene
+
+
+class Dynamics(Protocol):
+    """A model with a state of its own that turns control sequences into costs.
+
+    Attributes:
+        size: Length m of one control.
+        bound: Largest magnitude of each control entry, shape [m].
+        compute: Where it computes.
+    """
+
+    size: int
+    bound: np.ndarray
+    compute: Compute
+
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        """Prepares writing the cost of each control sequence from the state that is set when it runs.
+
+        Args:
+            controls: [sample, horizon] of vectors [m].
+            costs: [sample], written.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RolloutTask:
+    """What an engine of the robot level is made for.
+
+    Attributes:
+        scene: The task.
+        geometry: Its shapes.
+        level: Settings of the robot level.
+        cost: Its weights.
+        dt: Control period [s].
+        compute: Where to compute.
+        draws: Worlds that the rollouts are in.
+        to_go: Cost-to-go of the object [m], where its weight is not zero.
+    """
+
+    scene: Scene
+    geometry: Geometry
+    level: RobotLevel
+    cost: RobotCost
+    dt: float
+    compute: Compute
+    draws: Draws = CERTAIN
+    to_go: PoseField | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What a control sequence leads to.
+
+    Attributes:
+        tips: Tool tip, shape [horizon + 1, 3] [m].
+        poses: Object (friction centre), shape [horizon + 1, 3].
+        terms: Weighted cost terms summed over the horizon, in the order of the engine's ``terms``.
+    """
+
+    tips: np.ndarray
+    poses: np.ndarray
+    terms: np.ndarray
+
+
+class RobotDynamics(ABC):
+    """A rollout engine of the robot level; controls are joint velocities [rad/s].
+
+    An engine must define :meth:`rollout`; what it computes starts from :attr:`observation` and :attr:`goal`, or from
+    what :meth:`set_state` makes of them. All else is optional. :meth:`trace`, :meth:`traced` and :meth:`paths` serve
+    logs and the viewer; as they are here, they say what plans cost and show the arm and the object where they stand.
+    An engine may ignore ``guide``; then letting go of a stuck object has no effect with it.
+
+    Engines are entries of :data:`oimppi_warp.registries.ENGINES`: a subclass, or any callable that takes a
+    :class:`RolloutTask` and returns an instance of one.
+
+    Args:
+        task: What it is made for.
+
+    Attributes:
+        known_success: Share of a benchmark's starts that each method, by its name, brings to the goal with this engine.
+            ``--engine auto`` takes only engines for which there is a figure for the method.
+        slower_than: Names of engines whose plans are known to take less time. ``--engine auto`` does not try this
+            engine where one of those is too slow.
+        one_graph: Whether its launches can be captured in a CUDA graph.
+        terms: Names of the cost terms.
+        task: What it was made for.
+        size: Number of joints.
+        bound: Largest joint velocities to plan with, shape [dof] [rad/s].
+        compute: Where it computes.
+        reference: Where the object should be at each step from now, poses of its friction centre, an input of the step
+            (:class:`oimppi_warp.compute.step.Compute`), [horizon + 1 + align_ahead].
+        guide: Where the tip is called to and the weight of that, an input [1] of (x, y, z [m], weight [1/m^2]).
+        observation: The state to plan from.
+        goal: The goal [3] of the object's friction centre.
+    """
+
+    known_success: ClassVar[Mapping[str, float]] = {}
+    slower_than: ClassVar[frozenset[str]] = frozenset()
+    one_graph: bool = False
+    terms: tuple[str, ...] = ("cost",)
+    observation: Observation
+    goal: np.ndarray
+
+    def __init__(self, task: RolloutTask) -> None:
+        self.task = task
+        self.compute = task.compute
+        self.size = task.scene.robot.dof
+        self.bound = velocity_bound(task.scene, task.level)
+        self.reference = task.compute.input(task.level.optimizer.horizon + 1 + task.cost.align_ahead, wp.vec3)
+        self.guide = task.compute.input(1, wp.vec4)
+        self._costs: wp.array | None = None
+
+    @abstractmethod
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        """Prepares writing the cost of each joint velocity sequence; see :class:`Dynamics`.
+
+        An engine in NumPy returns a function that reads ``controls.numpy()``, shape [sample, horizon, dof], and ends
+        with ``costs.assign(...)``.
+
+        Args:
+            controls: [sample, horizon] of vectors [dof] [rad/s].
+            costs: [sample], written.
+        """
+
+    def set_state(self, observation: Observation, goal: np.ndarray) -> None:
+        """The state to plan from, and the goal [3] of the object's friction centre."""
+        self.observation, self.goal = observation, goal
+
+    def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
+        """Prepares what :meth:`traced` reads, after an update.
+
+        Args:
+            nominal: The updated nominal, [horizon] of vectors.
+            costs: Costs of the samples that it was made from, [sample].
+        """
+        self._costs = costs
+        return lambda: None
+
+    def traced(self) -> Trace:
+        """Where the plan leads: its nominal, or its best sample in an engine where another rollout would be dear.
+
+        By default everything stays where it is, and the cost is that of the cheapest sample.
+        """
+        assert self._costs is not None, "trace() comes first"
+        steps = self.task.level.optimizer.horizon + 1
+        pose = to_center(self.task.geometry.surface, self.observation.object_pose)
+        least = self._costs.numpy().min()
+        return Trace(np.tile(self._tip(), (steps, 1)), np.tile(pose, (steps, 1)), np.array([least], dtype=float))
+
+    def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What some samples of the latest rollout led to, for people to look at.
+
+        Args:
+            controls: The controls that were rolled out, [sample, horizon] of vectors.
+            samples: Which of them, shape [n].
+
+        Returns:
+            Tool tips, shape [n, steps, 3] [m], and weighted cost terms, shape [n, terms]. By default the tips stay
+            where they are.
+        """
+        assert self._costs is not None, "trace() comes first"
+        tips = np.tile(self._tip(), (len(samples), controls.shape[1] + 1, 1))
+        return tips, self._costs.numpy()[samples][:, None]
+
+    def _tip(self) -> np.ndarray:
+        """The tool's tip in the state to plan from, shape [3] [m]."""
+        return tip_frame(self.task.scene.robot, self.observation.joint_position)[1]
+
+
+def control_type(size: int) -> type:
+    """Warp's vector type for controls of ``size`` numbers (the same object the kernels use)."""
+    return wp.types.vector(length=size, dtype=float)

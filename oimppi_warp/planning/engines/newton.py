@@ -1,0 +1,130 @@
+"""Robot level on full physics: what the engines on Newton's model of a scene have in common.
+
+An engine rolls out and leaves three arrays; their costs, the cheapest sample's trace and what several draws of the
+world make of a cost are the same for all.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.compute.step import Launch
+from oimppi_warp.geometry.fields import to_center
+from oimppi_warp.kernels.rollouts.scoring import Felt, make_pick_trace, make_stage_costs
+from oimppi_warp.kernels.rollouts.uncertainty import combine_costs
+from oimppi_warp.observation import Observation
+from oimppi_warp.planning.engines.dynamics import RolloutTask, Trace, control_type
+from oimppi_warp.planning.engines.scored import ScoredDynamics
+
+SOFTEST_STEP = 0.005
+"""Longest step of the physics [s] at which contacts set in as the plant's do."""
+
+
+def contact_softness(step: float) -> tuple[float, float]:
+    """How contacts give at a length of step: the time constant ``solref`` [s], and the depth [m] at which it is full.
+
+    Contacts that set in within less than what an object moves in a step chatter, and chatter costs it its friction.
+    The depth therefore grows with the square of the step. So a pushed T goes as far at steps of 17 ms as at 2.5 ms,
+    within 4 % (tests/planning/engines/test_newton.py).
+    """
+    return max(0.02, 2.0 * step), 0.0005 * max(step / SOFTEST_STEP, 1.0) ** 2
+
+
+class NewtonDynamics(ScoredDynamics):
+    """Arm, contact and object in Newton's model of the scene; controls are joint velocities [rad/s].
+
+    Args:
+        task: What it is made for.
+
+    Attributes:
+        forces: lambda_2 and lambda_3 of the latest rollouts, [rollout, horizon] [N].
+        tips, poses: Tool tip and object (friction centre) after each control step in them, [rollout, horizon].
+    """
+
+    def __init__(self, task: RolloutTask) -> None:
+        super().__init__(task)
+        compute, device = task.compute, task.compute.device
+        self._draws = task.draws
+        self._horizon = task.level.optimizer.horizon
+        self._rollouts = task.level.optimizer.samples * task.draws.per_sample
+        self._start_joints = compute.input(1, control_type(self.size))
+        size = (self._rollouts, self._horizon)
+        self.forces = wp.zeros(size, dtype=wp.vec2, device=device)
+        self.tips = wp.zeros(size, dtype=wp.vec3, device=device)
+        self.poses = wp.zeros(size, dtype=wp.vec3, device=device)
+        self._lost = wp.zeros(self._rollouts, dtype=int, device=device)
+        self._rolled = wp.zeros(self._rollouts, dtype=float, device=device)
+        self._terms = wp.zeros(self._rollouts, dtype=self._terms_type, device=device)
+        self._trace_terms = compute.output(1, self._terms_type)
+        self._trace_tips = compute.output(self._horizon, wp.vec3)
+        self._trace_poses = compute.output(self._horizon, wp.vec3)
+
+    def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`RobotDynamics`; of a sample's rollouts the first is taken."""
+        rollouts = np.asarray(samples) * self._draws.per_sample
+        return self.tips.numpy()[rollouts], self._terms.numpy()[rollouts]
+
+    @abstractmethod
+    def simulate(self, controls: wp.array) -> Sequence[Launch]:
+        """Prepares rolling out control sequences [sample, horizon], each in ``draws.per_sample`` rollouts.
+
+        The launches fill ``forces``, ``_lost`` and the arrays that :meth:`states` returns.
+        """
+
+    @abstractmethod
+    def states(self) -> tuple[wp.array, wp.array, Any]:
+        """States after each control step, and their precision.
+
+        Returns:
+            Joint positions [rollout, horizon] of vectors [dof], the object (position, quaternion wxyz)
+            [rollout, horizon] of vectors [7], and the type of their numbers.
+        """
+
+    def set_state(self, observation: Observation, goal: np.ndarray) -> None:
+        """The state to plan from; see :class:`RobotDynamics`."""
+        super().set_state(observation, goal)
+        self._start_joints.host[0] = observation.joint_position
+
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        """Prepares the cost of each joint velocity sequence; see :class:`Dynamics`.
+
+        Args:
+            controls: [sample, horizon] of vectors [dof], as many as the level has samples.
+            costs: [sample], written.
+        """
+        draws = self._draws
+        joints, objects, precision = self.states()
+        felt = Felt()
+        felt.forces, felt.lost = self.forces, self._lost
+        inputs = [self._packed, controls, draws.per_sample, self._start_joints.array, joints, objects, felt]
+        rolled = costs if draws.per_sample == 1 else self._rolled
+        outputs = [rolled, self._terms, self.tips, self.poses]
+        kernel = make_stage_costs(self.task.scene.robot.chain, precision, self._extra)
+        launches = [*self.simulate(controls), self.compute.launch_samples(kernel, self._rollouts, inputs, outputs)]
+        if draws.per_sample > 1:
+            inputs = [rolled, draws.per_sample, draws.worst]
+            launches.append(self.compute.launch_samples(combine_costs, controls.shape[0], inputs, [costs]))
+
+        def roll() -> None:
+            for launch in launches:
+                launch()
+
+        return roll
+
+    def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
+        """Prepares what the cheapest sample led to: to roll out the nominal too would take as long as the plan."""
+        inputs = [costs, self._draws.per_sample, self._terms, self.tips, self.poses]
+        outputs = [self._trace_terms.array, self._trace_tips.array, self._trace_poses.array]
+        return self.compute.launch_blocks(make_pick_trace(len(self.terms)), None, inputs, outputs)
+
+    def traced(self) -> Trace:
+        """What the cheapest sample led to."""
+        pose = to_center(self.task.geometry.surface, self.observation.object_pose)
+        tips = np.vstack([self._tip(), self._trace_tips.host])
+        poses = np.vstack([pose, self._trace_poses.host])
+        return Trace(tips, poses, self._trace_terms.host[0].astype(float))

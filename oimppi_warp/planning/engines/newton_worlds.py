@@ -1,0 +1,214 @@
+"""The Newton engine on Warp's devices: as many Newton worlds as rollouts, stepped together.
+
+Made for CUDA, where a whole plan is one graph. On Warp's CPU device it runs on one thread and takes seconds: there it
+is what the other engines are compared with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.compute.step import Launch
+from oimppi_warp.geometry.footprint import rotation_matrix
+from oimppi_warp.kernels.rollouts.worlds import (
+    Places,
+    Transform,
+    feel_contacts,
+    make_drive_worlds,
+    make_place_worlds,
+    take_forces,
+)
+from oimppi_warp.observation import Observation
+from oimppi_warp.physics.mujoco_model import SENSED, mapped
+from oimppi_warp.physics.newton_model import MIN_FRICTION, ROLES, SOLVER_OPTIONS, NewtonModel, build_model
+from oimppi_warp.planning.engines.dynamics import RolloutTask, Trace, control_type
+from oimppi_warp.planning.engines.newton import NewtonDynamics, contact_softness
+from oimppi_warp.planning.engines.uncertainty import Draws
+from oimppi_warp.scene import Scene
+
+_POINTS = 8
+"""Most points of contact of two convex shapes."""
+_LIMIT_ROWS = 24
+"""Rows of the constraints that are no contacts: joint limits, and some head-room."""
+
+
+class NewtonWorlds(NewtonDynamics):
+    """See :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`.
+
+    The worlds are Newton's; they are stepped by MuJoCo Warp on the solver's own data rather than by
+    ``SolverMuJoCo.step``, which would copy Newton's state in and out at every step of the physics.
+
+    Args:
+        task: What it is made for.
+        contacts: Room for so many points of contact per world, on the average over the worlds; default: by the scene.
+
+    Attributes:
+        solver: Newton's solver.
+
+    Raises:
+        RuntimeError: In :meth:`traced`, if contacts or constraints outgrew their buffers.
+    """
+
+    one_graph = True
+
+    def __init__(self, task: RolloutTask, *, contacts: int | None = None) -> None:
+        super().__init__(task)
+        from newton.solvers import SolverMuJoCo
+
+        _, self._mujoco_warp = SolverMuJoCo.import_mujoco()
+        compute, device, level = task.compute, task.compute.device, task.level
+        worlds = self._rollouts
+        built = build_model(task.scene, worlds=worlds, device=device)
+        _change(built, task.scene, task.draws, worlds)
+        contacts = contact_room(built.roles) if contacts is None else contacts
+        self.solver = SolverMuJoCo(
+            built.model, nconmax=contacts, njmax=3 * contacts + _LIMIT_ROWS, separate_worlds=True, **SOLVER_OPTIONS
+        )
+        self._map = mapped(self.solver, built)
+        model = self.solver.mjw_model
+        model.jnt_actfrclimited.assign(self._map.model.jnt_actfrclimited.astype(bool))
+        step = task.dt / level.substeps
+        model.opt.timestep.fill_(step)
+        time_constant, depth = contact_softness(step)
+        for array, place, value in ((model.geom_solref, 0, time_constant), (model.geom_solimp, 2, depth)):
+            values = array.numpy().copy()
+            values[..., place] = value
+            array.assign(values)
+
+        vec = control_type(self.size)
+        size = (worlds, self._horizon)
+        self._seen = [compute.input(1, vec), compute.input(1, vec), compute.input(1, Transform)]
+        self._joints = wp.zeros(size, dtype=vec, device=device)
+        self._objects = wp.zeros(size, dtype=Transform, device=device)
+        self._felt = wp.zeros((worlds, self._horizon * level.substeps), dtype=wp.vec2, device=device)
+        self._overflows = compute.output(1, int)
+
+    def set_state(self, observation: Observation, goal: np.ndarray) -> None:
+        """The state to plan from; see :class:`oimppi_warp.planning.engines.dynamics.RobotDynamics`."""
+        super().set_state(observation, goal)
+        joints, velocities, pushed = self._seen
+        joints.host[0] = observation.joint_position
+        velocities.host[0] = observation.joint_velocity
+        pushed.host[0] = observation.object_transform[[0, 1, 2, 6, 3, 4, 5]]
+
+    def simulate(self, controls: wp.array) -> Sequence[Launch]:
+        """Prepares rolling out; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`."""
+        launch, device, worlds, substeps = (
+            self.compute.launch,
+            self.compute.device,
+            self._rollouts,
+            self.task.level.substeps,
+        )
+        model, data = self.solver.mjw_model, self.solver.mjw_data
+        places = Places()
+        places.joint_qpos, places.joint_qvel, places.drive = (
+            wp.array(each, dtype=int, device=device)
+            for each in (self._map.joint_qpos, self._map.joint_qvel, self._map.joint_drive)
+        )
+        places.object_qpos = int(self._map.object_qpos[0])
+        errors = wp.array(self._draws.pose.astype(np.float32), dtype=wp.vec3, device=device)
+        state = [slot.array for slot in self._seen]
+        place = launch(
+            make_place_worlds(self.size),
+            worlds,
+            [*state, errors, places],
+            [data.qpos, data.qvel, data.qacc_warmstart, data.overflow],
+        )
+        group = wp.array(_groups(self._map.roles), dtype=int, device=device)
+        contact = data.contact
+
+        def step() -> None:
+            with wp.ScopedDevice(device):
+                self._mujoco_warp.step(model, data)
+
+        step()  # loads the solver's kernels: none should be loaded while a graph is captured
+        launches: list[Launch] = [self._felt.zero_, self._overflows.array.zero_, place]
+        for h in range(self._horizon + 1):
+            inputs = [h, controls, self._draws.per_sample, self._packed.arm, self.task.dt, places, data.qpos]
+            launches.append(
+                launch(make_drive_worlds(self.size), worlds, inputs, [data.ctrl, self._joints, self._objects])
+            )
+            for s in range(substeps if h < self._horizon else 0):
+                inputs = [h * substeps + s, data.nacon, contact.geom, contact.worldid, contact.efc_address]
+                inputs += [data.efc.force, group]
+                launches += [step, launch(feel_contacts, data.naconmax, inputs, [self._felt])]
+        inputs = [self._felt, substeps, data.qpos, data.overflow]
+        outputs = [self.forces, self._lost, self._overflows.array]
+        return [*launches, launch(take_forces, worlds, inputs, outputs)]
+
+    def states(self) -> tuple[wp.array, wp.array, Any]:
+        """States after each control step; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`."""
+        return self._joints, self._objects, wp.float32
+
+    def traced(self) -> Trace:
+        """What the cheapest sample led to; RuntimeError if a buffer was too small for the contacts in some world."""
+        bits = int(self._overflows.host[0]) & _grave_overflows()
+        if bits:
+            data = self.solver.mjw_data
+            raise RuntimeError(
+                f"contacts outgrew their buffers in the Newton engine (overflow bits {bits:#x}): room for "
+                f"{data.naconmax // data.nworld} points of contact and {data.njmax} constraint rows per world"
+            )
+        return super().traced()
+
+
+def contact_room(roles: np.ndarray) -> int:
+    """Room for points of contact per world: the object flat on the table and against obstacles, the arm on both.
+
+    Args:
+        roles: Each shape's role, shape [shape].
+    """
+    counts = {role: int(np.sum(roles == i)) for i, role in enumerate(ROLES)}
+    still = counts["obstacle"] + counts["base"]
+    pushed = counts["object"] * (1 + min(still, 3) + counts["tool"])
+    arm = (counts["arm"] + counts["tool"]) * 2
+    return _POINTS * pushed + arm
+
+
+def _change(built: NewtonModel, scene: Scene, draws: Draws, worlds: int) -> None:
+    """Makes each world of a Newton model one of the draws."""
+    if draws.count == 1:
+        return
+    model = built.model
+    which = np.arange(worlds) % draws.count
+    roles = built.roles
+    tool, pushed = (roles == ROLES.index(role) for role in ("tool", "object"))
+
+    friction = model.shape_material_mu.numpy().reshape(worlds, -1).copy()
+    friction[:, ~tool & ~pushed] *= draws.friction[which, None]
+    of_tool = np.maximum(scene.object.tool_friction * draws.tool_friction[which], MIN_FRICTION)
+    friction[:, tool] = of_tool[:, None]
+    model.shape_material_mu.assign(friction.ravel())
+
+    factor = draws.mass[which].astype(np.float32)
+    for array, power in ((model.body_mass, 1), (model.body_inertia, 1), (model.body_inv_mass, -1),
+                         (model.body_inv_inertia, -1)):  # fmt: skip
+        values = array.numpy().copy()
+        grouped = values.reshape(worlds, -1, *values.shape[1:])
+        grouped[:, built.object_body] *= (factor**power).reshape(-1, *[1] * (grouped.ndim - 2))
+        array.assign(values)
+
+    across = np.column_stack([draws.tool[which], np.zeros(worlds)]) @ rotation_matrix(scene.robot.tip[3:]).T
+    transforms = model.shape_transform.numpy().copy()
+    transforms.reshape(worlds, -1, 7)[:, tool, :3] += across[:, None]
+    model.shape_transform.assign(transforms)
+
+
+def _groups(roles: np.ndarray) -> np.ndarray:
+    """What a contact of two geoms counts for, an index of :data:`SENSED` or -1, shape [geom, geom]."""
+    groups = np.full((len(roles), len(roles)), -1)
+    for index, (moving, still) in enumerate(SENSED):
+        a, b = (np.isin(roles, [ROLES.index(role) for role in names]) for names in (moving, still))
+        groups[(a[:, None] & b) | (b[:, None] & a)] = index
+    return groups
+
+
+def _grave_overflows() -> int:
+    """Bits of the overflows by which something was left out; a solver that stopped early is none."""
+    from mujoco_warp import OverflowType
+
+    return int(OverflowType.ALL & ~(OverflowType.ITERATIONS | OverflowType.LS_ITERATIONS))

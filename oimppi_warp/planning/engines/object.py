@@ -1,0 +1,84 @@
+"""Object level: the object moved by a virtual wrench, kept out of obstacles by projection (equations 5 and 6)."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.compute.step import Compute, Launch
+from oimppi_warp.config.settings import ObjectCost, ObjectLevel
+from oimppi_warp.geometry.fields import Geometry, pose_field_at
+from oimppi_warp.kernels.costs.stage_costs import ObjectWeights
+from oimppi_warp.kernels.rollouts.object import object_rollout
+from oimppi_warp.planning.cost_to_go import build_to_go
+from oimppi_warp.planning.engines.packing import fill_weights, no_field, object_model
+
+
+class ObjectDynamics:
+    """The paper's object model; controls are wrenches (f_x, f_y [N], torque [N m]).
+
+    Args:
+        geometry: Shapes of the scene.
+        level: Settings of the object level.
+        cost: Its weights.
+        goal: Where the object should go: pose [3] of its friction centre.
+        dt: Control period [s].
+        compute: Where to compute.
+
+    Attributes:
+        to_go: The cost-to-go, empty where it does not count [m].
+        path: The poses that :meth:`trace` found, an output of shape [horizon + 1].
+        setup_seconds: Wall time of making or reading the cost-to-go [s].
+    """
+
+    size = 3
+
+    def __init__(
+        self, geometry: Geometry, level: ObjectLevel, cost: ObjectCost, *, goal: np.ndarray, dt: float, compute: Compute
+    ) -> None:
+        self.compute = compute
+        device = compute.device
+        self._dt = dt
+        self._model = object_model(geometry, tool_friction=0.0)
+        # The wrench that moves the object at the speed limit, by x' = D w.
+        resistance = geometry.surface.force * np.array([1.0, 1.0, geometry.surface.radius**2])
+        self.bound = resistance * np.asarray(level.speed_limit) * [1.0, 1.0, float(level.turn)]
+        self._weights = ObjectWeights()
+        fill_weights(self._weights, cost)
+        began = time.perf_counter()
+        if cost.w_to_go > 0.0:
+            self.to_go = build_to_go(
+                geometry.clearance, goal, yaw_length=level.yaw_length, reach=cost.reach, device=device
+            )
+        else:
+            self.to_go = no_field(device)
+        self._to_go_values = self.to_go.values.numpy()
+        self.setup_seconds = time.perf_counter() - began
+        self._start = compute.input(1, wp.vec3)
+        self._goal = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=device)
+        self._unused = wp.zeros((0, 0), dtype=wp.vec3, device=device)
+        self._trace_cost = wp.zeros(1, dtype=float, device=device)
+        self.path = compute.output((1, level.optimizer.horizon + 1), wp.vec3)
+
+    def set_state(self, pose: np.ndarray) -> None:
+        """Where the object is: pose [3] of its friction centre."""
+        self._start.host[0] = pose
+
+    def to_go_at(self, pose: np.ndarray) -> float | None:
+        """The cost-to-go at a pose [3] [m]; ``None`` where there is none."""
+        return None if self._to_go_values.size == 0 else pose_field_at(self.to_go, pose, self._to_go_values)
+
+    def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
+        """Prepares the cost of each wrench sequence; see :class:`oimppi_warp.planning.engines.dynamics.Dynamics`."""
+        return self.launch(controls, costs, self._unused)
+
+    def trace(self, nominal: wp.array) -> Launch:
+        """Prepares the poses that one wrench sequence [horizon] leads through."""
+        return self.launch(nominal.reshape((1, nominal.shape[0])), self._trace_cost, self.path.array)
+
+    def launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> Launch:
+        """Prepares costs [sample] and poses [sample, horizon + 1] (or none) of wrenches [sample, horizon]."""
+        inputs = [self._model, self._weights, self.to_go, self._start.array, self._goal, controls, self._dt]
+        return self.compute.launch_samples(object_rollout, controls.shape[0], inputs, [costs, poses])

@@ -1,0 +1,88 @@
+"""A task as the kernels of every engine read it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.config.settings import ObjectCost, RobotCost, RobotLevel
+from oimppi_warp.geometry.fields import NEAR, Geometry
+from oimppi_warp.geometry.reach import area_of
+from oimppi_warp.geometry.tipping import tipping_speed
+from oimppi_warp.kernels.costs.terms import RobotWeights
+from oimppi_warp.kernels.geometry import PoseField
+from oimppi_warp.kernels.kinematics import Surroundings
+from oimppi_warp.kernels.pushing import ObjectModel
+from oimppi_warp.scene import Scene
+
+
+def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
+    """The pushed object as the kernels read it."""
+    model = ObjectModel()
+    model.force = geometry.surface.force
+    model.radius = geometry.surface.radius
+    model.tool_friction = tool_friction
+    model.top = geometry.top
+    model.clearance = geometry.clearance
+    model.body = geometry.body
+    model.slack = slack
+    model.center = wp.vec2(*geometry.surface.center)
+    return model
+
+
+def no_field(device: str) -> PoseField:
+    """A field for kernels that are told not to look it up."""
+    field = PoseField()
+    field.values = wp.zeros((0, 0, 0), dtype=float, device=device)
+    return field
+
+
+def velocity_bound(scene: Scene, level: RobotLevel) -> np.ndarray:
+    """Largest joint velocities to plan with, shape [dof] [rad/s]."""
+    return np.minimum([joint.velocity_limit for joint in scene.robot.joints], level.joint_velocity_limit)
+
+
+def surroundings(scene: Scene, geometry: Geometry, cost: RobotCost) -> Surroundings:
+    """What the arm must keep clear of, as the kernels read it."""
+    packed = Surroundings()
+    packed.obstacles = geometry.space
+    packed.top = geometry.space_top
+    packed.near = max(cost.clearance, NEAR)
+    packed.tool_radius = scene.robot.tool_radius
+    return packed
+
+
+def table_within(scene: Scene, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the rectangle within which the object's centre keeps all of it on the table, and within reach [m]."""
+    lower, upper = area_of(scene)
+    return lower + geometry.size, upper - geometry.size
+
+
+def robot_weights(scene: Scene, geometry: Geometry, cost: RobotCost) -> Any:
+    """The weights of the robot level (``RobotWeights``) as the kernels read them."""
+    weights = pack_weights(cost, table_within(scene, geometry))
+    weights.topple_speed = cost.rush * tipping_speed(scene.object)
+    weights.size = geometry.size
+    return weights
+
+
+def pack_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> Any:
+    """The weights of the robot level (``RobotWeights``) as the kernels read them.
+
+    Args:
+        cost: The weights.
+        edge: The rectangle of :func:`table_within`.
+    """
+    weights = RobotWeights()
+    fill_weights(weights, cost)
+    weights.edge_lower, weights.edge_upper = wp.vec2(*edge[0]), wp.vec2(*edge[1])
+    return weights
+
+
+def fill_weights(weights: Any, cost: RobotCost | ObjectCost) -> None:
+    """Writes settings into a struct that :func:`oimppi_warp.kernels.costs.terms.weights_struct` made for them."""
+    for name, value in vars(cost).items():
+        if hasattr(weights, name) and isinstance(value, int | float | tuple):
+            setattr(weights, name, wp.vec2(*value) if isinstance(value, tuple) else value)

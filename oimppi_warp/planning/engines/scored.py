@@ -1,0 +1,50 @@
+"""Robot level scored by our kernels: what the engines whose stage costs they compute have in common."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.geometry.kinematics import pack_arm
+from oimppi_warp.kernels.costs.stage_costs import TERMS, terms_vector
+from oimppi_warp.kernels.task import RobotTask
+from oimppi_warp.observation import Observation
+from oimppi_warp.planning.engines.cost_terms import weighted_terms
+from oimppi_warp.planning.engines.dynamics import RobotDynamics, RolloutTask
+from oimppi_warp.planning.engines.packing import no_field, object_model, robot_weights, surroundings
+
+
+class ScoredDynamics(RobotDynamics):
+    """An engine whose stage costs are those of ``kernels/costs``, and of the registered terms that count.
+
+    Args:
+        task: What it is made for.
+    """
+
+    def __init__(self, task: RolloutTask) -> None:
+        super().__init__(task)
+        device, scene, geometry = task.compute.device, task.scene, task.geometry
+        added = weighted_terms(task.cost)
+        self.terms = (*TERMS, *(term.name for term in added))
+        self._extra = tuple((term.name, term.function) for term in added)
+        self._terms_type = terms_vector(len(added))
+        self._goal = task.compute.input(1, wp.vec3)
+        self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
+        weights = robot_weights(scene, geometry, task.cost)
+        weights.extra = wp.array([term.weight for term in added], dtype=float, device=device)
+        packed = RobotTask()
+        packed.arm = pack_arm(scene.robot, self.bound, device)
+        packed.model = self._model
+        packed.surroundings = surroundings(scene, geometry, task.cost)
+        packed.weights = weights
+        packed.to_go = no_field(device) if task.to_go is None else task.to_go
+        packed.goal = self._goal.array
+        packed.reference = self.reference.array
+        packed.guide = self.guide.array
+        packed.dt = task.dt
+        self._packed = packed
+
+    def set_state(self, observation: Observation, goal: np.ndarray) -> None:
+        """The state to plan from, and the goal [3] of the object's friction centre."""
+        super().set_state(observation, goal)
+        self._goal.host[0] = goal

@@ -1,0 +1,54 @@
+"""The object level: how the object should move, as if a wrench could be put on it (equations 5, 6, 15 and 16)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oimppi_warp.compute.step import Compute
+from oimppi_warp.config.settings import Config
+from oimppi_warp.geometry.fields import Geometry
+from oimppi_warp.geometry.footprint import wrap_angle
+from oimppi_warp.planning.engines.object import ObjectDynamics
+from oimppi_warp.planning.optimizers.optimizer import make_optimizer
+
+
+class ObjectLevel:
+    """An optimizer over the object alone; all poses are of the object's friction centre.
+
+    Attributes:
+        launches: One update and the path that the nominal then takes, as launches.
+        path: That path, an output of shape [horizon + 1].
+        to_go: The cost-to-go; ``None`` where the level goes without.
+        setup_seconds: Wall time of making or reading the cost-to-go [s].
+    """
+
+    def __init__(self, geometry: Geometry, goal: np.ndarray, config: Config, *, compute: Compute, seed: int) -> None:
+        self._dynamics = ObjectDynamics(
+            geometry, config.object, config.object_cost, goal=goal, dt=config.control_period, compute=compute
+        )
+        self.mppi = make_optimizer(self._dynamics, config.object.optimizer, seed=seed)
+        self._level = config.object
+        self._goal = goal
+        self.path = self._dynamics.path
+        self.to_go = self._dynamics.to_go if config.object_cost.w_to_go > 0.0 else None
+        self.launches = [*self.mppi.improve, self._dynamics.trace(self.mppi.nominal), self.mppi.shift]
+        self.setup_seconds = self._dynamics.setup_seconds
+
+    def set_state(self, pose: np.ndarray) -> None:
+        """Where the object is: pose [3]."""
+        left = distance(pose, self._goal, self._level.yaw_length)
+        share = 1.0
+        if self._level.noise_range > 0.0:
+            share = float(np.clip(left / self._level.noise_range, 0.1, 1.0))
+        self.mppi.noise.host[0] = np.diag(share * self._level.noise * self._dynamics.bound)
+        self._dynamics.set_state(pose)
+
+    def to_go_from(self, pose: np.ndarray) -> float:
+        """What the object still has to go from a pose [3]: the cost-to-go, or without one the straight distance [m]."""
+        to_go = self._dynamics.to_go_at(pose)
+        return distance(pose, self._goal, self._level.yaw_length) if to_go is None else to_go
+
+
+def distance(a: np.ndarray, b: np.ndarray, yaw_length: float) -> float:
+    """Straight distance of two planar poses [3], turning by one radian counted as ``yaw_length`` [m]."""
+    return float(np.linalg.norm([*(b - a)[:2], yaw_length * wrap_angle((b - a)[2])]))

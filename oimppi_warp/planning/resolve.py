@@ -1,0 +1,149 @@
+"""Settings as they take effect on a task: worked out once, before anything is made of them.
+
+Some settings depend on the robot and on the object: what is asked for is given for the xArm6 and for any object, what
+takes effect is another. :func:`resolve` is the only place where the one becomes the other; a planner uses, and a record
+holds, what it returns.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from oimppi_warp.config.overrides import effective_weights, options
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.config.settings import Config
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.geometry.reach import Reach, reach_of
+from oimppi_warp.geometry.tipping import can_tip
+from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS
+from oimppi_warp.registry import Registry
+from oimppi_warp.scene import Scene
+
+_USUAL_REACH = 0.717
+"""Reach of the xArm6 with its stick, for which the rings ``cost.reach`` and ``object_cost.reach`` are given [m]."""
+_EVERYWHERE = 1e3
+"""Outer radius of a ring that excludes nothing [m]."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A setting that takes effect with another value than the one asked for.
+
+    Attributes:
+        asked: The value asked for.
+        reason: Why it is not used, in a few words.
+    """
+
+    asked: Any
+    reason: str
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """Settings as they take effect.
+
+    Attributes:
+        config: The effective settings; ``resolved_for`` says for what.
+        changes: What differs from the settings asked for, by dotted names.
+    """
+
+    config: Config
+    changes: dict[str, Change]
+
+
+def resolve(config: Config, scene: Scene, *, control_period: float | None = None) -> Resolved:
+    """The settings as they take effect on a task.
+
+    - ``cost.reach`` and ``object_cost.reach`` are scaled to the robot's own reach.
+    - Where the goal's tolerance allows every yaw, none is asked for.
+    - What keeps an object from tipping over is off for an object that a push cannot tip.
+    - The weights of cost terms from outside the package are written out.
+
+    Settings that are resolved already are returned as they are, with no changes, so that nothing is scaled twice.
+
+    Args:
+        config: The settings asked for.
+        scene: The task; start, goal and obstacles do not matter.
+        control_period: The plant's own control period, where it has one [s].
+
+    Raises:
+        ConfigError: The settings were resolved for another kind of task, whose values would be wrong here.
+    """
+    reach, tips = reach_of(scene.robot), can_tip(scene.object)
+    task = _task(reach, any_yaw=not math.isfinite(scene.tolerance.yaw), tips=tips)
+    if config.resolved_for not in ("", task):
+        raise ConfigError(
+            f"the settings were resolved for another task: {config.resolved_for}; {scene.name} is: {task}\n"
+            "  to do:   give the settings as they were asked for"
+        )
+    reasons: dict[str, str] = {}
+    effective = config
+    if not config.resolved_for:
+        effective = replace(_for_reach(config, reach), resolved_for=task)
+        why = (
+            f"the robot reaches {reach.radius:.2f} m"
+            if reach.border is None
+            else "the robot does not turn about a base"
+        )
+        reasons |= {"cost.reach": why, "object_cost.reach": why}
+        if not math.isfinite(scene.tolerance.yaw):
+            effective = _without_yaw(effective)
+            names = ("object.turn", "cost.w_theta", "object_cost.w_theta")
+            reasons |= dict.fromkeys(names, "the tolerance allows every yaw")
+        if not tips:
+            effective = replace(effective, cost=replace(effective.cost, w_overhang=0.0, w_rush=0.0))
+            reasons |= dict.fromkeys(("cost.w_overhang", "cost.w_rush"), "a push cannot tip the object")
+        effective = replace(effective, cost=replace(effective.cost, extra=effective_weights(effective.cost)))
+    if control_period is not None:
+        effective = replace(effective, control_period=control_period)
+        reasons["control_period"] = "the plant has a control period of its own"
+    asked, used = options(config), options(effective)
+    changes = {name: Change(asked[name], why) for name, why in reasons.items() if asked[name] != used[name]}
+    return Resolved(effective, changes)
+
+
+def entries_used(spec: RunSpec, config: Config) -> list[tuple[Registry[Any], str]]:
+    """The registry entries that a run uses, an engine that is chosen automatically left out."""
+    used: list[tuple[Registry[Any], str]] = [(METHODS, spec.method), (PLANTS, spec.plant)]
+    used += [(ENGINES, spec.engine)] * (spec.engine != "auto")
+    used += [(OPTIMIZERS, level.optimizer.kind) for level in (config.robot, config.object)]
+    used += [(COST_TERMS, name) for name, weight in effective_weights(config.cost).items() if weight != 0.0]
+    return used
+
+
+def _task(reach: Reach, *, any_yaw: bool, tips: bool) -> str:
+    """All of a task that settings depend on, in words."""
+    ring = f"reach x{_scale(reach):g}" if reach.border is None else "no ring of reach"
+    return ", ".join([ring, "any yaw" if any_yaw else "yaw counts", "can tip" if tips else "cannot tip"])
+
+
+def _scale(reach: Reach) -> float:
+    """How much farther than the xArm6 a robot reaches, in hundredths."""
+    return round(reach.radius / _USUAL_REACH, 2)
+
+
+def _for_reach(config: Config, reach: Reach) -> Config:
+    """The settings with the rings for a robot's reach."""
+
+    def ring(given: tuple[float, float]) -> tuple[float, float]:
+        if reach.border is not None:
+            return (0.0, _EVERYWHERE)
+        return (_scale(reach) * given[0], _scale(reach) * given[1])
+
+    return replace(
+        config,
+        cost=replace(config.cost, reach=ring(config.cost.reach)),
+        object_cost=replace(config.object_cost, reach=ring(config.object_cost.reach)),
+    )
+
+
+def _without_yaw(config: Config) -> Config:
+    """The settings with the object's yaw left alone."""
+    return replace(
+        config,
+        object=replace(config.object, turn=False),
+        cost=replace(config.cost, w_theta=0.0),
+        object_cost=replace(config.object_cost, w_theta=0.0),
+    )

@@ -1,0 +1,299 @@
+"""The robot level of every method, which alone is plain MPPI (the paper's Algorithm 1): it tracks object poses."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from oimppi_warp.compute.step import Compute, Launch
+from oimppi_warp.config.settings import Config
+from oimppi_warp.errors import ObservationError
+from oimppi_warp.geometry.fields import build_geometry, from_center, pose_field_at, to_center
+from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
+from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
+from oimppi_warp.planning.cost_to_go import build_to_go
+from oimppi_warp.planning.engines.dynamics import RolloutTask
+from oimppi_warp.planning.engines.factory import make_dynamics
+from oimppi_warp.planning.engines.uncertainty import draw
+from oimppi_warp.planning.object_level import distance
+from oimppi_warp.planning.optimizers.optimizer import Update, make_optimizer
+from oimppi_warp.planning.reposition import Regrasping
+from oimppi_warp.scene import Scene
+
+_DAMPING = 0.05
+"""Damping of the Jacobian's pseudo-inverse: singular values below it are not inverted [m/rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """One control step's plan.
+
+    Attributes:
+        command: Joint velocities to apply now, shape [dof] [rad/s].
+        update: What the robot level found.
+        object_update: What the object level found, if it planned.
+        object_seconds: Wall time that the object level took [s]; NaN where it did not plan, or where nobody can tell
+            because the whole step is one CUDA graph.
+        terms: Weighted cost terms of the robot's nominal, summed over the horizon.
+        tips: Tool tip along the nominal, shape [horizon + 1, 3] [m].
+        object_poses: The object along it, shape [horizon + 1, 3].
+        reference: The object plan that was tracked, from the object's present pose on, shape [n, 3].
+        problem: Why nothing could be planned, so that the command is zero; empty if a plan was made.
+    """
+
+    command: np.ndarray
+    update: Update
+    object_update: Update | None
+    object_seconds: float
+    terms: np.ndarray
+    tips: np.ndarray
+    object_poses: np.ndarray
+    reference: np.ndarray
+    problem: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Some samples of a plan, the cheapest first.
+
+    Attributes:
+        tips: Tool paths, shape [n, steps, 3] [m].
+        weights: Their weights relative to the largest, shape [n].
+        terms: Weighted cost terms of the cheapest.
+    """
+
+    tips: np.ndarray
+    weights: np.ndarray
+    terms: dict[str, float]
+
+
+class Planner:
+    """Plain MPPI, and what the methods that plan the object's motion have in common.
+
+    A control step is: inputs written, one :meth:`Compute.step`, outputs read. A method is a subclass that says where
+    the reference comes from: it overrides :meth:`set_reference` and, where need be, :meth:`start` and :meth:`tracked`,
+    and puts what a step launches before the robot level into ``object_launches`` in its constructor. It is added to the
+    registry :data:`oimppi_warp.registries.METHODS`.
+
+    Args:
+        scene: The task.
+        config: All settings, resolved for the scene (:func:`oimppi_warp.planning.resolve.resolve`).
+        engine: Rollout engine of the robot level.
+        compute: Where to compute.
+        seed: Of all noise; the same seed gives the same plans (on the CPU to the bit).
+
+    Attributes:
+        engine: Name of the rollout engine.
+        engine_reason: Why it was chosen, if it was not asked for by name.
+        geometry: Shapes of the scene.
+        goal: The scene's, of the friction centre.
+        dynamics: The engine.
+        mppi: The robot level.
+        object_launches: What a step launches before the robot level; complete before the first plan.
+        object_one_graph: Whether these can be captured in a CUDA graph.
+        object_plan: The object's whole way as it was planned ahead, poses [n, 3]; ``None`` for methods that do not.
+    """
+
+    method: str = "mppi"
+    object_plan: np.ndarray | None = None
+    object_one_graph: bool = True
+
+    def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
+        self.scene = scene
+        self.config = config
+        self.engine = engine
+        self.engine_reason = ""
+        self.compute = compute
+        self.geometry = build_geometry(scene, compute.device)
+        self.goal = to_center(self.geometry.surface, np.array(scene.goal))
+        level = config.robot
+        draws = draw(level.uncertainty, samples=level.optimizer.samples, seed=seed)
+        to_go = None
+        self._to_go_values = np.zeros(0)
+        began = time.perf_counter()
+        if config.cost.w_to_go > 0.0:
+            to_go = build_to_go(
+                self.geometry.clearance,
+                self.goal,
+                yaw_length=config.object.yaw_length,
+                reach=config.object_cost.reach,
+                device=compute.device,
+            )
+            self._to_go_values = to_go.values.numpy()
+        self._to_go = to_go
+        self._setup_seconds = time.perf_counter() - began
+        self.dynamics = make_dynamics(
+            engine,
+            RolloutTask(
+                scene=scene,
+                geometry=self.geometry,
+                level=level,
+                cost=config.cost,
+                dt=config.control_period,
+                compute=compute,
+                draws=draws,
+                to_go=to_go,
+            ),
+        )
+        self.mppi = make_optimizer(self.dynamics, level.optimizer, seed=2 * seed + 1)
+        self.object_launches: list[Launch] = []
+        self._robot_launches = [
+            *self.mppi.improve,
+            self.dynamics.trace(self.mppi.nominal, self.mppi.costs),
+            self.mppi.shift,
+        ]
+        self._regrasping = Regrasping(
+            scene,
+            self.geometry,
+            config.regrasp,
+            turn=config.object.turn,
+            height=config.cost.height,
+            period=config.control_period,
+        )
+        self._tracked = self.goal[None]
+
+    @cached_property
+    def _step(self) -> Launch:
+        """A control step of both levels."""
+        launches = [*self.object_launches, *self._robot_launches]
+        captured = self.dynamics.one_graph and self.mppi.one_graph and self.object_one_graph
+        return self.compute.step(launches, one_graph=captured)
+
+    @property
+    def letting_go(self) -> bool:
+        """Whether the tool is on its way to another side of the object."""
+        return bool(self.dynamics.guide.host[0][3] > 0.0)
+
+    def warm_up(self) -> None:
+        """Compiles and loads every kernel, so that the first plan is as fast as the others."""
+        self.rehearse()
+
+    def rehearse(self) -> None:
+        """One control step from the task's start."""
+        start = np.array(self.scene.start)
+        joints = self.scene.robot.start
+        transform = planar_transform(self.scene.start, self.scene.object.rest_height)
+        self.plan(Observation(0.0, joints, np.zeros_like(joints), start, transform))
+
+    def start(self, observation: Observation) -> float:
+        """Prepares for an episode that begins with ``observation``; returns the wall time that planning took [s].
+
+        Raises:
+            ObservationError: An array has the wrong length, or the observation cannot be true.
+        """
+        check_shapes(observation, self.scene.robot.dof)
+        if problem := implausible(observation, self.scene.robot):
+            raise ObservationError(f"no episode can begin here: {problem}")
+        self.mppi.reset()
+        self._regrasping.reset()
+        return self._setup_seconds
+
+    def plan(self, observation: Observation) -> Plan:
+        """Plans from an observation; each call is one control step.
+
+        From an observation that cannot be true (numbers that are not finite, an object far away, joints far beyond
+        their limits) nothing is planned: the command is zero, and :attr:`Plan.problem` says why.
+
+        Raises:
+            ObservationError: An array has the wrong length.
+        """
+        check_shapes(observation, self.scene.robot.dof)
+        if problem := implausible(observation, self.scene.robot):
+            return self._stop(problem)
+        pose = to_center(self.geometry.surface, observation.object_pose)
+        tip = tip_frame(self.scene.robot, observation.joint_position)[1]
+        guide = self._regrasping.guide(tip, pose, self.tracked(), self._to_go_from(pose))
+        self.dynamics.guide.host[0] = guide
+        self.dynamics.set_state(observation, self.goal)
+        self.mppi.noise.host[0] = self._noise(observation.joint_position, lifting=guide[3] > 0.0)
+        self.set_reference(pose)
+        began = time.perf_counter()
+        self._step()
+        trace = self.dynamics.traced()
+        surface = self.geometry.surface
+        return Plan(
+            command=self.mppi.command.host[0].astype(float),
+            update=self.mppi.found(),
+            object_update=self._object_update(),
+            object_seconds=self._object_done() - began,
+            terms=trace.terms,
+            tips=trace.tips,
+            object_poses=from_center(surface, trace.poses),
+            reference=from_center(surface, self.tracked()),
+        )
+
+    def samples(self, count: int) -> Samples:
+        """Some samples of the latest plan, for people to look at: the heaviest, and as many of the others.
+
+        Args:
+            count: How many.
+        """
+        weights = self.mppi.weights.numpy()
+        heaviest = np.argsort(-weights, kind="stable")
+        half = count // 2
+        chosen = np.concatenate([heaviest[:half], heaviest[half :: max((len(heaviest) - half) // (count - half), 1)]])
+        tips, terms = self.dynamics.paths(self.mppi.controls, chosen[:count])
+        shares = weights[chosen[:count]] / max(float(weights.max()), 1e-30)
+        return Samples(tips, shares, dict(zip(self.dynamics.terms, terms[0].tolist(), strict=True)))
+
+    def _stop(self, problem: str) -> Plan:
+        """A plan that stops the arm."""
+        nothing = Update(min_cost=math.nan, temperature=math.nan, effective_samples=math.nan, lost=0)
+        return Plan(
+            command=np.zeros(self.scene.robot.dof),
+            update=nothing,
+            object_update=None,
+            object_seconds=math.nan,
+            terms=np.full(len(self.dynamics.terms), math.nan),
+            tips=np.zeros((0, 3)),
+            object_poses=np.zeros((0, 3)),
+            reference=np.zeros((0, 3)),
+            problem=problem,
+        )
+
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Prepares the reference for the object's pose [3] (friction centre), before a plan."""
+        self.track(self.goal[None])
+
+    def track(self, reference: np.ndarray) -> None:
+        """Gives the robot level the reference [n, 3]; its last pose is held."""
+        host = self.dynamics.reference.host
+        self._tracked = reference
+        host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
+
+    def tracked(self) -> np.ndarray:
+        """The reference that was tracked in the latest step, of the friction centre, shape [n, 3]."""
+        return self._tracked
+
+    def _to_go_from(self, pose: np.ndarray) -> float:
+        """What the object still has to go from a pose [3], turning counted [m]."""
+        if self._to_go is not None:
+            return pose_field_at(self._to_go, pose, self._to_go_values)
+        return distance(pose, self.goal, self.config.object.yaw_length)
+
+    def _object_update(self) -> Update | None:
+        """What the object level found in this step, if it planned."""
+        return None
+
+    def _object_done(self) -> float:
+        """When the object level was done with this step, by ``time.perf_counter``; NaN if nobody knows."""
+        return math.nan
+
+    def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
+        """A square root of the noise's covariance in joint space, shape [dof, dof]."""
+        robot = self.config.robot
+        if robot.noise_space == "joint":
+            return robot.joint_noise * np.eye(self.scene.robot.dof)
+        jacobian = tip_jacobian(self.scene.robot, joints)
+        inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6))
+        noise = np.array(robot.tool_noise)
+        if lifting:  # up and down as freely as sideways
+            noise[2] = max(noise[:3])
+        root = inverse * noise
+        if root.shape[0] != root.shape[1]:
+            root = np.linalg.cholesky(root @ root.T + 1e-8 * np.eye(len(root)))
+        return root

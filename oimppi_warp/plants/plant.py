@@ -1,0 +1,282 @@
+"""What is moved: the seam between a planner and an arm, and the simulated arm behind it.
+
+A planner and a plant share observations and joint velocities, nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import dataclass
+from itertools import product
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from oimppi_warp.config.settings import Config
+from oimppi_warp.observation import Observation, planar_pose, planar_transform
+from oimppi_warp.physics.newton_model import ROLES
+from oimppi_warp.physics.world import World
+from oimppi_warp.scene import PlanarPose, Scene
+
+UPRIGHT = math.cos(0.35)
+"""Upward part of the object's own z axis below which it counts as tipped."""
+
+LONGEST_STEP = 0.0025
+"""Longest step of the plant's physics [s]; longer ones make a sliding object gain energy."""
+
+_TOUCHES = (
+    (("tool",), ("object",)),
+    (("object",), ("obstacle", "base")),
+    (("arm", "tool"), ("obstacle", "table")),
+    (("object",), ("table",)),
+)
+"""The pairs of roles that each field of :class:`Contacts` counts, in its order."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Largest normal forces within the last control step, each summed over the points of contact [N].
+
+    Attributes:
+        tool_object: Tool on object.
+        object_obstacle: Object on obstacles and on the robot's base.
+        robot_obstacle: Arm and tool on obstacles and table.
+        object_table: Object on table; its weight, when nothing else touches it.
+    """
+
+    tool_object: float
+    object_obstacle: float
+    robot_obstacle: float
+    object_table: float
+
+
+class Plant(Protocol):
+    """Something with an arm that takes joint velocities: all that a planner needs of the world.
+
+    These three are enough. A plant may also have ``latency``, the time from a command to its effect [s]
+    (:func:`latency_of`), and take part in :class:`TruthfulPlant`, :class:`ContactPlant` and :class:`MovablePlant`.
+
+    Attributes:
+        control_period: Time that one command lasts [s]; planners plan in steps of it.
+    """
+
+    control_period: float
+
+    def observe(self) -> Observation:
+        """Returns what is known of the present state."""
+        ...
+
+    def apply(self, joint_velocity: np.ndarray) -> None:
+        """Moves with joint velocities [rad/s], shape [dof], for one control period."""
+        ...
+
+
+@runtime_checkable
+class TruthfulPlant(Protocol):
+    """A plant that knows its exact state, for the record; a simulator, say. Nothing that plans may ask for it."""
+
+    def truth(self) -> Observation:
+        """Returns the exact state."""
+        ...
+
+
+@runtime_checkable
+class ContactPlant(Protocol):
+    """A plant that measures contact forces."""
+
+    @property
+    def contacts(self) -> Contacts:
+        """Largest contact forces within the last control period."""
+        ...
+
+
+@runtime_checkable
+class MovablePlant(Protocol):
+    """A plant that can be meddled with, as the viewer does."""
+
+    def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
+        """Puts the arm at joint positions [dof] [rad] and the object at a transform [7], at rest."""
+        ...
+
+    def knock(self, impulse: np.ndarray) -> None:
+        """Knocks at the object with an impulse [3] [N s]."""
+        ...
+
+    @property
+    def touches(self) -> np.ndarray:
+        """Contact points and normal forces now, shape [n, 6] [m, N]."""
+        ...
+
+
+def latency_of(plant: Plant) -> float:
+    """Returns the time from a command to its effect [s]; 0 for a plant that does not say."""
+    return float(getattr(plant, "latency", 0.0))
+
+
+def has_tipped(object_transform: np.ndarray) -> bool:
+    """Returns whether an object with this transform [7] (position, quaternion xyzw) no longer lies flat."""
+    x, y = object_transform[3:5]
+    return bool(1 - 2 * (x * x + y * y) < UPRIGHT)
+
+
+class SimulatedPlant:
+    """The scene in MuJoCo's C engine: rigid bodies, friction, a velocity drive at each joint, gravity compensated.
+
+    A flat object slides as it should only under some settings, and ``tests/plants/test_plant.py`` measures it: the
+    object on a free joint, implicit integration, elliptic friction cones, contacts that set in softly, steps of 2.5 ms.
+
+    Args:
+        world: The scene; many plants can share it.
+        start: Where the object starts; default: the scene's start.
+        control_period: [s].
+        substeps: Steps of the physics in one control period.
+
+    Attributes:
+        latency: None.
+        model, data: MuJoCo's own, for tests and pictures; :attr:`World.mujoco` says where everything is in them.
+    """
+
+    latency = 0.0
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        start: PlanarPose | None = None,
+        control_period: float = 0.05,
+        substeps: int = 20,
+    ) -> None:
+        import mujoco
+
+        self.control_period = control_period
+        self._mj_step = mujoco.mj_step
+        self._fatal = tuple(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}") for name in ("QPOS", "QVEL", "QACC"))
+        self._map = world.mujoco
+        self.model = copy(self._map.model)
+        self.model.opt.timestep = control_period / substeps
+        self.data = mujoco.MjData(self.model)
+        self._bursts = [int(burst) for burst in np.diff(np.linspace(0, substeps, 5).astype(int)) if burst > 0]
+        self._touch = _touch_table()
+        self._contacts = Contacts(0.0, 0.0, 0.0, 0.0)
+        joints = world.scene.robot.joints
+        self._limits = np.array([(joint.lower, joint.upper, joint.velocity_limit) for joint in joints]).T
+
+        self._mj_forward = mujoco.mj_forward
+        free_joint = np.flatnonzero(self.model.jnt_qposadr == self._map.object_qpos[0])[0]
+        self._object_body = int(self.model.jnt_bodyid[free_joint])
+        self._knock = np.zeros(3)  # a force that lasts one control period [N]
+        transform = planar_transform(world.scene.start if start is None else start, world.scene.object.rest_height)
+        self.place(world.scene.robot.start, transform)
+
+    def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
+        """Puts everything somewhere at once, at rest.
+
+        Args:
+            joint_position: Shape [dof] [rad].
+            object_transform: Of the object's frame, shape [7].
+        """
+        self.data.qpos[self._map.joint_qpos] = joint_position
+        self.data.qpos[self._map.object_qpos] = np.asarray(object_transform)[[0, 1, 2, 6, 3, 4, 5]]
+        self.data.qvel[:] = 0.0
+        self._mj_forward(self.model, self.data)
+
+    def knock(self, impulse: np.ndarray) -> None:
+        """Knocks at the object's centre of mass, within the next control period.
+
+        Args:
+            impulse: Shape [3] [N s].
+        """
+        self._knock += np.asarray(impulse) / self.control_period
+
+    def observe(self) -> Observation:
+        """The present state, exactly."""
+        qpos, qvel = self.data.qpos, self.data.qvel
+        transform = qpos[self._map.object_qpos][[0, 1, 2, 4, 5, 6, 3]]
+        return Observation(
+            time=float(self.data.time),
+            joint_position=qpos[self._map.joint_qpos],
+            joint_velocity=qvel[self._map.joint_qvel],
+            object_pose=planar_pose(transform),
+            object_transform=transform,
+        )
+
+    def truth(self) -> Observation:
+        """The exact state, for the record: what is observed too."""
+        return self.observe()
+
+    def apply(self, joint_velocity: np.ndarray) -> None:
+        """Drive the joints for one control period, no faster than they may and no further than their limits.
+
+        Args:
+            joint_velocity: Shape [dof] [rad/s].
+
+        Raises:
+            ValueError: The command is not finite.
+            FloatingPointError: The simulation diverged.
+        """
+        command = np.asarray(joint_velocity, dtype=float)
+        if not np.isfinite(command).all():
+            raise ValueError(f"a joint velocity must be finite, got {command}")
+        lower, upper, speed = self._limits
+        position = self.data.qpos[self._map.joint_qpos]
+        command = np.clip(command, (lower - position) / self.control_period, (upper - position) / self.control_period)
+        self.data.ctrl[self._map.joint_drive] = np.clip(command, -speed, speed)
+        forces = np.zeros(len(_TOUCHES))
+        knocked = self.data.xfrc_applied[self._object_body, :3]
+        knocked += self._knock
+        for burst in self._bursts:
+            self._mj_step(self.model, self.data, burst)
+            forces = np.maximum(forces, self._normal_forces())
+        knocked -= self._knock
+        self._knock = np.zeros(3)
+        if any(self.data.warning[warning].number for warning in self._fatal):
+            raise FloatingPointError(f"the simulation diverged before {self.data.time:.3f} s")
+        self._contacts = Contacts(*forces.tolist())
+
+    @property
+    def contacts(self) -> Contacts:
+        """Contact forces within the last control step, read four times."""
+        return self._contacts
+
+    @property
+    def touches(self) -> np.ndarray:
+        """Where something is touched that is pushed or hindered, now: contact points and normal forces, shape [n, 6].
+
+        The object's rest on the table does not count.
+        """
+        contact = self.data.contact
+        active = contact.efc_address >= 0
+        pair = self._touch[tuple(self._map.roles[contact.geom[active]].T)]
+        force = self.data.efc_force[contact.efc_address[active]]
+        vectors = force[:, None] * contact.frame[active][:, :3]
+        return np.column_stack([contact.pos[active], vectors])[pair < len(_TOUCHES) - 1]
+
+    @property
+    def tipped(self) -> bool:
+        """Whether the object no longer lies flat."""
+        return has_tipped(self.truth().object_transform)
+
+    def _normal_forces(self) -> np.ndarray:
+        """Sum of the normal forces of each pair in :data:`_TOUCHES`, shape [pair] [N]."""
+        contact = self.data.contact
+        active = contact.efc_address >= 0
+        pair = self._touch[tuple(self._map.roles[contact.geom[active]].T)]
+        normal = self.data.efc_force[contact.efc_address[active]]
+        return np.bincount(pair, weights=normal, minlength=len(_TOUCHES) + 1)[:-1]
+
+
+def ideal_plant(scene: Scene, config: Config, *, seed: int = 0) -> SimulatedPlant:
+    """Makes the plant ``ideal``, the simulation without any imperfection; the seed changes nothing in it."""
+    period = config.control_period
+    substeps = math.ceil(period / LONGEST_STEP - 1e-6)
+    return SimulatedPlant(World(scene), start=scene.start, control_period=period, substeps=substeps)
+
+
+def _touch_table() -> np.ndarray:
+    """Which entry of :data:`_TOUCHES` a pair of roles belongs to, or one past the last; shape [role, role]."""
+    table = np.full((len(ROLES), len(ROLES)), len(_TOUCHES))
+    for index, (some, others) in enumerate(_TOUCHES):
+        for a, b in product(some, others):
+            table[ROLES.index(a), ROLES.index(b)] = table[ROLES.index(b), ROLES.index(a)] = index
+    return table

@@ -1,0 +1,1 @@
+"""Pictures of an episode: plots and a film, drawn from its record alone."""

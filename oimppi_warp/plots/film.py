@@ -1,0 +1,79 @@
+"""A film of an episode from above, made from its log alone: object, tool, goal and the plan that was followed."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from PIL import Image
+
+from oimppi_warp.geometry.footprint import footprint
+from oimppi_warp.plots.episode import draw_place, draw_shape, title_of
+from oimppi_warp.plots.style import GOAL, INK, START, STYLE
+from oimppi_warp.record.log import EpisodeLog, write_whole
+from oimppi_warp.scene import Scene
+
+FPS = 10
+"""Frames a second."""
+
+
+def film(log: EpisodeLog, scene: Scene, file: str | Path, *, speed: float = 2.0) -> int:
+    """Write an animated GIF.
+
+    Args:
+        log: The episode, of one step at the least.
+        scene: The scene it ran in.
+        file: Where to.
+        speed: Simulated seconds a second.
+
+    Returns:
+        Number of frames.
+    """
+    time = log["time"]
+    rows = np.searchsorted(time, np.arange(time[0], time[-1] + 1e-9, speed / FPS))
+    rows = np.minimum(np.append(rows, len(time) - 1), len(time) - 1)
+    first, *others = [frame.quantize(64) for frame in frames(log, scene, rows.tolist())]
+    packed = io.BytesIO()
+    durations = [1000 // FPS] * len(others) + [2000]
+    first.save(packed, format="GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=True)
+    write_whole(file, packed.getvalue())
+    return len(rows)
+
+
+def frames(log: EpisodeLog, scene: Scene, rows: Iterable[int]) -> Iterator[Image.Image]:
+    """The scene from above after each of these control steps."""
+    with matplotlib.rc_context(STYLE):
+        for row in rows:
+            yield _frame(log, scene, row)
+
+
+def _frame(log: EpisodeLog, scene: Scene, row: int) -> Image.Image:
+    """The scene at the end of one control step."""
+    figure = Figure(figsize=(3.6, 4.8), dpi=100, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    draw_place(axes, log, scene)
+    pieces = footprint(scene.object.colliders)
+    goal = np.asarray(log.header["goal"], float)
+    draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.4, ls=(0, (4, 2)), zorder=6)
+    radius = log.header["tolerance"]["position"]
+    axes.add_patch(Circle((goal[0], goal[1]), radius, fill=False, ec=GOAL, lw=0.8, ls=":", zorder=2))
+    plans = [path for step, path in log.references if step <= row]
+    if plans:
+        axes.plot(plans[-1][:, 0], plans[-1][:, 1], color=INK, lw=0.8, ls=(0, (1, 1.5)), zorder=4)
+    draw_shape(axes, pieces, log["object_pose"][row], fc=(*to_rgb(START), 0.25), ec=START, zorder=5)
+    tool = log["tool_position"]
+    since = max(row - 20, 0)
+    axes.plot(tool[since : row + 1, 0], tool[since : row + 1, 1], color="#8b98a1", lw=1.0, zorder=7)
+    axes.add_patch(Circle((tool[row, 0], tool[row, 1]), scene.robot.tool_radius, fc=INK, ec="none", zorder=8))
+    axes.set(aspect="equal", title=f"{title_of(log)}\n{log['time'][row]:.1f} s, tip {1e3 * tool[row, 2]:.0f} mm up")
+    axes.title.set_fontsize(8)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

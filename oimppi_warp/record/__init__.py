@@ -1,0 +1,1 @@
+"""The record of an episode: its log and its metrics."""

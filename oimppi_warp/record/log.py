@@ -1,0 +1,273 @@
+"""The record of one episode: a header that says what was run, and columns with one row a control step.
+
+Everything that is reported (metrics, plots, the viewer) is computed from this record and from nothing else. On disk it
+is a folder with ``episode.npz`` (columns and plans) and ``episode.json`` (the header); the JSON is written last, so a
+folder that has it is complete.
+
+The header is a dictionary that JSON can hold. Metrics and plots read these keys:
+
+================== ==================================================================================================
+scene, file        Short name of the scene, and the USD file it was read from
+method             Name of the method, one of :data:`oimppi_warp.registries.METHODS`
+engine             Rollout engine that was chosen, and in ``engine_reason`` why, if it was not asked for by name
+device             Device that planned, e.g. ``cpu`` or ``cuda:0``
+threads            Threads that planned on the CPU
+preset, seed       Name of the preset; the seed
+plant, mode        Name of the plant; ``lockstep`` or ``realtime``
+config             Every setting as it was used, as nested dictionaries
+requested          Settings that were changed for the task: ``{name: [value asked for, why it was changed]}``
+start, goal        Planar poses of the object (x, y [m], yaw [rad])
+tolerance          ``{"position": m, "yaw": rad}``; a yaw of ``None`` means that yaw does not count
+tight_tolerance    The same, stricter
+hold_seconds       How long the object must stay within tolerance [s]
+control_period     [s]
+cost_terms         Names of the entries of the column ``cost_terms``
+preplan_time_s     Wall time of what was planned before the first step (SOI's object plan) [s]
+problems           ``[step, reason]`` wherever nothing could be planned from what was observed
+ended              Why the episode ended: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
+versions           Versions of what took part, see :func:`versions`
+================== ==================================================================================================
+
+Records written by earlier versions lack some of these: ``threads``, ``requested``, ``engine_reason``, ``plant`` and
+``mode`` (those were of the ideal plant, in lock step). :attr:`EpisodeLog.run` knows.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.errors import OimppiError
+
+
+class LogError(OimppiError):
+    """A record that cannot be read or written."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column holds.
+
+    Attributes:
+        shape: Shape of one row; names stand for lengths that the robot or the cost decide.
+        unit: SI unit.
+        meaning: One line.
+    """
+
+    shape: tuple[int | str, ...]
+    unit: str
+    meaning: str
+
+
+COLUMNS: dict[str, Column] = {
+    "time": Column((), "s", "since the start of the episode, at the end of the step"),
+    "joint_position": Column(("dof",), "rad", "at the end of the step"),
+    "joint_velocity": Column(("dof",), "rad/s", "at the end of the step"),
+    "command": Column(("dof",), "rad/s", "joint velocity commanded during the step"),
+    "tool_position": Column((3,), "m", "tip of the tool, at the end of the step"),
+    "object_pose": Column((3,), "m, m, rad", "planar pose of the object, at the end of the step"),
+    "estimated_pose": Column((3,), "m, m, rad", "where the object is believed to be then; what the planner knows"),
+    "detection": Column((), "1", "what became of a detection in this step, an index of EVENTS"),
+    "position_error": Column((), "m", "distance of the object to its goal"),
+    "yaw_error": Column((), "rad", "absolute angle between the object and its goal, within 0 to pi"),
+    "clearance": Column((), "m", "phi_2, the object's distance to the obstacles; negative inside"),
+    "contact_tool_object": Column((), "N", "largest force between tool and object during the step"),
+    "contact_object_obstacle": Column((), "N", "largest force between object and obstacles during the step"),
+    "contact_robot_obstacle": Column((), "N", "largest force between robot and obstacles or table during the step"),
+    "plan_ms": Column((), "ms", "wall time of the planner's whole call"),
+    "object_plan_ms": Column((), "ms", "of that, the object level"),
+    "effective_samples": Column((), "1", "effective sample size of the robot level"),
+    "object_effective_samples": Column((), "1", "effective sample size of the object level"),
+    "min_cost": Column((), "1", "smallest cost of the robot level's samples"),
+    "cost_terms": Column(("n_terms",), "1", "weighted cost terms of the nominal, summed over the horizon"),
+    "lost_samples": Column((), "1", "samples whose cost was not finite"),
+    "missed_deadline": Column((), "1", "1 where a plan was due and not there"),
+    "stopped": Column((), "1", "1 where the arm was told to stop: the plan had expired, or none could be made"),
+    "lag_ms": Column((), "ms", "how far the loop was behind the wall clock"),
+}
+"""Every column, one row a control step. A row stands for one step: the command applied during it, the plan that gave
+the command, and the state observed at the end of it. What a method does not have (MPPI's object level) is NaN."""
+
+EVENTS = ("none", "first", "accepted", "rejected", "recovered")
+"""What becomes of a detection: there is none, it waits for another that bears it out, it corrects the prediction, it is
+rejected, it overrules the prediction together with the one before."""
+
+_NPZ, _JSON = "episode.npz", "episode.json"
+
+
+class EpisodeLog:
+    """The record of one episode.
+
+    Rows are appended into arrays that double when they are full; reading a column gives a view of the rows so far.
+
+    Attributes:
+        header: What was run, see the module's table.
+        references: Object plans as ``(step, path)``: the step before which it was made (0 for SOI's) and the planar
+            poses, shape [length, 3].
+    """
+
+    def __init__(self, header: Mapping[str, Any]) -> None:
+        self.header: dict[str, Any] = dict(header)
+        self.references: list[tuple[int, np.ndarray]] = []
+        self._rows = 0
+        self._data: dict[str, np.ndarray] = {}
+
+    @property
+    def run(self) -> RunSpec:
+        """The options of the run: engine, device and threads as they were chosen (threads ``None`` if not recorded).
+
+        Raises:
+            KeyError: The header does not say which method, engine, device or seed.
+        """
+        needed = {name: self.header[name] for name in ("method", "engine", "device", "seed")}
+        return RunSpec(
+            **needed,
+            threads=self.header.get("threads"),
+            plant=self.header.get("plant", "ideal"),
+            mode=self.header.get("mode", "lockstep"),
+        )
+
+    def __len__(self) -> int:
+        """Number of control steps so far."""
+        return self._rows
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The column ``name``, shape [steps, ...]; all NaN if no row had it.
+
+        Raises:
+            KeyError: There is no such column (see :data:`COLUMNS`).
+        """
+        column = COLUMNS[name]
+        if name in self._data:
+            return self._data[name][: self._rows]
+        return np.full((self._rows, *(size if isinstance(size, int) else 0 for size in column.shape)), np.nan)
+
+    def append(self, **row: Any) -> None:
+        """Add one control step; columns that are left out are NaN in it.
+
+        Raises:
+            KeyError: There is no such column.
+            ValueError: A value has another shape than in the rows before.
+        """
+        if unknown := row.keys() - COLUMNS.keys():
+            raise KeyError(f"no such column: {', '.join(sorted(unknown))}; columns are {', '.join(COLUMNS)}")
+        for name, value in row.items():
+            if name not in self._data:
+                self._data[name] = np.full((max(256, 2 * self._rows), *np.shape(value)), np.nan)
+        for name, array in self._data.items():
+            if self._rows == len(array):
+                array = self._data[name] = np.concatenate([array, np.full_like(array, np.nan)])
+            value = row.get(name, np.nan)
+            if name in row and np.shape(value) != array.shape[1:]:
+                raise ValueError(f"{name}: shape {np.shape(value)}, but {array.shape[1:]} in the rows before")
+            array[self._rows] = value
+        self._rows += 1
+
+    def add_reference(self, path: np.ndarray, step: int | None = None) -> None:
+        """Keep a copy of an object plan, planar poses [length, 3], made before ``step`` (default: the next)."""
+        self.references.append((self._rows if step is None else step, np.array(path, dtype=float).reshape(-1, 3)))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the record into ``folder``, which is made if need be; the JSON is there only if both files are whole.
+
+        Raises:
+            LogError: The folder cannot be written to.
+        """
+        folder = Path(folder)
+        steps = np.array([step for step, _ in self.references], dtype=int)
+        lengths = np.array([len(path) for _, path in self.references], dtype=int)
+        points = np.concatenate([np.empty((0, 3)), *(path for _, path in self.references)])
+        arrays = {name: self[name] for name in COLUMNS if name in self._data}
+        arrays |= {"reference_steps": steps, "reference_lengths": lengths, "reference_points": points}
+        packed = io.BytesIO()
+        np.savez_compressed(packed, allow_pickle=False, **arrays)
+        text = json.dumps(to_json(self.header), indent=2, allow_nan=False) + "\n"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / _JSON).unlink(missing_ok=True)
+            write_whole(folder / _NPZ, packed.getvalue())
+            write_whole(folder / _JSON, text.encode())
+        except OSError as error:
+            raise LogError(f"{folder}: the record cannot be written ({error.strerror or error})") from error
+        return folder
+
+    @classmethod
+    def load(cls, folder: str | Path) -> EpisodeLog:
+        """Read a record that :meth:`save` wrote.
+
+        Raises:
+            LogError: There is no complete record in ``folder``.
+        """
+        folder = Path(folder)
+        try:
+            log = cls(json.loads((folder / _JSON).read_text(encoding="utf-8")))
+            with np.load(folder / _NPZ, allow_pickle=False) as arrays:
+                log._data = {name: arrays[name] for name in arrays.files if name in COLUMNS}
+                ends = np.cumsum(arrays["reference_lengths"])
+                paths = np.split(arrays["reference_points"], ends)[: len(ends)]
+                log.references = list(zip(arrays["reference_steps"].tolist(), paths, strict=True))
+        except (OSError, ValueError, KeyError) as error:
+            raise LogError(
+                f"{folder}: no complete record in it ({error})\n  allowed: a folder with {_NPZ} and {_JSON}"
+            ) from error
+        log._rows = max((len(array) for array in log._data.values()), default=0)
+        return log
+
+
+def write_whole(path: str | Path, content: bytes) -> None:
+    """Write a whole file or nothing: into a temporary name first, then renamed."""
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        partial.write_bytes(content)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def flat(value: Any) -> dict[str, Any]:
+    """The fields of a dataclass by name; those of dataclasses among them stand in their place, as in all JSON files."""
+    found: dict[str, Any] = {}
+    for item in fields(value):
+        inner = getattr(value, item.name)
+        found |= flat(inner) if is_dataclass(inner) else {item.name: inner}
+    return found
+
+
+def to_json(value: Any) -> Any:
+    """``value`` in types that JSON knows: arrays become lists, dataclasses objects, infinity and NaN ``None``."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return to_json(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): to_json(inner) for key, inner in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return to_json(value.tolist())
+    if isinstance(value, list | tuple):
+        return [to_json(inner) for inner in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that take part in a result, without importing them."""
+    found = {"python": platform.python_version()}
+    for name in ("oimppi-warp", "warp-lang", "newton", "mujoco", "mujoco-warp", "numpy", "usd-core"):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found

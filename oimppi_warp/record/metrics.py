@@ -1,0 +1,196 @@
+"""Numbers of an episode, as plain functions of its log; the paper's metrics and those that explain them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.record.log import EVENTS, EpisodeLog, flat, to_json
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """What came out of one episode. A number that the episode does not have is NaN (``null`` in JSON).
+
+    Attributes:
+        scene, preset: What was run, with which settings.
+        run: The options of the run, engine, device and threads as they were chosen. In JSON its fields stand beside the
+            others.
+        start, goal: Planar poses of the object (x, y [m], yaw [rad]).
+        ended: Why it ended, see :mod:`oimppi_warp.record.log`.
+        success: The object stayed within tolerance for the hold time.
+        success_tight: The same for the tight tolerance.
+        position_error_m, yaw_error_rad: At the end.
+        mean_position_error_m: Averaged over time (the paper's epsilon_d).
+        min_clearance_m: Smallest phi_2; negative where the object overlapped an obstacle.
+        steps: Control steps.
+        sim_time_s: Simulated time.
+        success_time_s: Simulated time at which the object came within tolerance to stay; NaN without success.
+        preplan_time_s: Wall time of SOI's object plan.
+        total_time_s: The paper's T: pre-planning, then each step as long as its planning or the control period,
+            whichever is longer, until success (without success: to the end).
+        plan_ms_median, plan_ms_p95: Wall time of a plan.
+        object_plan_ms_median: Of that, the object level.
+        control_hz: Inverse of the mean time of a plan (the paper's f).
+        max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces.
+        mean_effective_samples, mean_object_effective_samples: Effective sample sizes of the two levels.
+        lost_samples: Samples whose cost was not finite, in all.
+        missed_deadlines: Control steps in which a plan was due and not there.
+        stops: Control steps in which the arm was told to stop: the last plan had expired, or nothing could be planned.
+        max_lag_ms: Most that the loop was behind the wall clock.
+        detections, rejected_detections, recoveries: Detections that arrived, those of them that were rejected, and
+            those that overruled the prediction.
+        mean_estimate_error_m, max_estimate_error_m: Distance of where the object was believed to be from where it was.
+        mean_cost_terms: Mean of each cost term over time.
+        versions: Of Python and of the packages that took part.
+    """
+
+    scene: str
+    run: RunSpec
+    preset: str
+    start: tuple[float, float, float]
+    goal: tuple[float, float, float]
+    ended: str
+    success: bool
+    success_tight: bool
+    position_error_m: float
+    yaw_error_rad: float
+    mean_position_error_m: float
+    min_clearance_m: float
+    steps: int
+    sim_time_s: float
+    success_time_s: float
+    preplan_time_s: float
+    total_time_s: float
+    plan_ms_median: float
+    plan_ms_p95: float
+    object_plan_ms_median: float
+    control_hz: float
+    max_contact_tool_object_n: float
+    max_contact_object_obstacle_n: float
+    max_contact_robot_obstacle_n: float
+    mean_effective_samples: float
+    mean_object_effective_samples: float
+    lost_samples: int
+    missed_deadlines: int
+    stops: int
+    max_lag_ms: float
+    detections: int
+    rejected_detections: int
+    recoveries: int
+    mean_estimate_error_m: float
+    max_estimate_error_m: float
+    mean_cost_terms: dict[str, float]
+    versions: dict[str, str]
+
+    def json(self) -> str:
+        """One JSON object with these fields, ``null`` for NaN."""
+        return json.dumps(self.row(), indent=2, allow_nan=False) + "\n"
+
+    def row(self) -> dict[str, Any]:
+        """The same in types that JSON knows."""
+        return to_json(flat(self))
+
+
+def summarize(log: EpisodeLog) -> Metrics:
+    """The metrics of a log, which may be one that was interrupted before its first step."""
+    header = log.header
+    period = float(header["control_period"])
+    need = hold_steps(header["hold_seconds"], period)
+    arrived = first_hold(within(log, header["tolerance"]), need)
+    arrived_tight = first_hold(within(log, header["tight_tolerance"]), need)
+    start, goal = tuple(header["start"]), tuple(header["goal"])
+    position_error, yaw_error = pose_error(start, goal)
+    if len(log):
+        position_error, yaw_error = float(log["position_error"][-1]), float(log["yaw_error"][-1])
+    preplan = float(header.get("preplan_time_s") or 0.0)
+    mean_plan_ms = _of_finite(np.mean, log["plan_ms"])
+    until = len(log) if arrived is None else arrived + 1
+    off = np.linalg.norm(log["estimated_pose"][:, :2] - log["object_pose"][:, :2], axis=1)
+    wall = np.maximum(np.nan_to_num(log["plan_ms"][:until]) / 1000, period)
+    return Metrics(
+        scene=header["scene"],
+        run=log.run,
+        preset=header["preset"],
+        start=start,
+        goal=goal,
+        ended=header.get("ended", "interrupted"),
+        success=arrived is not None,
+        success_tight=arrived_tight is not None,
+        position_error_m=position_error,
+        yaw_error_rad=yaw_error,
+        mean_position_error_m=_of_finite(np.mean, log["position_error"]),
+        min_clearance_m=_of_finite(np.min, log["clearance"]),
+        steps=len(log),
+        sim_time_s=float(log["time"][-1]) if len(log) else 0.0,
+        success_time_s=math.nan if arrived is None else float(log["time"][arrived]),
+        preplan_time_s=preplan,
+        total_time_s=preplan + float(wall.sum()),
+        plan_ms_median=_of_finite(np.median, log["plan_ms"]),
+        plan_ms_p95=_of_finite(_p95, log["plan_ms"]),
+        object_plan_ms_median=_of_finite(np.median, log["object_plan_ms"]),
+        control_hz=1000 / mean_plan_ms if mean_plan_ms > 0 else math.nan,
+        max_contact_tool_object_n=_of_finite(np.max, log["contact_tool_object"]),
+        max_contact_object_obstacle_n=_of_finite(np.max, log["contact_object_obstacle"]),
+        max_contact_robot_obstacle_n=_of_finite(np.max, log["contact_robot_obstacle"]),
+        mean_effective_samples=_of_finite(np.mean, log["effective_samples"]),
+        mean_object_effective_samples=_of_finite(np.mean, log["object_effective_samples"]),
+        lost_samples=int(np.nansum(log["lost_samples"])),
+        missed_deadlines=int(np.nansum(log["missed_deadline"])),
+        stops=int(np.nansum(log["stopped"])),
+        max_lag_ms=_of_finite(np.max, log["lag_ms"]),
+        detections=int((log["detection"] > 0).sum()),
+        rejected_detections=int((log["detection"] == EVENTS.index("rejected")).sum()),
+        recoveries=int((log["detection"] == EVENTS.index("recovered")).sum()),
+        mean_estimate_error_m=_of_finite(np.mean, off),
+        max_estimate_error_m=_of_finite(np.max, off),
+        mean_cost_terms=_mean_cost_terms(log),
+        versions=dict(header.get("versions", {})),
+    )
+
+
+def pose_error(pose: Any, goal: Any) -> tuple[float, float]:
+    """Distance [m] and absolute angle [rad], within 0 to pi, between two planar poses."""
+    turn = (float(pose[2]) - float(goal[2]) + math.pi) % (2 * math.pi) - math.pi
+    return math.hypot(float(pose[0]) - float(goal[0]), float(pose[1]) - float(goal[1])), abs(turn)
+
+
+def within(log: EpisodeLog, tolerance: Mapping[str, float | None]) -> np.ndarray:
+    """Whether the object is within a tolerance, shape [steps]; a yaw tolerance of ``None`` allows every yaw."""
+    yaw = tolerance["yaw"]
+    near = log["position_error"] <= tolerance["position"]
+    return near if yaw is None else near & (log["yaw_error"] <= yaw)
+
+
+def hold_steps(hold_seconds: float, control_period: float) -> int:
+    """Number of successive control steps that make ``hold_seconds``, at least one."""
+    return max(1, math.ceil(hold_seconds / control_period - 1e-6))
+
+
+def first_hold(inside: np.ndarray, steps: int) -> int | None:
+    """Index at which the first run of ``steps`` true entries begins; ``None`` if there is none."""
+    runs = np.convolve(inside, np.ones(steps, dtype=int), mode="valid") if len(inside) >= steps else np.zeros(0)
+    starts = np.flatnonzero(runs == steps)
+    return int(starts[0]) if len(starts) else None
+
+
+def _p95(values: np.ndarray) -> float:
+    return float(np.percentile(values, 95))
+
+
+def _of_finite(reduce: Callable[[np.ndarray], Any], values: np.ndarray) -> float:
+    """``reduce`` over the finite values; NaN if there are none."""
+    finite = values[np.isfinite(values)]
+    return float(reduce(finite)) if len(finite) else math.nan
+
+
+def _mean_cost_terms(log: EpisodeLog) -> dict[str, float]:
+    names = log.header.get("cost_terms", [])
+    terms = log["cost_terms"]
+    return {name: _of_finite(np.mean, terms[:, index]) for index, name in enumerate(names) if index < terms.shape[1]}

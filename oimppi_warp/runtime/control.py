@@ -1,0 +1,216 @@
+"""Who waits for whom: planner, estimator and plant in lock step, or each at its own pace on the wall clock.
+
+Either way a control period is one :class:`Beat`. In lock step the world stands still while the planner thinks. In real
+time it does not: the planner works beside the plant on the command that will be due at the next beat, from where things
+will be by then; a plan that is late waits for the beat after, the command before it is kept up meanwhile, and when that
+has expired the arm is told to stop.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from oimppi_warp.observation import Observation, check_shapes
+from oimppi_warp.planning.robot_level import Plan
+from oimppi_warp.plants.plant import Plant, latency_of
+from oimppi_warp.runtime.estimator import Estimator, Event
+
+
+class Plans(Protocol):
+    """What the loop needs of a planner."""
+
+    def start(self, observation: Observation) -> float:
+        """Prepares for an episode; returns the wall time that planning took [s]."""
+        ...
+
+    def plan(self, observation: Observation) -> Plan:
+        """Plans one control step."""
+        ...
+
+
+class Workers(Protocol):
+    """Where the planner works, like :class:`concurrent.futures.Executor`."""
+
+    def submit(self, work: Callable[[Observation], _Thought], observation: Observation, /) -> Future[_Thought]:
+        """Begin with a plan."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Beat:
+    """One control period that has passed.
+
+    Attributes:
+        command: Joint velocities that were sent, shape [dof] [rad/s].
+        plan: The plan that was new in it, if one was.
+        plan_seconds: How long that took [s].
+        preplan_seconds: Wall time of what was planned before the first plan [s]; 0 in all beats but that plan's.
+        observed: What the plant reported at its end.
+        estimate: Where the object is believed to be at its end, shape [3]; NaN where nothing is believed.
+        event: What became of a detection in it.
+        missed: Whether a plan was due and not there.
+        stopped: Whether the arm was told to stop: the last plan had expired, or nothing could be planned.
+        lag: How far the loop was behind the clock [s].
+    """
+
+    command: np.ndarray
+    plan: Plan | None
+    plan_seconds: float
+    preplan_seconds: float
+    observed: Observation
+    estimate: np.ndarray
+    event: Event
+    missed: bool = False
+    stopped: bool = False
+    lag: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Thought:
+    """A plan, and how long it and what came before it took [s]."""
+
+    plan: Plan
+    seconds: float
+    preplan_seconds: float
+
+
+class _Thinker:
+    """The planner, started with the first thing that is known."""
+
+    def __init__(self, planner: Plans) -> None:
+        self._planner = planner
+        self.started = False
+
+    def think(self, observation: Observation) -> _Thought:
+        preplan = 0.0 if self.started else self._planner.start(observation)
+        self.started = True
+        began = time.perf_counter()
+        plan = self._planner.plan(observation)
+        return _Thought(plan, time.perf_counter() - began, preplan)
+
+
+def lock_step(plant: Plant, planner: Plans, estimator: Estimator | None, *, dof: int) -> Generator[Beat]:
+    """Beats without end in which the world waits for the planner.
+
+    Args:
+        plant: What is moved.
+        planner: What plans.
+        estimator: Between the two; ``None`` for a plant that tells the truth at once.
+        dof: Number of joints.
+
+    Raises:
+        ObservationError: An array that the plant reports has the wrong length.
+    """
+    thinker, command, latency = _Thinker(planner), np.zeros(dof), latency_of(plant)
+    observation = _observed(plant, dof)
+    known = observation if estimator is None else estimator.update(observation)
+    while True:
+        thought, lost = None, known is None and thinker.started
+        if known is None:
+            command = np.zeros(dof)
+        else:
+            if estimator is not None:
+                known = estimator.predict(known, [(latency, command)])
+            thought = thinker.think(known)
+            command = thought.plan.command
+        plant.apply(command)
+        observation = _observed(plant, dof)
+        known = observation if estimator is None else estimator.update(observation)
+        beat = _beat(command, thought, observation, known, estimator)
+        yield replace(beat, stopped=beat.stopped or lost)
+
+
+def real_time(
+    plant: Plant,
+    planner: Plans,
+    estimator: Estimator,
+    *,
+    dof: int,
+    expires: float,
+    clock: Callable[[], float] = time.perf_counter,
+    sleep: Callable[[float], None] = time.sleep,
+    workers: Workers | None = None,
+) -> Generator[Beat]:
+    """Beats without end on the wall clock.
+
+    Args:
+        plant: What is moved; sending it a command takes less than a control period.
+        planner: What plans, in a thread of its own.
+        estimator: Between the two.
+        dof: Number of joints.
+        expires: How long a command is kept up when the next plan is late [s].
+        clock, sleep: The wall clock [s].
+        workers: Where the planner works; default: one thread.
+    """
+    period, thinker, still = plant.control_period, _Thinker(planner), np.zeros(dof)
+    before, command, age = still, still, 0
+    planned = halted = False
+    job: Future[_Thought] | None = None
+    latency = latency_of(plant)
+    known = estimator.update(_observed(plant, dof))
+    own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if workers is None else None
+    pool = workers or own
+    assert pool is not None
+    due = clock()
+    try:
+        while True:
+            thought, missed, stopped, before = None, False, False, command
+            if job is not None and job.done():
+                thought, job = job.result(), None
+                command, age, planned = thought.plan.command, 0, True
+                halted = bool(thought.plan.problem)
+            elif planned:
+                missed, age = True, age + 1
+                if age * period > expires + 1e-9:
+                    command, stopped = still, True
+            if job is None and known is not None:
+                # What is decided now is carried out before the plan that is asked for now.
+                to_come = [(latency, before), (period, command)]
+                job = pool.submit(thinker.think, estimator.predict(known, to_come))
+            plant.apply(command)
+            due += period
+            left = due - clock()
+            if left > 0.0:
+                sleep(left)
+            else:  # the world stood still meanwhile, as a real one would not have: the clock is set anew
+                due -= left
+            observation = _observed(plant, dof)
+            known = estimator.update(observation)
+            beat = _beat(command, thought, observation, known, estimator)
+            yield replace(beat, missed=missed, stopped=stopped or halted, lag=max(-left, 0.0))
+    finally:
+        if own is not None:
+            own.shutdown(wait=True, cancel_futures=True)
+
+
+def _observed(plant: Plant, dof: int) -> Observation:
+    """What a plant reports, its shapes checked."""
+    observation = plant.observe()
+    check_shapes(observation, dof)
+    return observation
+
+
+def _beat(
+    command: np.ndarray,
+    thought: _Thought | None,
+    observed: Observation,
+    known: Observation | None,
+    estimator: Estimator | None,
+) -> Beat:
+    return Beat(
+        command=command,
+        plan=None if thought is None else thought.plan,
+        plan_seconds=math.nan if thought is None else thought.seconds,
+        preplan_seconds=0.0 if thought is None else thought.preplan_seconds,
+        observed=observed,
+        estimate=np.full(3, np.nan) if known is None else known.object_pose,
+        event="none" if estimator is None else estimator.event,
+        stopped=thought is not None and bool(thought.plan.problem),
+    )

@@ -1,0 +1,295 @@
+"""The closed loop: a planner and a plant that share observations and commands, and the record of what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.compute.step import core_count
+from oimppi_warp.config.overrides import validate
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.config.settings import Config
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.geometry.feasibility import check_task
+from oimppi_warp.geometry.fields import to_center
+from oimppi_warp.geometry.kinematics import tip_frame
+from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.resolve import entries_used, resolve
+from oimppi_warp.planning.robot_level import Plan
+from oimppi_warp.plants.plant import ContactPlant, Plant, TruthfulPlant, has_tipped, latency_of
+from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
+from oimppi_warp.record.metrics import hold_steps, pose_error
+from oimppi_warp.registries import PLANTS
+from oimppi_warp.runtime.control import Beat, lock_step, real_time
+from oimppi_warp.runtime.estimator import Estimator
+from oimppi_warp.scene import Scene
+
+_REFERENCE_EVERY = 10
+"""Object plans that are renewed at every step are logged every so many steps."""
+_LONGEST_LATENCY = 1.0
+"""Longest latency of a plant that can be planned for [s]."""
+_FALLEN = 0.05
+"""Depth of the object's frame below the table's top at which it has fallen off [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """All that an :class:`Episode` is made from.
+
+    Attributes:
+        scene: The task, with the start and the goal to use.
+        config: All settings.
+        spec: The options of the run.
+    """
+
+    scene: Scene
+    config: Config
+    spec: RunSpec = field(default_factory=RunSpec)
+
+    def changed(self, **fields: Any) -> Setup:
+        """Returns a copy with some fields, or some options of the run, changed."""
+        own = {name: value for name, value in fields.items() if name in vars(self)}
+        options = {name: value for name, value in fields.items() if name not in own}
+        made = replace(self, **own)
+        return replace(made, spec=made.spec.changed(**options))
+
+    def episode(self) -> Episode:
+        """Makes a new episode, ready to run."""
+        return Episode(self.scene, self.config, self.spec)
+
+
+class Episode:
+    """One task, from start to success or time limit.
+
+    Args:
+        scene: The task, with the start and the goal to use.
+        config: All settings.
+        spec: The options of the run.
+        plant: A plant of your own in place of the one that ``spec`` names. Its control period becomes the planner's.
+        **options: Fields of ``spec`` to change, for example ``method="soi"`` or ``seed=3``.
+
+    Attributes:
+        scene: As given.
+        spec: The options of the run, with the engine, the device and the number of threads that were chosen.
+        config: The settings as they are used for this task.
+        plant: What is moved.
+        planner: What plans.
+        log: The record so far.
+
+    Raises:
+        SceneError: The task cannot be done: its start or goal is in an obstacle, off the table or out of reach.
+        ConfigError: An option or a setting that cannot be used.
+        DeviceError: The device is not there.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        config: Config,
+        spec: RunSpec | None = None,
+        *,
+        plant: Plant | str | None = None,
+        **options: Any,
+    ) -> None:
+        if isinstance(plant, str):
+            options["plant"], plant = plant, None
+        spec = (spec or RunSpec()).changed(**options)
+        check_task(scene)
+        validate(config)
+        if spec.threads is None and spec.mode == "realtime":
+            spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
+        self.scene = scene
+        if plant is None:
+            self.plant: Plant = PLANTS.get_checked(spec.plant)(scene, config, seed=spec.seed)
+        else:
+            self.plant = plant
+        resolved = resolve(config, scene, control_period=self.plant.control_period)
+        self.config = config = validate(resolved.config)
+        if not 0.0 <= latency_of(self.plant) <= _LONGEST_LATENCY:
+            raise ConfigError(
+                f"a plant with a latency of {latency_of(self.plant):g} s\n  allowed: 0 to {_LONGEST_LATENCY:g} s"
+            )
+        self.planner = make_planner(scene, config, spec)
+        self.planner.warm_up()
+        self.spec = replace(
+            spec,
+            engine=self.planner.engine,
+            device=self.planner.compute.device,
+            threads=self.planner.compute.threads,
+            plant=spec.plant if plant is None else type(plant).__name__,
+        )
+        self._beats = self._loop()
+        self._plans = 0
+        self._problem = ""
+        self.log = EpisodeLog(
+            {
+                "scene": scene.name,
+                "file": str(scene.file),
+                **asdict(self.spec),
+                "engine_reason": self.planner.engine_reason,
+                "preset": config.preset,
+                "config": to_json(asdict(config)),
+                "requested": {name: [change.asked, change.reason] for name, change in resolved.changes.items()},
+                "start": list(scene.start),
+                "goal": list(scene.goal),
+                "tolerance": to_json(scene.tolerance),
+                "tight_tolerance": to_json(scene.tight_tolerance),
+                "hold_seconds": config.episode.hold_seconds,
+                "control_period": config.control_period,
+                "cost_terms": list(self.planner.dynamics.terms),
+                "preplan_time_s": 0.0,
+                "ended": "interrupted",
+                "problems": [],
+                "versions": versions() | _packages(spec, config),
+            }
+        )
+
+    def run(self, on_step: Callable[[EpisodeLog], None] | None = None) -> EpisodeLog:
+        """Runs until the object has stayed within tolerance for the hold time, or the time is up.
+
+        It ends early when the object tips over or falls off the table, on Ctrl-C, and when the plant diverges; the log
+        is complete all the same.
+
+        Args:
+            on_step: Called after every control step with the log so far.
+
+        Raises:
+            RuntimeError: The episode was run before.
+        """
+        try:
+            with closing(self.steps()) as steps:
+                for _ in steps:
+                    if on_step is not None:
+                        on_step(self.log)
+        except KeyboardInterrupt:
+            self.log.header["ended"] = "interrupted"
+        except FloatingPointError:
+            self.log.header["ended"] = "diverged"
+        return self.log
+
+    def steps(self) -> Generator[Beat]:
+        """The same step by step: each control period as it has passed, until the episode ends.
+
+        Raises:
+            RuntimeError: The episode was run before.
+            FloatingPointError: The plant diverged.
+        """
+        if len(self.log):
+            raise RuntimeError("an episode runs once; make another one")
+        settings = self.config.episode
+        wanted = self.scene.tight_tolerance if settings.tight else self.scene.tolerance
+        wanted_steps = hold_steps(settings.hold_seconds, self.config.control_period)
+        held = 0
+        try:
+            for _ in range(round(settings.max_sim_seconds / self.config.control_period)):
+                beat = next(self._beats)
+                position_error, yaw_error = self._record(beat)
+                yield beat
+                if self._fell():
+                    self.log.header["ended"] = "object fell"
+                    break
+                held = held + 1 if position_error <= wanted.position and yaw_error <= wanted.yaw else 0
+                if held == wanted_steps:
+                    self.log.header["ended"] = "success"
+                    break
+            else:
+                self.log.header["ended"] = "time limit"
+        finally:
+            with suppress(Exception):  # however it ended, the arm is told to stop before anything else
+                self.plant.apply(np.zeros(self.scene.robot.dof))
+            self._beats.close()
+
+    def _loop(self) -> Generator[Beat]:
+        """The beats of plant and planner; what always knows exactly where the object is needs no estimator."""
+        dof = self.scene.robot.dof
+        if self.spec.mode == "realtime":
+            estimator = Estimator(self.scene, self.config)
+            return real_time(self.plant, self.planner, estimator, dof=dof, expires=self.config.episode.plan_expires)
+        behind = self.plant.observe().object_time is not None or latency_of(self.plant) > 0.0
+        return lock_step(self.plant, self.planner, Estimator(self.scene, self.config) if behind else None, dof=dof)
+
+    def _fell(self) -> bool:
+        """Whether the object has tipped over or fallen off the table, as far as the plant knows."""
+        if not isinstance(self.plant, TruthfulPlant):
+            return False
+        transform = self.plant.truth().object_transform
+        return has_tipped(transform) or bool(transform[2] < -_FALLEN)
+
+    def state_after(self, beat: Beat) -> Observation:
+        """Returns the state at the end of a beat: the truth, or what is believed where the plant does not know it."""
+        if isinstance(self.plant, TruthfulPlant):
+            return self.plant.truth()
+        x, y, yaw = beat.estimate
+        transform = planar_transform((x, y, yaw), self.scene.object.rest_height)
+        return replace(beat.observed, object_pose=beat.estimate, object_transform=transform)
+
+    def _record(self, beat: Beat) -> tuple[float, float]:
+        """Log a control step; returns the object's distance [m] and angle [rad] to its goal."""
+        plan = beat.plan
+        if plan is not None:
+            self.log.header["preplan_time_s"] += beat.preplan_seconds
+            ahead = self.planner.object_plan
+            if self._plans == 0 and ahead is not None:
+                self.log.add_reference(ahead)
+            elif plan.object_update is not None and self._plans % _REFERENCE_EVERY == 0:
+                self.log.add_reference(plan.reference)
+            self._plans += 1
+            if plan.problem and plan.problem != self._problem:
+                self.log.header["problems"].append([len(self.log), plan.problem])
+            self._problem = plan.problem
+        truth = self.state_after(beat)
+        position_error, yaw_error = pose_error(truth.object_pose, self.scene.goal)
+        geometry = self.planner.geometry
+        forces = {}
+        if isinstance(self.plant, ContactPlant):
+            contacts = self.plant.contacts
+            forces = {
+                "contact_tool_object": contacts.tool_object,
+                "contact_object_obstacle": contacts.object_obstacle,
+                "contact_robot_obstacle": contacts.robot_obstacle,
+            }
+        row = {} if plan is None else _of_plan(plan)
+        self.log.append(
+            time=truth.time,
+            joint_position=truth.joint_position,
+            joint_velocity=truth.joint_velocity,
+            command=beat.command,
+            tool_position=tip_frame(self.scene.robot, truth.joint_position)[1],
+            object_pose=truth.object_pose,
+            estimated_pose=beat.estimate,
+            detection=float(EVENTS.index(beat.event)),
+            position_error=position_error,
+            yaw_error=yaw_error,
+            clearance=geometry.clearance_at(to_center(geometry.surface, truth.object_pose)),
+            plan_ms=1e3 * beat.plan_seconds,
+            missed_deadline=float(beat.missed),
+            stopped=float(beat.stopped),
+            lag_ms=1e3 * beat.lag,
+            **forces,
+            **row,
+        )
+        return position_error, yaw_error
+
+
+def _packages(spec: RunSpec, config: Config) -> dict[str, str]:
+    """Versions of the packages from elsewhere that take part in a run."""
+    names = {registry.package_of(name) for registry, name in entries_used(spec, config)}
+    return {name: version(name) for name in sorted(names) if name}
+
+
+def _of_plan(plan: Plan) -> dict[str, Any]:
+    """The columns that a new plan fills."""
+    return {
+        "object_plan_ms": 1e3 * plan.object_seconds,
+        "effective_samples": plan.update.effective_samples,
+        "object_effective_samples": plan.object_update.effective_samples if plan.object_update else np.nan,
+        "min_cost": plan.update.min_cost,
+        "cost_terms": plan.terms,
+        "lost_samples": plan.update.lost,
+    }

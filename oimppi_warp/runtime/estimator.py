@@ -1,0 +1,299 @@
+"""Where the object is believed to be: detections, and between them what the arm's measured motion has done to it.
+
+The prediction is the planner's own model, a quasi-static push along the tool's measured path. A detection is of a past
+time: it corrects the prediction at that time, and the corrected pose is rolled forward along the recorded joint
+positions to the present. A detection that contradicts the prediction is rejected, unless the next one bears it out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.config.settings import Config
+from oimppi_warp.geometry.fields import build_geometry, from_center, to_center
+from oimppi_warp.geometry.footprint import wrap_angle
+from oimppi_warp.geometry.kinematics import pack_arm
+from oimppi_warp.kernels.tracking import make_track_object
+from oimppi_warp.observation import (
+    BEYOND_LIMITS,
+    FARTHEST_OBJECT,
+    Observation,
+    beyond_limits,
+    check_shapes,
+    planar_transform,
+)
+from oimppi_warp.planning.engines.dynamics import control_type
+from oimppi_warp.planning.engines.packing import object_model, surroundings, velocity_bound
+from oimppi_warp.scene import Scene
+
+_CAPACITY = 1024
+"""Joint positions that are kept."""
+_AHEAD = 256
+"""Steps of a prediction of what is to come: two of the longest control periods."""
+_STEP = 0.0125
+"""Their length [s]."""
+
+Event = Literal["none", "first", "accepted", "rejected", "recovered"]
+"""What became of a detection: there was none, it waits for another that bears it out, it corrected the prediction, it
+was rejected, or it overruled the prediction together with the one before."""
+
+
+@dataclass(eq=False)
+class _Track:
+    """One belief about the object, at each kept joint position.
+
+    Attributes:
+        poses: Of the friction centre, [_CAPACITY].
+        gaps: Between tool and object [m], [_CAPACITY].
+        spread: Standard deviation of the error, in position [m] and yaw [rad], shape [_CAPACITY, 2].
+        first, count: Entries from ``first`` to before ``count`` are known.
+    """
+
+    poses: wp.array
+    gaps: wp.array
+    spread: np.ndarray
+    first: int
+    count: int
+
+
+class Estimator:
+    """From what a plant reports to what a planner may take as the object's pose.
+
+    Args:
+        scene: The task.
+        config: All settings.
+
+    Attributes:
+        event: What became of the newest detection, if one came with the latest observation.
+    """
+
+    def __init__(self, scene: Scene, config: Config) -> None:
+        self._scene = scene
+        self._config = config.estimator
+        self._counts_yaw = math.isfinite(scene.tolerance.yaw)
+        geometry = build_geometry(scene, "cpu")
+        self._surface = geometry.surface
+        self._arm = pack_arm(scene.robot, velocity_bound(scene, config.robot), "cpu")
+        self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
+        self._model.clearance = geometry.obstruction
+        self._surroundings = surroundings(scene, geometry, config.cost)
+        self._contact_steps = config.robot.contact_steps
+        self._kernel = make_track_object(scene.robot.chain)
+        vec = control_type(scene.robot.dof)
+        self._joints = wp.zeros(_CAPACITY, dtype=vec, device="cpu")
+        self._range = wp.zeros(2, dtype=int, device="cpu")
+        self._ahead = wp.zeros(_AHEAD, dtype=vec, device="cpu")
+        self._ahead_track = self._new_track(_AHEAD)
+        self._roll(self._ahead_track, self._ahead, 0, 1)  # compiled now, not while a clock runs
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.event: Event = "none"
+        self._times = np.zeros(_CAPACITY)
+        self._count = 0
+        self._seen = math.nan
+        self._believed: _Track | None = None
+        self._rival: _Track | None = None
+
+    def update(self, observation: Observation) -> Observation | None:
+        """What is believed after an observation.
+
+        Args:
+            observation: What a plant reports; one whose ``object_time`` is ``None`` knows where the object is, and is
+                believed.
+
+        Returns:
+            The observation with the believed pose in place of the reported one, or ``None`` as long as nothing is
+            believed: the object was not seen, no two detections agreed yet, or joint positions cannot be true.
+
+        Raises:
+            ObservationError: An array has the wrong length.
+        """
+        check_shapes(observation, self._scene.robot.dof)
+        self.event = "none"
+        if not self._plausible(observation.joint_position):
+            return None  # a sensor's error: what the arm has done to the object is not known
+        self._record(observation)
+        if not self._count:
+            return None
+        seen = observation.object_time
+        if seen is None:
+            self._know(to_center(self._surface, observation.object_pose))
+            return observation
+        if not math.isnan(seen) and seen != self._seen:
+            self._seen = seen
+            if np.isfinite(observation.object_pose).all() and np.hypot(*observation.object_pose[:2]) < FARTHEST_OBJECT:
+                self._take(seen, to_center(self._surface, observation.object_pose))
+            else:
+                self.event = "rejected"
+        if self._believed is None:
+            return None
+        return self._with_pose(observation, self._believed.poses.numpy()[self._count - 1])
+
+    def predict(self, observation: Observation, to_come: Sequence[tuple[float, np.ndarray]]) -> Observation:
+        """What will be, once commands that are already decided have been carried out.
+
+        Args:
+            observation: What is believed now, from :meth:`update`.
+            to_come: Commands as pairs of a duration [s] and joint velocities [dof] [rad/s].
+        """
+        joints, total = [observation.joint_position], 0.0
+        for duration, velocity in to_come:
+            steps = math.ceil(duration / _STEP - 1e-9)
+            joints += [joints[-1] + velocity * duration * step / steps for step in range(1, steps + 1)]
+            total += duration
+        if total == 0.0:
+            return observation
+        track = self._ahead_track
+        self._ahead.numpy()[: len(joints)] = joints
+        track.poses.numpy()[0] = to_center(self._surface, observation.object_pose)
+        self._roll(track, self._ahead, 0, len(joints))
+        moved = replace(
+            observation,
+            time=observation.time + total,
+            joint_position=joints[-1],
+            joint_velocity=np.array(to_come[-1][1], dtype=float),
+        )
+        return self._with_pose(moved, track.poses.numpy()[len(joints) - 1])
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Standard deviation of the believed pose, in position [m] and in yaw [rad]."""
+        if self._believed is None:
+            return math.inf, math.inf
+        position, yaw = self._believed.spread[self._count - 1]
+        return float(position), float(yaw)
+
+    def _record(self, observation: Observation) -> None:
+        """Keep the joint positions that are new, and let the beliefs follow."""
+        rows = observation.trail
+        if not len(rows):
+            rows = np.concatenate([[observation.time], observation.joint_position])[None]
+        rows = rows[np.isfinite(rows[:, 0]) & self._plausible(rows[:, 1:])]
+        rows = rows[rows[:, 0] > self._times[self._count - 1]] if self._count else rows
+        if self._count + len(rows) > _CAPACITY:
+            self._forget(rows[-1, 0] - self._config.memory)
+        fresh = slice(self._count, self._count + len(rows))
+        self._times[fresh] = rows[:, 0]
+        self._joints.numpy()[fresh] = rows[:, 1:]
+        self._count += len(rows)
+        for track in (self._believed, self._rival):
+            if track is not None:
+                self._follow(track, track.count - 1)
+
+    def _plausible(self, joint_position: np.ndarray) -> np.ndarray:
+        """Whether joint positions [..., dof] can be true, shape [...]."""
+        finite = np.isfinite(joint_position).all(axis=-1)
+        within = (beyond_limits(self._scene.robot, joint_position) <= BEYOND_LIMITS).all(axis=-1)
+        return np.logical_and(finite, within)
+
+    def _forget(self, before: float) -> None:
+        """Drop what is older than a time [s]."""
+        first = int(np.searchsorted(self._times[: self._count], before))
+        first = max(first, self._count - _CAPACITY // 2)
+        kept = self._count - first
+        arrays = [self._times, self._joints.numpy()]
+        for track in (self._believed, self._rival):
+            if track is not None:
+                arrays += [track.poses.numpy(), track.gaps.numpy(), track.spread]
+                track.first, track.count = max(track.first - first, 0), track.count - first
+        for array in arrays:
+            array[:kept] = array[first : self._count].copy()
+        self._count = kept
+
+    def _know(self, pose: np.ndarray) -> None:
+        """Believe a pose [3] of the friction centre, at present."""
+        at = self._count - 1
+        if self._believed is None:
+            self._believed = self._new_track(_CAPACITY)
+        self._believed.first, self._believed.count = at, self._count
+        self._believed.poses.numpy()[at] = pose
+        self._believed.spread[at] = 0.0
+
+    def _take(self, seen: float, pose: np.ndarray) -> None:
+        """Judge a detection: ``pose`` [3] of the friction centre at the time ``seen``."""
+        at = int(np.argmin(np.abs(self._times[: self._count] - seen)))
+        if seen < self._times[0] - 1e-6:
+            at = 0 if self._believed is None else -1  # before all that is remembered: of use only as a beginning
+        if at < 0:
+            return
+        if self._believed is not None and self._agrees(self._believed, at, pose):
+            self._correct(self._believed, at, pose)
+            self._rival, self.event = None, "accepted"
+        elif self._rival is not None and self._agrees(self._rival, at, pose):
+            self.event = "accepted" if self._believed is None else "recovered"
+            self._believed, self._rival = self._rival, None
+            self._correct(self._believed, at, pose)
+        else:
+            self.event = "first" if self._believed is None else "rejected"
+            self._rival = self._begin(at, pose)
+
+    def _agrees(self, track: _Track, at: int, pose: np.ndarray) -> bool:
+        """Whether a detection is where a track has the object, as far as both can be trusted."""
+        if at < track.first:
+            return False
+        off = pose - track.poses.numpy()[at]
+        allowed = self._config.gate * np.hypot(track.spread[at], self._detection_spread)
+        near = bool(np.hypot(off[0], off[1]) <= allowed[0])
+        return near and (not self._counts_yaw or bool(abs(wrap_angle(off[2])) <= allowed[1]))
+
+    def _begin(self, at: int, pose: np.ndarray) -> _Track:
+        """A track that believes one detection."""
+        track = self._new_track(_CAPACITY)
+        track.first, track.count = at, at + 1
+        track.poses.numpy()[at] = pose
+        track.spread[at] = self._detection_spread
+        self._follow(track, at)
+        return track
+
+    def _correct(self, track: _Track, at: int, pose: np.ndarray) -> None:
+        """Weigh a detection against a track where it was made, and bring the track back to the present."""
+        poses = track.poses.numpy()
+        spread, noise = track.spread[at] ** 2, self._detection_spread**2
+        gain = spread / np.maximum(spread + noise, 1e-18)
+        off = pose - poses[at]
+        off[2] = wrap_angle(off[2])
+        poses[at] += off * gain[[0, 0, 1]]
+        track.spread[at] = np.sqrt(spread * (1.0 - gain))
+        track.first = at
+        self._follow(track, at)
+
+    def _follow(self, track: _Track, begin: int) -> None:
+        """Roll a track from entry ``begin`` to the newest joint positions."""
+        if begin + 1 < self._count:
+            self._roll(track, self._joints, begin, self._count)
+            config, poses, gaps = self._config, track.poses.numpy(), track.gaps.numpy()
+            for i in range(begin + 1, self._count):
+                moved = poses[i] - poses[i - 1]
+                drift = (config.position_drift * math.hypot(moved[0], moved[1]), config.yaw_drift * abs(moved[2]))
+                near = config.touch_drift**2 * (self._times[i] - self._times[i - 1]) * (gaps[i] < config.touch)
+                lever = max(self._surface.radius, 1e-3)
+                track.spread[i] = np.sqrt((track.spread[i - 1] + drift) ** 2 + near * np.array([1.0, 1.0 / lever**2]))
+        track.count = self._count
+
+    def _roll(self, track: _Track, joints: wp.array, begin: int, end: int) -> None:
+        """Fill a track's poses and gaps after entry ``begin`` and before ``end``."""
+        self._range.numpy()[:] = (begin, end)
+        inputs = [self._arm, self._model, self._surroundings, joints, self._range, self._contact_steps]
+        wp.launch(self._kernel, dim=1, inputs=inputs, outputs=[track.poses, track.gaps], device="cpu")
+
+    def _new_track(self, size: int) -> _Track:
+        poses = wp.zeros(size, dtype=wp.vec3, device="cpu")
+        return _Track(poses, wp.zeros(size, dtype=float, device="cpu"), np.zeros((size, 2)), 0, 0)
+
+    @property
+    def _detection_spread(self) -> np.ndarray:
+        return np.array([self._config.position_noise, self._config.yaw_noise])
+
+    def _with_pose(self, observation: Observation, center: np.ndarray) -> Observation:
+        """An observation with another pose of the object, given by its friction centre."""
+        x, y, yaw = from_center(self._surface, center.astype(float))
+        transform = planar_transform((x, y, yaw), self._scene.object.rest_height)
+        return replace(observation, object_pose=np.array([x, y, yaw]), object_transform=transform)

@@ -1,0 +1,125 @@
+"""What a run is made of, from words: a preset with changes becomes a config, a scene with a start becomes a task.
+
+The commands ``run`` and ``bench`` share it, so that a trial of a benchmark is exactly the run that its command makes.
+The rest of a run's options are a :class:`oimppi_warp.config.run_spec.RunSpec`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oimppi_warp.config.overrides import set_option, validate
+from oimppi_warp.config.presets import PRESETS
+from oimppi_warp.config.settings import Config
+from oimppi_warp.errors import ConfigError
+
+if TYPE_CHECKING:
+    from oimppi_warp.scene import PlanarPose, Scene
+
+RANDOMIZED_DRAWS = 4
+"""Draws of the world that ``--randomize`` asks for."""
+
+
+@dataclass(frozen=True)
+class SettingsRequest:
+    """Which settings are asked for: a preset, and what is changed of it.
+
+    Attributes:
+        preset: Name of the preset.
+        assignments: Settings as ``NAME=VALUE``, in the order in which they are applied.
+        max_sim_seconds: Time limit of an episode [simulated s], if another than the preset's.
+    """
+
+    preset: str = "best"
+    assignments: tuple[str, ...] = ()
+    max_sim_seconds: float | None = None
+
+    def config(self, method: str, *, randomize: bool = False) -> Config:
+        """The settings for a method, validated.
+
+        Args:
+            method: Name of the method that plans.
+            randomize: Try each sample in :data:`RANDOMIZED_DRAWS` draws of the world, unless an assignment says
+                otherwise.
+
+        Raises:
+            ConfigError: A setting is wrong.
+        """
+        if self.preset not in PRESETS:
+            raise ConfigError(f"preset {self.preset!r} does not exist\n  allowed: {', '.join(PRESETS)}")
+        config = PRESETS[self.preset](method)  # pyright: ignore[reportArgumentType]
+        if randomize:
+            config = set_option(config, f"robot.uncertainty.draws={RANDOMIZED_DRAWS}")
+        for assignment in self.assignments:
+            config = set_option(config, assignment)
+        if self.max_sim_seconds is not None:
+            config = replace(config, episode=replace(config.episode, max_sim_seconds=self.max_sim_seconds))
+        return validate(config)
+
+
+def make_task(
+    scene: str | Path, *, start: PlanarPose | int | None = None, goal: PlanarPose | None = None, seed: int = 0
+) -> Scene:
+    """A scene with the start and the goal asked for, checked.
+
+    Args:
+        scene: A USD file, or the name of a shipped scene.
+        start: A pose, the number of one of the scene's starts, or ``None`` to draw one with the seed.
+        goal: A pose, or ``None`` for the scene's.
+        seed: Of the start, if it is drawn.
+
+    Raises:
+        SceneError: The scene cannot be run so.
+        ConfigError: The scene has fewer starts.
+    """
+    from oimppi_warp.geometry.feasibility import check_task, draw_start
+    from oimppi_warp.usd import load_scene
+
+    loaded = load_scene(scene)
+    if goal is not None:
+        loaded = loaded.with_goal(goal)
+    if start is None:
+        start = draw_start(loaded, seed)
+    elif isinstance(start, int):
+        start = _listed_start(loaded, start)
+    loaded = loaded.with_start(start)
+    check_task(loaded)
+    return loaded
+
+
+def parse_pose(option: str, text: str) -> PlanarPose:
+    """A planar pose from "x,y,yaw", metres and radians.
+
+    Raises:
+        ConfigError: It is none; the message names the option.
+    """
+    try:
+        x, y, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise ConfigError(f"{option} {text}: not a pose\n  allowed: x,y,yaw in metres and radians, like 0.3,-0.45,3.14")
+    return x, y, yaw
+
+
+def parse_start(text: str | None) -> PlanarPose | int | None:
+    """The number of a start, or a pose.
+
+    Raises:
+        ConfigError: It is neither.
+    """
+    if text is None:
+        return None
+    return int(text) if text.strip().isdecimal() else parse_pose("--start", text)
+
+
+def _listed_start(scene: Scene, index: int) -> PlanarPose:
+    """One of the scene's starts by its number."""
+    count = len(scene.starts)
+    if index >= count:
+        raise ConfigError(f"--start {index}: {scene.name} has {count} starts\n  allowed: 0 to {count - 1}, or x,y,yaw")
+    x, y, yaw = map(float, scene.starts[index])
+    return x, y, yaw

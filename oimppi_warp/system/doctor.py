@@ -1,0 +1,221 @@
+"""What this machine has, what will be used of it, and what is wrong: facts, judged by a function of them alone."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from oimppi_warp.compute.cache import cache_folder
+from oimppi_warp.compute.device import kernels_are_cached, start_warp
+from oimppi_warp.compute.step import core_count
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
+from oimppi_warp.registry import Registry
+
+PACKAGES = ("warp-lang", "newton", "mujoco", "mujoco-warp", "usd-core", "numpy", "trimesh", "shapely", "viser")
+"""Packages whose versions matter."""
+REGISTRIES: dict[str, Registry[Any]] = {
+    "methods": METHODS,
+    "optimizers": OPTIMIZERS,
+    "engines": ENGINES,
+    "plants": PLANTS,
+    "cost_terms": COST_TERMS,
+    "shapes": SHAPES,
+}
+"""What can be chosen by name, in the order in which it is told."""
+_LEAST_MEMORY = 4e9
+"""Memory that a run with room to spare needs [B]."""
+_OLDEST_DRIVER = (12, 4)
+"""CUDA version of the driver from which graphs can loop, which the Newton engine's solver does."""
+
+
+@dataclass(frozen=True)
+class Gpu:
+    """A CUDA device.
+
+    Attributes:
+        alias: Like ``cuda:0``.
+        name: The maker's.
+        arch: Compute capability, like 90.
+        memory: [B].
+    """
+
+    alias: str
+    name: str
+    arch: int
+    memory: int
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What there is.
+
+    Attributes:
+        python, system, cpu: Their names.
+        cores: Cores of the machine.
+        usable_cores: Those that this process may use, which is how many threads the planner takes.
+        memory: [B]; 0 if unknown.
+        gpus: CUDA devices that Warp can use.
+        gpu_hardware: Whether an NVIDIA device is there at all.
+        driver: CUDA version of the driver; ``None`` without one.
+        versions: Of :data:`PACKAGES`; empty where one is not installed.
+        kernel_cache, field_cache: Folders of what is compiled and computed once.
+        writable: Whether each of the two can be written.
+        compiled: Whether kernels are compiled already.
+        scenes: Number of shipped scenes.
+        device: What the planner will compute on.
+        blas_threads: What limits NumPy's threads; empty where nothing does.
+        entries: For each of :data:`REGISTRIES`, the names that it has, each with the installed package that adds it;
+            empty for our own.
+        broken: Entries of installed packages that cannot be imported, each with the reason.
+    """
+
+    python: str
+    system: str
+    cpu: str
+    cores: int
+    usable_cores: int
+    memory: int
+    gpus: tuple[Gpu, ...]
+    gpu_hardware: bool
+    driver: tuple[int, int] | None
+    versions: dict[str, str]
+    kernel_cache: str
+    field_cache: str
+    writable: tuple[bool, bool]
+    compiled: bool
+    scenes: int
+    device: str
+    blas_threads: str
+    entries: dict[str, dict[str, str]]
+    broken: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is wrong.
+
+    Attributes:
+        what: In one line.
+        remedy: What to do.
+    """
+
+    what: str
+    remedy: str
+
+
+def examine() -> Facts:
+    """Looks around."""
+    from oimppi_warp.usd import shipped_scenes
+
+    start_warp()
+    devices = wp.get_cuda_devices()
+    kernel_cache = Path(wp.config.kernel_cache_dir or "")
+    fields = cache_folder()
+    return Facts(
+        python=platform.python_version(),
+        system=platform.platform(),
+        cpu=processor(),
+        cores=os.cpu_count() or 1,
+        usable_cores=core_count(),
+        memory=_memory(),
+        gpus=tuple(Gpu(device.alias, device.name, device.arch, device.total_memory) for device in devices),
+        gpu_hardware=Path("/dev/nvidiactl").exists() or Path("/proc/driver/nvidia").exists(),
+        driver=wp.get_cuda_driver_version() if wp.is_cuda_available() else None,
+        versions={name: _version(name) for name in PACKAGES},
+        kernel_cache=str(kernel_cache),
+        field_cache=str(fields),
+        writable=(_writable(kernel_cache), _writable(fields)),
+        compiled=kernels_are_cached(),
+        scenes=len(shipped_scenes()),
+        device="cuda:0" if devices else "cpu",
+        blas_threads=os.environ.get("OMP_NUM_THREADS", ""),
+        entries={kind: {name: known.package_of(name) for name in known} for kind, known in REGISTRIES.items()},
+        broken=dict(_broken_entries()),
+    )
+
+
+def judge(facts: Facts) -> list[Finding]:
+    """What is wrong, the worst first."""
+    found = []
+    for name, installed in facts.versions.items():
+        if not installed:
+            found.append(Finding(f"{name} is not installed", "pip install -r requirements.lock"))
+    newton, batched = (facts.versions[name].split(".")[:2] for name in ("mujoco", "mujoco-warp"))
+    if newton != batched:
+        of = f"mujoco {facts.versions['mujoco']} and mujoco-warp {facts.versions['mujoco-warp']} do not go together"
+        found.append(Finding(of, "pip install -r requirements.lock"))
+    for entry, reason in facts.broken.items():
+        found.append(Finding(f"{entry} cannot be imported: {reason}", "mend the package that adds it, or remove it"))
+    if not facts.scenes:
+        found.append(Finding("no scene was shipped with this installation", "install the package anew"))
+    if facts.gpu_hardware and not facts.gpus:
+        remedy = "install NVIDIA's driver, or make the device visible to this process (CUDA_VISIBLE_DEVICES, container)"
+        found.append(Finding("there is an NVIDIA device, but Warp cannot use it", remedy))
+    if facts.gpus and facts.driver is not None and facts.driver < _OLDEST_DRIVER:
+        wanted = ".".join(map(str, _OLDEST_DRIVER))
+        has = ".".join(map(str, facts.driver))
+        found.append(Finding(f"the driver's CUDA is {has}: the Newton engine needs {wanted}", "update NVIDIA's driver"))
+    for folder, writable, variable in zip(
+        (facts.kernel_cache, facts.field_cache), facts.writable, ("WARP_CACHE_PATH", "OIMPPI_CACHE"), strict=True
+    ):
+        if not writable:
+            remedy = f"set {variable} to a folder that can be: otherwise every run starts slowly"
+            found.append(Finding(f"{folder} cannot be written", remedy))
+    if 0 < facts.memory < _LEAST_MEMORY:
+        found.append(Finding(f"{facts.memory / 1e9:.1f} GB of memory are little", "plan with fewer samples"))
+    if facts.usable_cores < facts.cores:
+        of = f"only {facts.usable_cores} of {facts.cores} cores may be used by this process"
+        found.append(Finding(of, "lift the limit (taskset, container), or take it as it is"))
+    return found
+
+
+def processor() -> str:
+    """The processor's name, as far as the system tells."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _broken_entries() -> Iterator[tuple[str, str]]:
+    """Entries of installed packages that cannot be imported, and why."""
+    for known in REGISTRIES.values():
+        for name in known:
+            if package := known.package_of(name):
+                try:
+                    known[name]
+                except ConfigError as error:  # it comes of whatever the package did when it was imported
+                    yield (
+                        f"the {known.kind} {name!r} of {package}",
+                        f"{type(error.__cause__).__name__}: {error.__cause__}",
+                    )
+
+
+def _memory() -> int:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 0
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def _writable(folder: Path) -> bool:
+    """Whether a file could be written there, the folder made if need be."""
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    return there.is_dir() and os.access(there, os.W_OK | os.X_OK)

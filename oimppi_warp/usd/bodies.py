@@ -1,0 +1,211 @@
+"""What stands on the table and the table itself: the object, the obstacles, and nothing that has no role."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdPhysics
+
+from oimppi_warp.geometry.footprint import height_range, rotation_matrix
+from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
+from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
+from oimppi_warp.usd.frames import is_orthogonal, scales, transform
+from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
+from oimppi_warp.usd.stage import SceneStage
+
+FLOATING = 1e-3
+"""How far an object may stand above or in the table in the file [m]."""
+
+_WORLD = Gf.Matrix4d(1.0)
+
+
+def read_table(stage: SceneStage) -> Table:
+    """The table.
+
+    Raises:
+        SceneError: There is none or more than one, or it is not a level box with its top at z = 0.
+    """
+    prim = stage.the("OimppiTableAPI", "table", "the box that the object slides on")
+    allowed = "a Cube with CollisionAPI, aligned with the world's axes, its top at z = 0"
+    moving = _moving_parts(stage, prim, "table")
+    colliders = read_colliders(stage, prim, _WORLD)
+    tops = []
+    for collider in colliders:
+        half = _level_half(collider)
+        if half is not None:
+            center, top = collider.transform[:3], collider.transform[2] + half[2]
+            if abs(top) < 1e-6:
+                (x0, y0), (x1, y1) = (center - half)[:2].tolist(), (center + half)[:2].tolist()
+                others = tuple(other for other in colliders if other is not collider)
+                return Table(str(prim.GetPath()), (x0, y0), (x1, y1), 2.0 * float(half[2]), others)
+            tops.append(f"{top:.4g} m")
+    if moving or len(colliders) < len(list(collider_prims(prim))):
+        return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are known
+    found = f"; what is flat has its top at {', '.join(tops)}" if tops else ""
+    raise stage.error(
+        f"a table without a flat top at z = 0{found}",
+        prim,
+        allowed=allowed,
+        fix="use a box that is not tilted, and move it until its top is at z = 0",
+    )
+
+
+def _level_half(collider: Collider) -> np.ndarray | None:
+    """Half extents in the world of a box aligned with its axes, shape [3] [m]; ``None`` for any other shape."""
+    turned = np.abs(rotation_matrix(collider.transform[3:]))
+    if collider.kind != "box" or not np.allclose(turned, np.round(turned), atol=1e-6):
+        return None
+    return np.round(turned) @ np.asarray(collider.size)
+
+
+def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
+    """The object and where it stands in the file.
+
+    Raises:
+        SceneError: There is none or more than one, it cannot move, weighs nothing, has no shape or no friction, or does
+            not lie on the table.
+    """
+    prim = stage.the("OimppiObjectAPI", "object", "the rigid body that is to be pushed")
+    if not prim.HasAPI(UsdPhysics.RigidBodyAPI) or not UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
+        stage.keep(
+            stage.error(
+                "an object that cannot move",
+                prim,
+                fix="apply PhysicsRigidBodyAPI to it",
+                allowed="a rigid body that is enabled",
+            )
+        )
+    mass = stage.attempt(math.nan, read_mass, stage, prim)
+    frame = _object_frame(stage, prim)
+    colliders = read_colliders(stage, prim, frame)
+    center, rest_height, friction, tool_friction = np.zeros(3), 0.0, math.nan, math.nan
+    if not any(collider_prims(prim)):
+        fix = "apply PhysicsCollisionAPI to a shape at it or below it"
+        stage.keep(stage.error("an object without a collider", prim, allowed=ALLOWED, fix=fix))
+    elif len(colliders) == len(list(collider_prims(prim))):
+        rest_height = round(-float(height_range(colliders)[0]), 6)
+        _check_lies(stage, prim, transform(frame), rest_height)
+        center = center_of_mass(stage, prim, colliders)
+    if colliders:
+        friction, tool_friction = _frictions(stage, prim)
+    pushed = PushedObject(
+        path=str(prim.GetPath()),
+        mass=mass,
+        friction=friction,
+        tool_friction=tool_friction,
+        center_of_mass=center,
+        colliders=colliders,
+        rest_height=rest_height,
+        unit_inertia=unit_inertia(prim, mass),
+    )
+    pose = transform(frame)
+    yaw = 2.0 * math.atan2(pose[5], pose[6])
+    return pushed, (float(pose[0]), float(pose[1]), math.remainder(yaw, 2.0 * math.pi))
+
+
+def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
+    """One obstacle.
+
+    Raises:
+        SceneError: It has no collider.
+    """
+    if not _moving_parts(stage, prim, "obstacle") and not any(collider_prims(prim)):
+        raise stage.error(
+            "an obstacle without a collider",
+            prim,
+            allowed=ALLOWED,
+            fix="apply PhysicsCollisionAPI to a shape at it or below it",
+        )
+    return Obstacle(str(prim.GetPath()), read_colliders(stage, prim, _WORLD))
+
+
+def check_roles(stage: SceneStage) -> None:
+    """Notes whatever collides or moves and is nothing that the planner knows of.
+
+    Where there is no robot, object or table at all, it says nothing: the stranger is what lacks the role.
+    """
+    roles = [stage.role(f"Oimppi{role}API") for role in ("Robot", "Object", "Table", "Obstacle")]
+    if not all(roles[:3]):
+        return
+    known = [prim.GetPath() for prims in roles for prim in prims]
+    strangers: list[Sdf.Path] = []
+    for prim in stage.prims():
+        path = prim.GetPath()
+        if any(path.HasPrefix(other) for other in (*known, *strangers)):
+            continue
+        if prim.HasAPI(UsdPhysics.CollisionAPI) or prim.HasAPI(UsdPhysics.RigidBodyAPI):
+            strangers.append(path)
+            mistake = stage.error(
+                "something that collides or moves, but has no role in the task",
+                prim,
+                allowed="robot, object, obstacle or table",
+                fix="apply OimppiObstacleAPI to it, or remove its physics",
+            )
+            stage.keep(mistake)
+
+
+def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
+    """The object's frame in the world without its scale, which is that of its shapes: a scaled Cube may be a body."""
+    frame = stage.frame(prim)
+    if not is_orthogonal(frame) or scales(frame).min() < 1e-9 or frame.GetDeterminant() <= 0.0:
+        raise stage.error(
+            "an object that is mirrored, sheared, or scaled to nothing",
+            prim,
+            allowed="moved, turned, and scaled along its own axes",
+            fix="scale its shapes instead",
+        )
+    return frame.GetOrthonormalized()
+
+
+def _check_lies(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:
+    """An object lies flat, and neither above nor in the table."""
+    if abs(pose[3]) > 1e-4 or abs(pose[4]) > 1e-4:
+        fix = "turn it until one of its axes points up; turn its shapes in it if they are drawn askew"
+        stage.keep(stage.error("an object that does not lie flat", prim, allowed="turned about z only", fix=fix))
+        return
+    above = float(pose[2]) - rest_height
+    if abs(above) > FLOATING:
+        where = f"{above * 1000:.1f} mm above" if above > 0 else f"{-above * 1000:.1f} mm inside"
+        fix = f"set its z to {rest_height:.4g} m"
+        stage.keep(stage.error(f"an object {where} the table", prim, allowed="on it", fix=fix))
+
+
+def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
+    """Where it is given, or that of the shapes, in the body's frame, shape [3] [m]."""
+    given = given_center(prim)
+    if given is not None:
+        return given * scales(stage.frame(prim))
+    parts = [volume_and_center(collider) for collider in colliders]
+    return np.average([c for _, c in parts], axis=0, weights=[volume for volume, _ in parts])
+
+
+def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
+    """Coefficients of the object with the table and with the tool."""
+    tools = [tip.GetParent() for tip in stage.role("OimppiToolAPI")]
+    own, table, tool = (largest_friction(stage, bodies) for bodies in ([prim], stage.role("OimppiTableAPI"), tools))
+    pairs = float(np.maximum(own, table)), float(np.maximum(own, tool))
+    if any(friction <= 0.0 for friction in pairs):
+        fix = "bind a material with PhysicsMaterialAPI and a physics:dynamicFriction to its colliders"
+        stage.keep(stage.error("an object without friction", prim, allowed="a coefficient above zero", fix=fix))
+    return pairs
+
+
+def largest_friction(stage: SceneStage, bodies: list[Usd.Prim]) -> float:
+    """Largest friction of the materials of the bodies' colliders; NaN without bodies, or by mistake."""
+    shapes = [shape for body in bodies for shape in collider_prims(body)]
+    found = [stage.attempt(math.nan, stage.friction, shape) for shape in shapes]
+    return float(np.max([0.0 if bodies else math.nan, *(value or 0.0 for value in found)]))
+
+
+def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:
+    """Notes whatever moves in the table or an obstacle; whether there is such a thing."""
+    moving = [part for part in stage.prims(prim) if part.HasAPI(UsdPhysics.RigidBodyAPI)]
+    for part in moving:
+        allowed = "static shapes: CollisionAPI without RigidBodyAPI"
+        stage.keep(
+            stage.error(
+                f"a rigid body in the {noun}", part, allowed=allowed, fix="remove PhysicsRigidBodyAPI, or the role"
+            )
+        )
+    return bool(moving)

@@ -1,0 +1,227 @@
+"""The page and the Markdown: everything is in them, and nothing points elsewhere."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.made_results import make_one, make_set
+
+from oimppi_warp.bench import paper
+from oimppi_warp.bench.report.figures import every_figure
+from oimppi_warp.bench.report.markdown import facts
+from oimppi_warp.bench.report.tables import (
+    every_table,
+    failures,
+    paper_table,
+    safety_table,
+    shown_methods,
+    success_table,
+    time_table,
+)
+from oimppi_warp.bench.report.write import write_report
+from oimppi_warp.bench.results import ResultSet, load_results
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.plots.style import method_colors
+from oimppi_warp.record.log import LogError
+
+RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
+
+TRACE = 'Traceback (most recent call last):\n  File "a.py", line 1\nRuntimeError: the <sky> fell\n'
+
+
+@pytest.fixture(scope="module")
+def results() -> ResultSet:
+    found = [
+        make_one(task, method, number, success=(number + len(method)) % 3 > 0)
+        for task in ("task01", "task02", "lab01", "lab02")
+        for method in ("mppi", "cloi", "soi")
+        for number in range(3)
+    ]
+    return make_set([*found, make_one("task01", "cloi", 3, error=TRACE)], planned=40)
+
+
+@pytest.fixture(scope="module")
+def written(results: ResultSet, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, Path]:
+    page, markdown = write_report(results, tmp_path_factory.mktemp("report"))
+    return page.read_text(), markdown.read_text(), page.parent
+
+
+def test_the_page_has_no_external_resource(written: tuple[str, str, Path]):
+    page, _, _ = written
+    assert not re.search(r"https?:|//[a-z]|@import|<script|<link|url\(", page)
+    sources = re.findall(r'src="([^"]{0,40})', page)
+    assert len(sources) == 3 + 4
+    assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
+
+
+def test_every_table_is_in_both(results: ResultSet, written: tuple[str, str, Path]):
+    page, markdown, _ = written
+    tables = every_table(results)
+    titles = [table.title for table in tables]
+    assert titles == [
+        "Success and position error",
+        "The paper's Table I",
+        "The paper's Table II",
+        "Time and planning",
+        "Clearance and forces",
+        "Methods against each other",
+    ]
+    for table in tables:
+        assert f"## {table.title}\n" in markdown
+        assert table.title.replace("'", "&#x27;") in page
+        for row in table.rows:
+            assert "| " + " | ".join(row) + " |" in markdown
+            assert len(row) == len(table.header)
+
+
+def test_every_failure_is_in_both_with_its_cause_and_command(results: ResultSet, written: tuple[str, str, Path]):
+    page, markdown, _ = written
+    failed = failures(results)
+    assert len(failed) > 5
+    for result in failed:
+        assert result.cause and result.command in markdown
+        assert result.command in page
+        assert f"- **{result.task}, {result.run.method.upper()}, start {result.number}**: {result.cause}" in markdown
+    assert page.count("<details>") == len(failed)
+    assert "the &lt;sky&gt; fell" in page
+
+
+def test_what_is_missing_and_what_raised_is_said(written: tuple[str, str, Path]):
+    page, markdown, _ = written
+    assert "**Not complete:** 3 of 40 trials are still to be run." in markdown
+    assert "<b>1 trials raised an error</b>" in page
+    assert "A made-up suite &amp; its &lt;results&gt;" in page
+
+
+def test_changed_settings_are_said(results: ResultSet):
+    entries = [{}, {"set": ["cost.w_d=3"], "max_sim_seconds": 5.0, "label": "short"}]
+    text = "\n".join(facts(replace(results, entries=entries)))
+    assert "Changed settings: `cost.w_d=3`, at most 5 simulated seconds (short)." in text
+    assert "Changed settings" not in "\n".join(facts(results))
+
+
+def test_trials_that_are_not_the_first_are_said(results: ResultSet):
+    text = "\n".join(facts(replace(results, entries=[{"first": 10, "trials": 5, "seed": 3}])))
+    assert "Trials number 10 to 14, seed 3." in text
+    assert "Trials" not in "\n".join(facts(results))
+
+
+def test_results_of_two_codes_are_said(results: ResultSet):
+    other = replace(results.results[0], code="other")
+    text = "\n".join(facts(replace(results, results=[other, *results.results[1:]])))
+    assert "**Made by 2 versions of the code** (c0de, other)" in text
+
+
+def test_the_pictures_of_the_markdown_are_there(written: tuple[str, str, Path]):
+    _, markdown, folder = written
+    files = re.findall(r"\]\((pictures/\w+\.svg)\)", markdown)
+    assert len(files) == 7
+    for file in files:
+        assert (folder / file).read_bytes().startswith(b"<?xml")
+
+
+def test_the_papers_numbers_stand_beside_ours(results: ResultSet):
+    rows = {(row[0], row[1]): row for row in paper_table(results, "I").rows}
+    # Table I: SOI on task 02 is 1.0 (0.34 m, 2.39 Hz, 134 s (87 s)).
+    assert (rows["task02", "SOI"][2], *rows["task02", "SOI"][4::2]) == ("1.0", "0.34", "2.39", "134 (87)")
+    assert rows["task01", "MPPI"][3].startswith("0.")
+    assert not any(task == "mean" for task, _ in rows)  # only two of the five tasks were run
+    hardware = {(row[0], row[1]): row for row in paper_table(results, "II").rows}
+    assert hardware["mean", "CLOI"][2] == "0.90"
+    assert hardware["lab02", "MPPI"][2] == "0.4"
+
+
+@pytest.mark.parametrize("method", ["mppi", "cloi", "soi"])
+def test_the_papers_means_are_those_of_its_rows(method: str):
+    for table, tasks in paper.TABLES.items():
+        rows = [paper.REPORTED[task, method] for task in tasks]
+        mean = paper.MEANS[table, method]
+        assert mean.success == pytest.approx(sum(row.success for row in rows) / len(rows), abs=0.0051)
+        if table == "I":
+            assert mean.error_m == pytest.approx(sum(row.error_m or math.nan for row in rows) / 5, abs=0.011)
+
+
+def test_results_are_read_back_as_they_were(results: ResultSet, tmp_path: Path):
+    results.save(tmp_path / "results.json")
+    again = load_results(tmp_path)
+    assert again.results[0] == results.results[0]
+    assert len(again.results) == len(results.results)
+    assert [table.rows for table in every_table(again)] == [table.rows for table in every_table(results)]
+    assert (tmp_path / "results.json").stat().st_size < 8000 * len(results.results)
+
+
+def test_results_of_earlier_versions_are_read_and_have_device_and_threads(results: ResultSet, tmp_path: Path):
+    results.save(tmp_path / "results.json")
+    facts = json.loads((tmp_path / "results.json").read_text())
+    for row in facts["results"]:
+        del row["device"], row["threads"]
+        row["metrics"].pop("threads", None)
+    (tmp_path / "results.json").write_text(json.dumps(facts))
+    again = load_results(tmp_path)
+    assert again.results[0].run == results.results[0].run == RunSpec("mppi", "quasistatic", "cpu", 1, 0)
+    assert [table.rows for table in every_table(again)] == [table.rows for table in every_table(results)]
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in RESULTS.glob("*.json") if '"suite"' in path.read_text()))
+def test_the_committed_results_are_read_and_reported(name: str):
+    results = load_results(RESULTS / name)
+    assert len(results.results) == results.planned
+    (success, *_) = every_table(results)
+    assert len(success.rows) == len(results.tasks) * len(results.methods)
+    assert all(result.run.device == "cpu" and result.run.threads == 1 for result in results.results)
+    times = {row[1]: row[4] for row in time_table(results).rows if row[4] != "-"}
+    assert all(("(" in text) is (method == "SOI") for method, text in times.items())
+
+
+def test_methods_that_are_not_the_papers_are_shown_after_them_with_colours_of_their_own(tmp_path: Path):
+    methods = ("soi", "mine", "mppi", "yours", "cloi")
+    found = make_set([make_one(method=method, number=number) for method in methods for number in range(2)])
+    shown = ["mppi", "cloi", "soi", "mine", "yours"]
+    assert shown_methods(found) == shown
+    colors = method_colors(shown)
+    assert len(set(colors.values())) == 5
+    titles = [method.upper() for method in shown]
+    for table in (success_table(found), paper_table(found, "I"), time_table(found), safety_table(found)):
+        assert [row[1] for row in table.rows] == titles
+    mine = paper_table(found, "I").rows[3]
+    assert mine[2::2] == ("-", "-", "-", "-")
+    assert mine[3].startswith("1.00")
+    figures = {name: figure for name, (_, figure) in every_figure(found).items()}
+    for figure in (figures["success"], figures["errors"]):
+        legend = figure.legends[0] if figure.legends else figure.axes[0].get_legend()
+        assert legend is not None
+        assert [text.get_text() for text in legend.get_texts() if text.get_text() != "paper"] == titles
+    assert [axes.get_title(loc="left") for axes in figures["plan_times"].axes] == titles
+    assert [axes.get_title(loc="left").split()[0] for axes in figures["ways_task01"].axes] == titles
+    page, markdown = (file.read_text() for file in write_report(found, tmp_path))
+    assert page.index(">SOI<b>") < page.index(">MINE<b>") < page.index(">YOURS<b>")
+    assert page.count(f"--color: {colors['mine']}") == 1
+    assert f'background: {colors["yours"]}"></span>YOURS</td>' in page
+    assert "| task01 | MINE | 2/2 |" in markdown
+
+
+def test_what_was_planned_ahead_is_told_whoever_did_it():
+    ahead = make_one(method="mine")
+    ahead = replace(ahead, metrics=ahead.metrics | {"preplan_time_s": 3.0, "total_time_s": 8.0})
+    rows = {row[1]: row[4] for row in time_table(make_set([ahead, make_one(method="cloi")])).rows}
+    assert rows["MINE"] == "8.0 (3.0)"
+    assert "(" not in rows["CLOI"]
+
+
+@pytest.mark.parametrize("content", ["", "{}", '{"format": 99}', "[1]"])
+def test_a_file_that_has_no_results_is_refused(content: str, tmp_path: Path):
+    file = tmp_path / "results.json"
+    file.write_text(content)
+    with pytest.raises(LogError, match="no results of a suite"):
+        load_results(file)
+
+
+def test_a_report_needs_no_successes_and_no_steps(tmp_path: Path):
+    found = [make_one(success=False, steps=0), make_one(method="soi", error=TRACE)]
+    page, _ = write_report(make_set(found), tmp_path)
+    assert "nothing was run" in page.read_text()

@@ -1,0 +1,232 @@
+"""The command: options, exit status, what it prints and what it writes. The episode is one of our own making."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from support.synthetic import make_log, make_scene
+
+from oimppi_warp.cli.main import main
+from oimppi_warp.compute.device import CompileNotice, pick_device
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.errors import DeviceError, SceneError
+from oimppi_warp.record.log import EpisodeLog
+
+
+class Stage:
+    """Stands for everything that the command calls: the scene's loader, its checks and the episode."""
+
+    def __init__(self) -> None:
+        self.log = make_log()
+        self.asked: dict[str, Any] = {}
+        self.problem: BaseException | None = None
+        self.planner = SimpleNamespace(engine="quasistatic", engine_reason="a plan takes 9 ms of 50 ms")
+
+    def load_scene(self, name: str) -> Any:
+        if self.problem is not None:
+            raise self.problem
+        return make_scene()
+
+    def draw_start(self, scene: Any, seed: int) -> tuple[float, float, float]:
+        return (0.3, -0.4, 0.01 * seed)
+
+    def check_task(self, scene: Any) -> None:
+        if scene.start[0] > 1.0:
+            raise SceneError("the start is off the table", file="synthetic.usda")
+
+    def setup(self, scene: Any, config: Any, spec: RunSpec) -> Any:
+        self.asked = {"scene": scene, "config": config, **asdict(spec)}
+        return SimpleNamespace(scene=scene, config=config, spec=spec, episode=lambda: self)
+
+    def run(self, on_step: Any = None) -> EpisodeLog:
+        if on_step is not None:
+            on_step(self.log)
+        return self.log
+
+
+@pytest.fixture
+def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
+    stage = Stage()
+    modules = {
+        "usd": {"load_scene": stage.load_scene},
+        "geometry.feasibility": {"check_task": stage.check_task, "draw_start": stage.draw_start},
+        "runtime.episode": {"Setup": stage.setup},
+    }
+    for name, content in modules.items():
+        monkeypatch.setitem(sys.modules, f"oimppi_warp.{name}", SimpleNamespace(**content))
+    return stage
+
+
+def status(*arguments: object) -> int | str | None:
+    try:
+        return main([str(argument) for argument in arguments])
+    except SystemExit as stop:  # how the parser of the options ends
+        return stop.code
+
+
+def test_success_is_status_0_and_a_summary(stage: Stage, capsys: pytest.CaptureFixture[str]):
+    assert status("run", "synthetic", "--device", "cpu") == 0
+    out = capsys.readouterr().out
+    assert "reached its goal" in out
+    assert "not at its goal" not in out
+    assert "median 13.0 ms" in out
+
+
+def test_a_goal_that_was_not_reached_is_status_1(stage: Stage, capsys: pytest.CaptureFixture[str]):
+    stage.log = make_log(arrive=0.5)
+    assert status("run", "synthetic") == 1
+    out = capsys.readouterr().out
+    assert "did not reach its goal" in out and "to the goal" not in out
+
+
+def test_an_interrupted_episode_is_status_130_and_leaves_its_record(stage: Stage, tmp_path: Path):
+    stage.log = make_log(steps=7, arrive=0.1)
+    stage.log.header["ended"] = "interrupted"
+    assert status("run", "synthetic", "--record", tmp_path / "r", "--json", tmp_path / "m.json") == 130
+    assert len(EpisodeLog.load(tmp_path / "r")) == 7
+    assert json.loads((tmp_path / "m.json").read_text())["ended"] == "interrupted"
+
+
+def test_ctrl_c_before_the_episode_is_status_130_without_a_traceback(stage: Stage, capsys: pytest.CaptureFixture[str]):
+    stage.problem = KeyboardInterrupt()
+    assert status("run", "synthetic") == 130
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_record_and_json_hold_log_plots_and_metrics(stage: Stage, tmp_path: Path):
+    assert status("run", "synthetic", "--record", tmp_path / "r", "--json", tmp_path / "m.json") == 0
+    names = {path.name for path in (tmp_path / "r").iterdir()}
+    assert names == {"episode.npz", "episode.json", "way.png", "errors.png", "plan_times.png"}
+    assert json.loads((tmp_path / "m.json").read_text())["success"] is True
+
+
+@pytest.mark.parametrize(("options", "preset"), [((), "best"), (("--plant", "lab"), "lab"),
+                                                 (("--plant", "lab", "--preset", "best"), "best"),
+                                                 (("--mode", "realtime"), "best")])  # fmt: skip
+def test_the_lab_has_a_preset_of_its_own(stage: Stage, options: tuple[str, ...], preset: str):
+    status("run", "synthetic", *options)
+    assert stage.asked["config"].preset == preset
+    given = dict(zip(options[::2], options[1::2], strict=True))
+    assert stage.asked["plant"] == given.get("--plant", "ideal")
+    assert stage.asked["mode"] == given.get("--mode", "lockstep")
+
+
+def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[str]):
+    status(
+        *("run", "synthetic", "--method", "soi", "--seed", "4", "--device", "cpu", "--preset", "paper"),
+        *("--engine", "newton", "--threads", "3", "--randomize"),
+        *("--set", "cost.w_align=3", "robot.optimizer.samples=64", "--set", "reference=progress"),
+        *("--goal", "-0.1,0.2,-3", "--max-sim-seconds", "12"),
+    )
+    config = stage.asked["config"]
+    assert (stage.asked["method"], stage.asked["seed"], stage.asked["device"]) == ("soi", 4, "cpu")
+    assert (stage.asked["engine"], stage.asked["threads"]) == ("newton", 3)
+    assert "engine quasistatic: a plan takes 9 ms of 50 ms" in capsys.readouterr().err
+    assert config.robot.uncertainty.draws == 4
+    assert (config.preset, config.object.optimizer.horizon) == ("paper", 90)
+    assert (config.cost.w_align, config.robot.optimizer.samples, config.reference) == (3.0, 64, "progress")
+    assert config.episode.max_sim_seconds == 12.0
+    assert stage.asked["scene"].goal == (-0.1, 0.2, -3.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "start"),
+    [
+        (["--seed", "7"], (0.3, -0.4, 0.07)),
+        (["--start", "1", "--seed", "7"], (0.32, -0.43, 0.1)),
+        (["--start", "-0.1,0.2,3"], (-0.1, 0.2, 3.0)),
+    ],
+)
+def test_the_start_is_drawn_by_the_seed_unless_one_is_given(
+    stage: Stage, options: list[str], start: tuple[float, float, float]
+):
+    status("run", "synthetic", *options)
+    assert stage.asked["scene"].start == pytest.approx(start)
+
+
+OPTIONS = ("method", "engine", "device", "threads", "seed", "start", "goal", "preset", "set", "plant", "mode",
+           "randomize", "max-sim-seconds", "record", "json")  # fmt: skip
+
+BAD_INPUT = {
+    "no command": ([], "run"),
+    "unknown command": (["push"], "run"),
+    "no scene": (["run"], "SCENE"),
+    "unknown option": (["run", "t", "--metod", "soi"], "--method"),
+    "unknown method": (["run", "t", "--method", "rrt"], "mppi"),
+    "unknown preset": (["run", "t", "--preset", "bset"], "paper"),
+    "seed that is no number": (["run", "t", "--seed", "x"], "--seed"),
+    "negative seed": (["run", "t", "--seed", "-1"], "0 to 4294967295"),
+    "no threads": (["run", "t", "--threads", "0"], "1 or more"),
+    "unknown engine": (["run", "t", "--engine", "bullet"], "newton"),
+    "unknown setting": (["run", "t", "--set", "cost.w_aling=2"], "cost.w_align"),
+    "no samples": (["run", "t", "--set", "robot.optimizer.samples=0"], "robot.optimizer.samples = 0"),
+    "no horizon": (["run", "t", "--set", "object.optimizer.horizon=0"], "object.optimizer.horizon = 0"),
+    "no time": (["run", "t", "--max-sim-seconds", "0"], "max_sim_seconds"),
+    "goal that is no pose": (["run", "t", "--goal", "1,2"], "x,y,yaw"),
+    "goal that is not finite": (["run", "t", "--goal", "nan,0,0"], "x,y,yaw"),
+    "start that is no pose": (["run", "t", "--start", "here"], "x,y,yaw"),
+    "start that the scene has not": (["run", "t", "--start", "10"], "0 to 1"),
+    "start off the table": (["run", "t", "--start", "2,0,0"], "off the table"),
+    "device that is not there": (["run", "t", "--device", "cuda:99"], "auto, cpu"),
+    "folder that cannot be made": (["run", "t", "--json", "/dev/null/m.json"], "/dev/null is no folder"),
+    "record into a file": (["run", "t", "--record", __file__], "no folder"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_is_status_2_with_one_message_and_nothing_written(
+    stage: Stage, case: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    arguments, said = BAD_INPUT[case]
+    outputs = [] if {"--record", "--json"} & set(arguments) or len(arguments) < 2 else ["--record", "r", "--json", "m"]
+    assert status(*arguments, *outputs) == 2
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert "Traceback" not in captured.err
+    assert captured.out == ""
+    assert list(tmp_path.iterdir()) == []
+    assert stage.asked == {}
+
+
+def test_a_scene_that_cannot_be_run_is_status_2_with_its_own_words(stage: Stage, capsys: pytest.CaptureFixture[str]):
+    stage.problem = SceneError("no robot", file="a.usda", prim="/World", fix="reference one")
+    assert status("run", "a.usda") == 2
+    assert capsys.readouterr().err == "oimppi: a.usda </World>: no robot\n  to do:   reference one\n"
+
+
+def test_scenes_lists_every_shipped_scene_with_a_line(capsys: pytest.CaptureFixture[str]):
+    assert status("scenes") == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.strip()]
+    names = [line.split()[0] for line in lines]
+    assert {"task01", "task02", "task03", "task03_wide", "task04", "task05", "lab01", "lab02"} <= set(names)
+    assert all(len(line.split()) > 3 for line in lines)
+
+
+def test_auto_picks_a_device_that_is_there():
+    assert pick_device("auto") in ("cpu", "cuda:0")
+    assert pick_device("cpu") == "cpu"
+    with pytest.raises(DeviceError, match="allowed: auto, cpu"):
+        pick_device("gpu")
+
+
+def test_a_compiled_module_is_told_in_one_line():
+    said: list[str] = []
+    notice = CompileNotice(said.append)
+    notice.info("Warp 1.19.0 initialized:")
+    notice.info("Module oimppi_warp.kernels.costs.stage_costs 1a2b3c4 load on device 'cpu' took 3.10 ms  (cached)")
+    notice.info("Module oimppi_warp.kernels.costs.stage_costs 1a2b3c4 load on device 'cpu' took 2345.60 ms  (compiled)")
+    assert said == ["compiled oimppi_warp.kernels.costs.stage_costs for cpu in 2.3 s"]
+
+
+def test_help_explains_every_option(capsys: pytest.CaptureFixture[str]):
+    assert status("run", "--help") == 0
+    out = capsys.readouterr().out
+    for option in OPTIONS:
+        assert f"--{option} " in out

@@ -1,0 +1,67 @@
+"""Every kernel compiles for the GPUs that we support, on a machine that has none."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Iterator
+from importlib import import_module
+
+import pytest
+import warp as wp
+
+import oimppi_warp.kernels
+from oimppi_warp.kernels.costs.stage_costs import TERMS
+
+ARCHITECTURES = (80, 90, 120)
+"""Ampere, Hopper and Blackwell."""
+CHAINS = ("RRRRRR", "PP", "RRRRRRR")
+"""The xArm6, the point robot and the arm of seven joints."""
+ARGUMENTS = {
+    "make_place_arm": [(chain,) for chain in CHAINS],
+    "make_robot_cost": [((),)],
+    "make_robot_rollout": [(chain, ()) for chain in CHAINS],
+    "make_pick_trace": [(len(TERMS),)],
+    "make_track_object": [(chain,) for chain in CHAINS],
+    "make_stage_costs": [(chain, precision, ()) for chain in CHAINS for precision in (wp.float32, wp.float64)],
+}
+"""What a factory is asked for; controls of 2, 3, 6 and 7 numbers where nothing is said."""
+
+
+def kernel_modules() -> Iterator[wp.Module]:
+    """The Warp modules of all kernels, also of those that are made for a size."""
+    found: dict[str, wp.Module] = {}
+    for info in pkgutil.walk_packages(oimppi_warp.kernels.__path__, "oimppi_warp.kernels."):
+        module = import_module(info.name)
+        for name, value in vars(module).items():
+            if isinstance(value, wp.Kernel):
+                found[value.module.name] = value.module
+            elif name.startswith("make_") and value.__module__ == info.name:
+                for arguments in ARGUMENTS.get(name, [(2,), (3,), (6,), (7,)]):
+                    made = value(*arguments)
+                    if isinstance(made, wp.Kernel):
+                        found[made.module.name] = made.module
+    yield from found.values()
+
+
+MODULES = list(kernel_modules())
+
+
+def test_all_kernel_files_are_found():
+    stems = {module.name.rpartition(".")[2].rstrip("_0123456789PR") for module in MODULES}
+    wanted = {"distance", "cost_to_go", "object", "robot_rollout", "sample_controls", "update", "update_nominal"}
+    assert wanted <= stems
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name.rpartition(".")[2])
+def test_a_kernel_module_compiles_without_a_gpu(module, tmp_path):
+    files = wp.compile_aot_module(module, arch=ARCHITECTURES, module_dir=tmp_path, use_ptx=False)
+    assert len(files) == len(ARCHITECTURES)
+    for arch, file in zip(ARCHITECTURES, files, strict=True):
+        assert f"sm{arch}" in file.name
+        assert file.read_bytes()[:4] == b"\x7fELF"
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name.rpartition(".")[2])
+def test_no_kernel_has_a_gradient_that_nobody_needs(module):
+    assert all(not kernel.options.get("enable_backward", module.options["enable_backward"])
+               for kernel in module.kernels.values())  # fmt: skip

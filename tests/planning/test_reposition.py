@@ -1,0 +1,169 @@
+"""Letting go: when, from which side the object is pushed next, and how the tip gets there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.tasks import DT, block, box, task
+
+from oimppi_warp.config.settings import Regrasp
+from oimppi_warp.geometry.fields import build_geometry
+from oimppi_warp.planning.reposition import Regrasping
+from oimppi_warp.scene import Scene
+
+SETTINGS = Regrasp(stall_seconds=1.0, headway=0.01, w_guide=50.0, longest_seconds=2.0)
+HEIGHT = 0.012
+POSE = np.array([0.40, 0.0, 0.0])
+LONG = (0.16, 0.04, 0.05)
+"""A block, long in x."""
+
+
+def watch(scene: Scene, settings: Regrasp = SETTINGS, *, turn: bool = True) -> Regrasping:
+    return Regrasping(scene, build_geometry(scene, "cpu"), settings, turn=turn, height=HEIGHT, period=DT)
+
+
+def led(*move: float) -> np.ndarray:
+    """A reference that leads the object by (x, y, yaw) within 15 steps, and on."""
+    return POSE + np.linspace(0.0, 2.0, 31)[:, None] * np.array(move)
+
+
+def stalled(watching: Regrasping, tip: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Where the tip is called to first, once the object has not got on for long."""
+    for _ in range(100):
+        guide = watching.guide(tip, POSE, reference, 0.5)
+        if guide[3] > 0.0:
+            return guide
+    raise AssertionError("never let go")
+
+
+def last_stop(watching: Regrasping) -> np.ndarray:
+    return watching._stops[-1]
+
+
+def test_an_object_that_gets_on_is_not_let_go():
+    watching = watch(task(pushed=block()))
+    for step in range(200):
+        guide = watching.guide(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 1.0 - 0.002 * step)
+        assert not guide.any()
+
+
+def test_an_object_that_stands_still_is_let_go_after_the_time_set():
+    watching = watch(task(pushed=block()))
+    calls = [watching.guide(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 0.5)[3] for _ in range(25)]
+    assert np.argmax(np.array(calls) > 0.0) == pytest.approx(SETTINGS.stall_seconds / DT + 1, abs=1)
+    assert max(calls) == SETTINGS.w_guide
+
+
+def test_a_stall_time_of_zero_turns_it_off():
+    watching = watch(task(pushed=block()), replace(SETTINGS, stall_seconds=0.0))
+    for _ in range(200):
+        assert not watching.guide(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 0.5).any()
+
+
+@pytest.mark.parametrize(
+    ("move", "side"),
+    [
+        ((0.05, 0.0, 0.0), (-1, 0)),
+        ((-0.05, 0.0, 0.0), (1, 0)),
+        ((0.0, 0.05, 0.0), (0, -1)),
+        ((0.0, -0.05, 0.0), (0, 1)),
+    ],
+)
+def test_a_block_is_pushed_on_from_behind(move, side):
+    watching = watch(task(pushed=block(LONG)))
+    stalled(watching, np.append(POSE[:2] - 0.2 * np.array(side), 0.012), led(*move))
+    offset = last_stop(watching)[:2] - POSE[:2]
+    along = offset @ np.array(side)
+    across = offset @ np.array([side[1], side[0]])
+    half = LONG[0] / 2 if side[0] else LONG[1] / 2
+    assert half < along < half + 0.04, "beside the outline, on the side that pushes"
+    assert abs(across) < 0.03, "a push through the middle does not turn it"
+
+
+def test_a_block_is_turned_from_one_of_its_ends():
+    watching = watch(task(pushed=block(LONG)))
+    stalled(watching, np.array([0.55, 0.1, 0.012]), led(0.0, 0.0, 0.8))
+    x, y = last_stop(watching)[:2] - POSE[:2]
+    assert abs(x) > 0.05 and x * y < 0.0, "below the right end or above the left one turns it to the left"
+
+
+def test_where_no_yaw_is_asked_for_the_reference_s_does_not_count():
+    watching = watch(task(pushed=block(LONG)), turn=False)
+    stalled(watching, np.array([POSE[0], 0.2, 0.012]), led(0.0, 0.05, 3.0))
+    x, y = last_stop(watching)[:2] - POSE[:2]
+    assert abs(x) < 0.03 and y < 0.0
+
+
+def test_a_side_where_the_tool_has_no_room_is_not_chosen():
+    wall = box(POSE[0], -0.055, (0.3, 0.05, 0.1))  # a centimetre behind the block, all along it
+    watching = watch(task(wall, pushed=block(LONG)))
+    stalled(watching, np.array([0.40, 0.1, 0.012]), led(0.0, 0.05, 0.0))
+    assert last_stop(watching)[1] > -0.02
+
+
+def test_the_side_that_did_not_work_is_not_tried_again():
+    watching = watch(task(pushed=block(LONG)))
+    behind = np.array([POSE[0], -0.05, 0.012])
+    stalled(watching, behind, led(0.0, 0.05, 0.0))
+    first = last_stop(watching).copy()
+    assert np.linalg.norm(first[:2] - behind[:2]) > 0.04
+    while watching.guide(behind, POSE, led(0.0, 0.05, 0.0), 0.5).any():
+        pass
+    stalled(watching, behind, led(0.0, 0.05, 0.0))
+    assert np.linalg.norm(last_stop(watching)[:2] - first[:2]) > 0.04
+
+
+def test_the_tip_goes_over_an_object_that_is_in_its_way_and_straight_where_none_is():
+    scene = task(pushed=block(LONG))
+    top = build_geometry(scene, "cpu").top
+    watching = watch(scene)
+    tip = np.array([POSE[0], 0.09, 0.012])
+    guide = stalled(watching, tip, led(0.0, 0.05, 0.0))
+    up, over, down = watching._stops
+    np.testing.assert_array_equal(up, guide[:3])
+    np.testing.assert_allclose(up[:2], tip[:2], atol=1e-9)
+    assert up[2] == over[2] > top + 0.02 and down[2] == HEIGHT
+    np.testing.assert_allclose(over[:2], down[:2])
+    for stop in (up, over):
+        np.testing.assert_array_equal(watching._stops[0], stop)
+        watching.guide(stop, POSE, led(0.0, 0.05, 0.0), 0.5)
+    assert len(watching._stops) == 1
+    assert not watching.guide(down, POSE, led(0.0, 0.05, 0.0), 0.5).any(), "there: nothing more to call for"
+
+    free = watch(scene)
+    stalled(free, np.array([POSE[0] - 0.12, -0.06, 0.012]), led(0.0, 0.05, 0.0))
+    assert len(free._stops) == 1 and free._stops[0][2] == HEIGHT
+
+
+def test_a_tool_that_touches_the_object_steps_aside_as_it_rises():
+    scene = task(pushed=block(LONG))
+    watching = watch(scene)
+    touching = np.array([POSE[0], 0.5 * LONG[1] + scene.robot.tool_radius, 0.012])
+    stalled(watching, touching, led(0.0, 0.05, 0.0))
+    up = watching._stops[0]
+    assert up[2] > touching[2] and up[1] > touching[1] + 0.02
+
+
+def test_a_tip_that_is_over_the_object_goes_out_past_its_rim_as_it_rises():
+    watching = watch(task(pushed=block(LONG)))
+    stalled(watching, np.array([POSE[0], 0.5 * LONG[1] - 0.005, 0.06]), led(0.0, 0.05, 0.0))
+    assert watching._stops[0][1] > 0.5 * LONG[1] + 0.02
+
+
+def test_what_is_not_known_calls_nowhere_and_leaves_no_trace():
+    watching = watch(task(pushed=block(LONG)))
+    tip, lost = np.array([POSE[0], 0.09, 0.012]), np.full(3, np.nan)
+    for _ in range(100):
+        assert not watching.guide(tip, lost, led(0.0, 0.05, 0.0), np.nan).any()
+    calls = [watching.guide(tip, POSE, led(0.0, 0.05, 0.0), 0.5)[3] for _ in range(25)]
+    assert np.isfinite(calls).all() and not any(calls[:18]) and any(calls)
+
+
+def test_a_call_is_given_up_in_time():
+    watching = watch(task(pushed=block(LONG)))
+    tip = np.array([POSE[0], 0.06, 0.012])
+    stalled(watching, tip, led(0.0, 0.05, 0.0))
+    calls = [watching.guide(tip, POSE, led(0.0, 0.05, 0.0), 0.5).any() for _ in range(60)]
+    assert sum(calls) == pytest.approx(SETTINGS.longest_seconds / DT, abs=2)

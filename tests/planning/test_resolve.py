@@ -1,0 +1,120 @@
+"""Settings as they take effect: on every shipped scene, what a record would hold is what the planner uses."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from support import tasks
+
+from oimppi_warp.config.overrides import from_record, options, set_option
+from oimppi_warp.config.presets import PRESETS, best, lab
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.geometry.tipping import can_tip
+from oimppi_warp.kernels.costs.stage_costs import ObjectWeights, RobotWeights
+from oimppi_warp.planning.methods import ClosedLoopPlanner, make_planner
+from oimppi_warp.planning.resolve import resolve
+from oimppi_warp.record.log import to_json
+from oimppi_warp.usd import shipped_scenes
+
+SCENES = [scene.name for scene in shipped_scenes()]
+SMALL = ("robot.optimizer.samples=8", "object.optimizer.samples=8")
+
+
+def few(preset: str):
+    """A preset with few samples, so that a planner is made in a moment."""
+    config = PRESETS[preset]("cloi")
+    for option in SMALL:
+        config = set_option(config, option)
+    return config
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("name", SCENES)
+def test_the_settings_that_are_recorded_are_those_that_the_kernels_get(name: str, preset: str):
+    scene = tasks.shipped(name)
+    resolved = resolve(few(preset), scene)
+    recorded = from_record(to_json(asdict(resolved.config)))
+    assert recorded == resolved.config
+    planner = make_planner(scene, resolved.config, method="cloi", engine="quasistatic", device="cpu", threads=1)
+    assert isinstance(planner, ClosedLoopPlanner)
+    assert planner.config == recorded
+    for weights, cost in (
+        (planner.dynamics._packed.weights, recorded.cost),  # pyright: ignore[reportAttributeAccessIssue]
+        (planner._object._dynamics._weights, recorded.object_cost),
+    ):
+        packed = RobotWeights if cost is recorded.cost else ObjectWeights
+        shared = vars(cost).keys() & packed.vars.keys() - {"extra"}  # pyright: ignore[reportAttributeAccessIssue]
+        assert shared >= {"w_d", "w_theta", "w_f", "w_reach", "margin"}
+        for weight in shared:
+            found = np.float32(getattr(weights, weight))
+            np.testing.assert_array_equal(found, np.float32(getattr(cost, weight)), weight)
+    yaw_counts = bool(np.isfinite(scene.tolerance.yaw))
+    assert recorded.object.turn == (planner._object._dynamics.bound[2] > 0.0) == yaw_counts
+    if not can_tip(scene.object):
+        assert recorded.cost.w_overhang == recorded.cost.w_rush == 0.0
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("name", SCENES)
+def test_each_change_is_told_with_what_was_asked_for_and_why(name: str, preset: str):
+    scene, config = tasks.shipped(name), PRESETS[preset]("cloi")
+    resolved = resolve(config, scene)
+    asked, used = options(config), options(resolved.config)
+    assert resolved.changes.keys() == {name for name in asked if asked[name] != used[name]}
+    for changed, change in resolved.changes.items():
+        assert change.asked == asked[changed]
+        assert len(change.reason) > 10
+
+
+def test_a_can_is_not_turned_and_the_record_says_so():
+    resolved = resolve(lab("cloi"), tasks.shipped("lab01"))
+    assert resolved.config.object.turn is False
+    assert resolved.config.cost.w_theta == resolved.config.object_cost.w_theta == 0.0
+    assert resolved.changes["object.turn"].asked is True
+    assert resolved.changes["cost.w_theta"].asked == 0.1
+    assert "yaw" in resolved.changes["cost.w_theta"].reason
+
+
+def test_the_ring_of_reach_goes_with_the_robot():
+    asked = best("cloi").cost.reach
+    assert resolve(best("cloi"), tasks.shipped("task01")).config.cost.reach == asked
+    point = resolve(best("cloi"), tasks.shipped("point01"))
+    assert point.config.cost.reach[0] == 0.0 and point.config.cost.reach[1] > 100.0
+    assert point.changes["cost.reach"].asked == asked
+    arm7 = resolve(best("cloi"), tasks.shipped("arm7_01")).config.cost.reach
+    assert arm7[0] / asked[0] == pytest.approx(arm7[1] / asked[1])
+
+
+def test_resolving_twice_changes_nothing_the_second_time():
+    for name in SCENES:
+        once = resolve(best("cloi"), tasks.shipped(name)).config
+        again = resolve(once, tasks.shipped(name))
+        assert again.config is once
+        assert again.changes == {}
+        moved = tasks.shipped(name).with_goal(tasks.shipped(name).start)
+        assert resolve(once, moved).config is once
+
+
+def test_settings_resolved_for_one_robot_are_not_used_with_another():
+    once = resolve(best("cloi"), tasks.shipped("point01")).config
+    with pytest.raises(ConfigError, match="resolved for another task"):
+        resolve(once, tasks.shipped("task01"))
+
+
+def test_a_change_made_after_resolving_takes_effect_as_it_is():
+    scene = tasks.shipped("point01")
+    once = resolve(best("cloi"), scene).config
+    again = resolve(replace(once, cost=replace(once.cost, reach=(0.1, 2.0))), scene)
+    assert again.config.cost.reach == (0.1, 2.0)
+
+
+def test_a_plants_own_control_period_takes_the_place_of_the_setting():
+    scene = tasks.shipped("task01")
+    resolved = resolve(best("cloi"), scene, control_period=0.04)
+    assert resolved.config.control_period == 0.04
+    assert resolved.changes["control_period"].asked == 0.05
+    assert "plant" in resolved.changes["control_period"].reason
+    assert "control_period" not in resolve(best("cloi"), scene, control_period=0.05).changes
+    assert resolve(resolved.config, scene, control_period=0.04).changes == {}

@@ -1,0 +1,230 @@
+"""Lock step and real time: a clock of its own makes every delay exact, however fast the machine is."""
+
+from __future__ import annotations
+
+from itertools import islice
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from support import tasks
+
+from oimppi_warp.config.overrides import set_option
+from oimppi_warp.config.presets import best
+from oimppi_warp.config.settings import Config
+from oimppi_warp.observation import Observation
+from oimppi_warp.record.metrics import summarize
+from oimppi_warp.runtime.control import Beat, lock_step, real_time
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.runtime.estimator import Estimator
+from oimppi_warp.usd import load_scene
+
+PERIOD = 0.05
+
+
+class FakePlant:
+    """It notes what it is told; the object lies still and is known."""
+
+    control_period = PERIOD
+    latency = 0.02
+
+    def __init__(self) -> None:
+        self.scene = tasks.shipped("lab01")
+        self.commands: list[np.ndarray] = []
+
+    def observe(self) -> Observation:
+        seen = tasks.observe(self.scene)
+        return Observation(
+            PERIOD * len(self.commands),
+            seen.joint_position,
+            seen.joint_velocity,
+            seen.object_pose,
+            seen.object_transform,
+        )
+
+    def apply(self, joint_velocity: np.ndarray) -> None:
+        self.commands.append(joint_velocity)
+
+
+class Clock:
+    """A clock that only moves when somebody sleeps, and a planner whose plans take so many control periods of it.
+
+    Args:
+        takes: Control periods of each plan, in turn; the last one again and again.
+    """
+
+    def __init__(self, takes: list[int]) -> None:
+        self.now = 0.0
+        self.beat = 0
+        self.asked: list[Observation] = []
+        self._takes = takes
+
+    def time(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        self.beat += 1
+
+    def start(self, observation: Observation) -> float:
+        return 0.25
+
+    def plan(self, observation: Observation) -> Any:
+        self.asked.append(observation)
+        number = len(self.asked)
+        takes = self._takes[min(number, len(self._takes)) - 1]
+        return SimpleNamespace(command=np.full(6, 0.01 * number), problem="", takes=takes)
+
+
+def run(takes: list[int], beats: int, *, expires: float = 0.12) -> tuple[list[Beat], FakePlant, Clock]:
+    """Real time against plans that take so many control periods; a plan that takes one is on time."""
+    plant, clock = FakePlant(), Clock(takes)
+    pool = FakePool(clock)
+    loop = real_time(
+        plant, clock, Estimator(plant.scene, Config()), dof=6, expires=expires, clock=clock.time, sleep=clock.sleep,
+        workers=pool,
+    )  # fmt: skip
+    found = list(islice(loop, beats))
+    loop.close()
+    return found, plant, clock
+
+
+class FakePool:
+    """Runs a job at once, and says that it is done when its time has come."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def submit(self, work: Any, *arguments: Any) -> Any:
+        result = work(*arguments)
+        due = self._clock.beat + result.plan.takes
+        return SimpleNamespace(done=lambda: self._clock.beat >= due, result=lambda: result)
+
+
+def numbers(plant: FakePlant) -> list[int]:
+    """Which plan each command is of; 0 for zeros."""
+    return [round(command[0] / 0.01) for command in plant.commands]
+
+
+def test_a_planner_that_keeps_up_misses_nothing_and_is_one_period_behind():
+    beats, plant, _ = run([1], 6)
+    assert numbers(plant) == [0, 1, 2, 3, 4, 5]
+    assert not any(beat.missed or beat.stopped for beat in beats)
+    assert [beat.preplan_seconds for beat in beats] == [0.0, 0.25, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_a_late_plan_is_late_and_the_command_before_it_is_kept_up():
+    beats, plant, _ = run([1, 2, 1], 6)
+    assert numbers(plant) == [0, 1, 1, 2, 3, 4]
+    assert [beat.missed for beat in beats] == [False, False, True, False, False, False]
+    assert not any(beat.stopped for beat in beats)
+
+
+def test_when_a_plan_has_expired_the_arm_is_told_to_stop():
+    beats, plant, _ = run([1, 6, 1], 10, expires=0.12)
+    # The command of plan 1 is good for one period, and kept up for 0.12 s, two more; then zeros until plan 2 is there.
+    assert numbers(plant) == [0, 1, 1, 1, 0, 0, 0, 2, 3, 4]
+    assert sum(beat.missed for beat in beats) == 5
+    assert [beat.stopped for beat in beats] == [False] * 4 + [True] * 3 + [False] * 3
+    np.testing.assert_array_equal(plant.commands[4], np.zeros(6))
+
+
+def test_the_time_before_the_first_plan_is_no_missed_deadline():
+    beats, plant, _ = run([5, 1], 8)
+    assert numbers(plant) == [0, 0, 0, 0, 0, 1, 2, 3]
+    assert not any(beat.missed for beat in beats)
+
+
+def test_a_plan_is_made_for_when_it_will_take_effect():
+    _, plant, clock = run([1], 4)
+    start = plant.scene.robot.start
+    for step, asked in enumerate(clock.asked[1:4], start=1):
+        assert asked.time == pytest.approx(PERIOD * step + PERIOD + plant.latency)
+        # Carried out until then: the command before for the latency, this one for a period.
+        ahead = plant.latency * plant.commands[step - 1] + PERIOD * plant.commands[step]
+        np.testing.assert_allclose(asked.joint_position - start, ahead, atol=1e-9)
+
+
+def test_a_loop_that_is_behind_the_clock_says_so():
+    plant, clock = FakePlant(), Clock([1])
+    apply = plant.apply
+
+    def slow(joint_velocity: np.ndarray) -> None:
+        apply(joint_velocity)
+        if len(plant.commands) == 2:
+            clock.now += 0.08
+
+    plant.apply = slow  # type: ignore[method-assign]
+    loop = real_time(
+        plant, clock, Estimator(plant.scene, Config()), dof=6, expires=0.1, clock=clock.time, sleep=clock.sleep,
+        workers=FakePool(clock),
+    )  # fmt: skip
+    lags = [beat.lag for beat in islice(loop, 4)]
+    assert lags == pytest.approx([0.0, 0.03, 0.0, 0.0], abs=1e-9)
+
+
+def test_in_lock_step_every_beat_has_its_plan():
+    plant, clock = FakePlant(), Clock([1])
+    beats = list(islice(lock_step(plant, clock, None, dof=6), 4))
+    assert numbers(plant) == [1, 2, 3, 4]
+    assert all(beat.plan is not None and not beat.missed for beat in beats)
+    np.testing.assert_allclose([asked.time for asked in clock.asked], PERIOD * np.arange(4))
+
+
+def lab_episode(*options: str, seed: int = 0, mode: Any = "lockstep") -> Episode:
+    scene, config = load_scene("lab01"), best("cloi")
+    for option in ("robot.optimizer.samples=256", "object.optimizer.samples=256", *options):
+        config = set_option(config, option)
+    scene = scene.with_goal((0.38, 0.12, 0.0))
+    return Episode(
+        scene, config, method="cloi", engine="quasistatic", device="cpu", threads=1, seed=seed, plant="lab", mode=mode
+    )
+
+
+def test_an_episode_in_the_lab_reaches_its_goal_without_the_planner_knowing_the_truth(monkeypatch: pytest.MonkeyPatch):
+    episode = lab_episode("episode.tight=false")
+    asked, plan = [], episode.planner.plan
+
+    def noting(observation: Observation) -> Any:
+        asked.append((episode.plant.truth().object_pose, observation.object_pose))
+        return plan(observation)
+
+    monkeypatch.setattr(episode.planner, "plan", noting)
+    truths: list[np.ndarray] = []
+    log = episode.run(lambda log: truths.append(episode.plant.truth().object_pose))
+    metrics = summarize(log)
+    assert metrics.success, metrics.position_error_m
+    assert metrics.run.plant == "lab"
+    assert metrics.detections >= 3
+    truth, told = (np.array(each) for each in zip(*asked, strict=True))
+    assert (np.linalg.norm(truth[:, :2] - told[:, :2], axis=1) > 1e-5).all()
+    # What the log calls the object is the truth, and what it calls the estimate is not.
+    np.testing.assert_array_equal(log["object_pose"], truths)
+    assert 1e-4 < metrics.mean_estimate_error_m < 0.1
+
+
+def test_the_same_seed_gives_the_same_lab_episode_to_the_bit():
+    first, second = (lab_episode("episode.max_sim_seconds=2.5", seed=5).run() for _ in range(2))
+    for name in ("command", "object_pose", "estimated_pose", "detection"):
+        np.testing.assert_array_equal(first[name], second[name])
+    other = lab_episode("episode.max_sim_seconds=2.5", seed=6).run()
+    assert not np.array_equal(first["estimated_pose"], other["estimated_pose"])
+
+
+@pytest.mark.parametrize("plant", ["ideal", "lab"])
+def test_real_time_keeps_to_the_wall_clock(plant: Any):
+    config = best("cloi")
+    for option in ("robot.optimizer.samples=64", "object.optimizer.samples=64", "episode.max_sim_seconds=2.5"):
+        config = set_option(config, option)
+    episode = Episode(
+        load_scene("lab01"), config, engine="quasistatic", device="cpu", threads=1, plant=plant, mode="realtime"
+    )
+    log = episode.run()
+    assert len(log) == 50
+    assert np.abs(log["command"]).max() > 0.0
+    assert log.header["mode"] == "realtime"
+    # Whatever the machine: every step either had a plan, or was before the first, or missed it.
+    planned = np.isfinite(log["plan_ms"])
+    after = np.flatnonzero(planned)[0] if planned.any() else len(log)
+    assert (planned | (log["missed_deadline"] > 0))[after:].all()

@@ -1,0 +1,91 @@
+"""The closed loop: whole episodes in the plant, on every shipped scene."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.episodes import episode
+
+from oimppi_warp.config.overrides import set_option
+from oimppi_warp.config.presets import best, paper
+from oimppi_warp.record.log import EpisodeLog
+from oimppi_warp.record.metrics import summarize
+from oimppi_warp.registries import METHODS
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.usd import load_scene, shipped_scenes
+
+SCENES = [shipped.name for shipped in shipped_scenes()]
+
+DEEPEST = -0.012
+"""Least clearance that a successful episode may have [m]: pressed along an obstacle, not through it."""
+
+
+@pytest.mark.parametrize("method", ["cloi", "soi"])
+@pytest.mark.parametrize("name", ["task01", "task02"])
+def test_the_object_is_brought_to_its_goal(name: str, method: str):
+    log = episode(name, method, seed=1).run()
+    metrics = summarize(log)
+    assert metrics.success, (metrics.position_error_m, metrics.yaw_error_rad)
+    assert metrics.min_clearance_m > DEEPEST
+    # Half a turn and half a metre were really made.
+    start, last = log["object_pose"][0], log["object_pose"][-1]
+    assert np.linalg.norm(last[:2] - start[:2]) > 0.4
+    assert log["lost_samples"].max() == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_plans_and_runs_with_every_method(name: str, method: str):
+    scene = load_scene(name)
+    config = set_option(set_option(best(method), "robot.optimizer.samples=128"), "object.plan_steps=20")
+    config = set_option(config, "episode.max_sim_seconds=0.5")
+    log = Episode(scene, config, method=method, device="cpu").run()
+    assert len(log) == 10
+    assert np.isfinite(log["command"]).all()
+    assert np.abs(log["command"]).max() > 0.0
+    assert log.header["ended"] == "time limit"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_preset_paper_runs_as_printed(method: str):
+    scene = load_scene("task02")
+    config = set_option(paper(method), "episode.max_sim_seconds=0.25")
+    config = set_option(config, "object.plan_steps=20")
+    log = Episode(scene, config, method=method, device="cpu").run()
+    assert len(log) == 5
+    assert np.abs(log["command"]).max() <= 0.2 + 1e-6
+
+
+def test_the_same_seed_gives_the_same_episode_to_the_bit():
+    first, second = (episode("task02", "cloi", seed=3, options=("episode.max_sim_seconds=1",)).run() for _ in range(2))
+    np.testing.assert_array_equal(first["command"], second["command"])
+    np.testing.assert_array_equal(first["object_pose"], second["object_pose"])
+
+
+def test_ctrl_c_leaves_a_complete_log():
+    def interrupt(log: EpisodeLog) -> None:
+        if len(log) == 7:
+            raise KeyboardInterrupt
+
+    log = episode("task01", "cloi", seed=0).run(interrupt)
+    assert log.header["ended"] == "interrupted"
+    assert len(log) == 7
+    assert np.isfinite(log["object_pose"]).all()
+
+
+def test_success_must_be_held():
+    """The log's last half second is within the tolerance that ended the episode."""
+    log = episode("task01", "cloi", seed=4, options=("episode.tight=false",)).run()
+    assert log.header["ended"] == "success"
+    steps = round(log.header["hold_seconds"] / log.header["control_period"])
+    tolerance = log.header["tolerance"]
+    assert (log["position_error"][-steps:] <= tolerance["position"]).all()
+    assert (log["yaw_error"][-steps:] <= tolerance["yaw"]).all()
+
+
+def test_soi_counts_the_time_of_its_plan():
+    log = episode("task01", "soi", seed=0, options=("episode.max_sim_seconds=0.25",)).run()
+    assert log.header["preplan_time_s"] > 0.0
+    assert len(log.references) == 1
+    path = log.references[0][1]
+    assert np.linalg.norm(path[-1][:2] - np.array(log.header["goal"])[:2]) < 1e-6

@@ -1,0 +1,17 @@
+"""Episodes of the shipped scenes."""
+
+from __future__ import annotations
+
+from oimppi_warp.config.overrides import set_option
+from oimppi_warp.config.presets import best
+from oimppi_warp.geometry.feasibility import draw_start
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.usd import load_scene
+
+
+def episode(name: str, method: str, *, seed: int, options: tuple[str, ...] = ()) -> Episode:
+    scene = load_scene(name)
+    config = best(method)
+    for option in options:
+        config = set_option(config, option)
+    return Episode(scene.with_start(draw_start(scene, seed)), config, method=method, device="cpu", seed=seed)

@@ -1,0 +1,178 @@
+"""``oimppi doctor`` and ``oimppi warmup``: what is judged wrong, and that after a warm-up nothing is compiled."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import warp as wp
+from support import tasks
+
+from oimppi_warp.cli.main import main
+from oimppi_warp.compute.device import start_warp
+from oimppi_warp.config.presets import best
+from oimppi_warp.registries import METHODS
+from oimppi_warp.system.doctor import PACKAGES, Facts, Gpu, examine, judge
+from oimppi_warp.system.precompile import compile_for, needed_on_cuda, rehearsal
+from oimppi_warp.usd import shipped_scenes
+
+WELL = Facts(
+    python="3.11.7",
+    system="Linux",
+    cpu="a CPU",
+    cores=8,
+    usable_cores=8,
+    memory=16_000_000_000,
+    gpus=(Gpu("cuda:0", "a GPU", 90, 80_000_000_000),),
+    gpu_hardware=True,
+    driver=(13, 0),
+    versions=dict.fromkeys(PACKAGES, "3.17.0"),
+    kernel_cache="/caches/warp",
+    field_cache="/caches/fields",
+    writable=(True, True),
+    compiled=True,
+    scenes=8,
+    device="cuda:0",
+    blas_threads="1",
+    entries={"methods": {"cloi": ""}},
+    broken={},
+)
+
+
+def test_nothing_is_wrong_with_a_machine_that_is_well():
+    assert judge(WELL) == []
+    assert judge(replace(WELL, gpus=(), gpu_hardware=False, driver=None, device="cpu")) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"versions": WELL.versions | {"newton": ""}}, "newton is not installed"),
+        ({"versions": WELL.versions | {"mujoco": "3.16.1"}}, "do not go together"),
+        ({"scenes": 0}, "no scene was shipped"),
+        ({"gpus": (), "driver": None}, "Warp cannot use it"),
+        ({"driver": (12, 2)}, "the driver's CUDA is 12.2"),
+        ({"writable": (False, True)}, "/caches/warp cannot be written"),
+        ({"writable": (True, False)}, "/caches/fields cannot be written"),
+        ({"memory": 2_000_000_000}, "2.0 GB of memory"),
+        ({"usable_cores": 2}, "only 2 of 8 cores"),
+        ({"broken": {"the method 'rrt' of oimppi-rrt": "ImportError: no"}}, "'rrt' of oimppi-rrt cannot be imported"),
+    ],
+)
+def test_what_is_wrong_is_said_with_what_to_do(change, said):
+    (finding,) = judge(replace(WELL, **change))
+    assert said in finding.what
+    assert len(finding.remedy) > 10
+
+
+def test_the_doctor_sees_this_machine(capsys):
+    facts = examine()
+    assert 1 <= facts.usable_cores <= facts.cores and facts.memory > 0 and facts.scenes == len(shipped_scenes())
+    assert all(facts.versions.values())
+    status = main(["doctor", "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert status == (1 if judge(facts) else 0)
+    assert told["facts"]["usable_cores"] == facts.usable_cores
+    assert len(told["findings"]) == len(judge(facts))
+
+
+def test_the_doctor_speaks_to_people(capsys):
+    main(["doctor"])
+    out = capsys.readouterr().out
+    for word in ("machine", "GPUs", "packages", "will use", "kernels", "methods", "optimizers", "engines", "plants"):
+        assert word in out
+
+
+def test_the_doctor_lists_what_installed_packages_add_and_what_of_it_is_broken(tmp_path):
+    installed = tmp_path / "oimppi_extra-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: oimppi-extra\nVersion: 1.0\n")
+    (installed / "entry_points.txt").write_text(
+        "[oimppi_warp.planning.methods]\nrrt = extra:Rrt\n\n[oimppi_warp.engines]\nrigid = extra_engine:Rigid\n"
+    )
+    (tmp_path / "extra.py").write_text("Rrt = object()\n")
+    paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [sys.executable, "-m", "oimppi_warp", "doctor", "--json"]
+    environment = os.environ | {"PYTHONPATH": paths}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    told = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert told["facts"]["entries"]["methods"] == dict.fromkeys(METHODS, "") | {"rrt": "oimppi-extra"}
+    assert told["facts"]["entries"]["engines"]["rigid"] == "oimppi-extra"
+    (finding,) = [each for each in told["findings"] if "imported" in each["what"]]
+    assert "the engine 'rigid' of oimppi-extra cannot be imported: ModuleNotFoundError" in finding["what"]
+
+
+@pytest.mark.parametrize("arch", ["sm_9", "hopper", "20"])
+def test_an_architecture_that_is_none_is_bad_input(arch, capsys):
+    assert main(["warmup", "--arch", arch]) == 2
+    assert "sm_90" in capsys.readouterr().err
+
+
+def run(*arguments: str, caches: Path) -> str:
+    """What a command says on its error output, with caches of its own."""
+    environment = os.environ | {"WARP_CACHE_PATH": str(caches / "warp"), "OIMPPI_CACHE": str(caches / "fields")}
+    command = [sys.executable, "-m", "oimppi_warp", *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 1), done.stderr
+    return done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_after_a_warmup_a_run_compiles_nothing(tmp_path):
+    short = ("run", "task01", "--device", "cpu", "--max-sim-seconds", "0.1", "--set", "robot.optimizer.samples=64")
+    cold = run(*short, "--engine", "quasistatic", caches=tmp_path / "other")
+    assert "compiled oimppi_warp.kernels.robot_rollout" in cold
+    run("warmup", "task01", "--out", str(tmp_path / "shipped"), caches=tmp_path)
+    assert not (tmp_path / "warp").exists()
+    for engine in ("quasistatic", "newton"):
+        for method in ("cloi", "soi"):
+            said = run(*short, "--engine", engine, "--method", method, caches=tmp_path / "shipped")
+            assert "compil" not in said
+
+
+def test_what_a_gpu_needs_of_ours_is_found():
+    names = {module.name for module, _ in needed_on_cuda(tasks.shipped("task01"), best("cloi"), ["quasistatic"])}
+    kernels = ("robot_rollout_RRRRRR", "object", "sample_controls_3", "sample_controls_6", "update", "update_nominal_6")
+    assert {f"oimppi_warp.kernels.{name}" for name in kernels} <= names
+    assert "oimppi_warp.kernels.fields.cost_to_go" in names, "SOI follows its cost-to-go there"
+    assert "oimppi_warp.kernels.fields.distance" in names, "it may not find the fields there"
+
+
+@wp.kernel(module="unique")
+def count_up(numbers: wp.array[int]):
+    numbers[wp.tid()] += 1
+
+
+def test_a_rehearsal_lists_what_is_launched_in_it_with_the_blocks_that_are_asked_for():
+    numbers = wp.zeros(64, dtype=int, device="cpu")
+    wp.launch(count_up, dim=64, inputs=[numbers], device="cpu", block_dim=64)
+    for block, dim in ((64, 64), (None, 64), (None, 0)):
+        with rehearsal() as found:
+            wp.launch(count_up, dim=dim, inputs=[numbers], device="cpu", block_dim=block)
+        assert found == ([(count_up.module, block or 256)] if dim else [])
+    assert not wp.config.enable_cpu_blocks
+    wp.launch(count_up, dim=64, inputs=[numbers], device="cpu", block_dim=64)
+    assert set(numbers.numpy()) == {4}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_all_that_a_newton_plan_needs_compiles_for_a_hopper_gpu(tmp_path, monkeypatch):
+    start_warp()  # it fills in the folder that is put back in the end
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    variants = needed_on_cuda(tasks.shipped("task02"), best("cloi"), ["newton"])
+    names = {module.name for module, _ in variants}
+    assert {block for _, block in variants} >= {32, 64, 128, 256}, "as MuJoCo Warp asks for them"
+    assert {"mujoco_warp._src.solver", "mujoco_warp._src.smooth", "oimppi_warp.kernels.rollouts.worlds"} <= names
+    assert len(variants) > 60
+    assert compile_for(variants, 90, lambda module: None) == len(variants)
+    cubins = list(tmp_path.rglob("*.sm90.cubin"))
+    assert len(cubins) == len(variants)
+    assert all(file.read_bytes()[:4] == b"\x7fELF" for file in cubins)

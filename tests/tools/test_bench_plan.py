@@ -1,0 +1,43 @@
+"""The benchmark of plan time runs, and does not count what is not sane."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOL = Path(__file__).parents[2] / "tools" / "bench_plan.py"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_quick_benchmark_measures_everything(tmp_path):
+    out = tmp_path / "figures.json"
+    done = subprocess.run([sys.executable, TOOL, "--quick", "--json", out], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    record = json.loads(out.read_text())
+    assert record["problems"] == [] and record["solved"] == {"quasistatic": True, "newton": True}
+    assert set(record["quasistatic"]) == {"robot level", "object level", "CLOI step"}
+    assert record["newton"]["plan"]["median_ms"] > record["quasistatic"]["robot level"]["all cores"]["median_ms"]
+    assert record["newton"]["ratio"] > 0.8
+    assert record["randomized"]["ratio"] > 1.5
+    assert 0.0 < record["arithmetic"]["of_vector_peak"] < 1.0
+    assert "Newton engine" in done.stdout
+
+
+def test_a_planner_that_plans_nothing_does_not_count(monkeypatch):
+    monkeypatch.syspath_prepend(str(TOOL.parent))
+    from bench_loops import PlannerLoop, race
+
+    from oimppi_warp.config.overrides import set_option
+    from oimppi_warp.config.presets import best
+    from oimppi_warp.usd import load_scene
+
+    config = set_option(best("mppi"), "robot.optimizer.samples=32")
+    loop = PlannerLoop(load_scene("task01"), config, method="mppi", engine="quasistatic", device="cpu", threads=1)
+    assert race({"sane": loop}, 2)["sane"].problems == []
+    loop.seen.joint_position[:] = float("nan")
+    assert any("joint positions not finite" in problem for problem in race({"mad": loop}, 2)["mad"].problems)
