@@ -47,6 +47,27 @@ class Settled:
     clearance: float
 
 
+LEAST_YIELD = wp.constant(0.05)
+"""Motion of the contact point along the normal, per unit force, below which a cone's edge is not used. Such a force
+would hardly move the contact inwards, or pull it back, and the depth that is left would take a huge force."""
+
+LONGEST_CORRECTION = wp.constant(0.02)
+"""Longest correction of phi_2 in one projection [m]: further out the linearization does not hold."""
+
+LEAST_GRADIENT = wp.constant(0.1)
+"""Least ``g^T D g`` in units of ``1 / (mu m g)``: the gradient vanishes at kinks of phi_2, and the step would explode."""
+
+
+@wp.func
+def mobility(model: ObjectModel) -> wp.vec3:
+    """Mobility ``D`` of equation 5, its diagonal in units of ``1 / (mu m g)``: ``(1, 1, 1 / c^2)``.
+
+    ``c`` is the limit surface's radius: friction torque over friction force [m]. A wrench ``w`` about the friction
+    centre moves the object with the twist ``D w / (mu m g)``.
+    """
+    return wp.vec3(1.0, 1.0, 1.0 / (model.radius * model.radius))
+
+
 @wp.func
 def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_radius: float) -> wp.vec3:
     """The object's pose after a round tool moved from ``start`` to ``end``.
@@ -73,8 +94,8 @@ def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_r
             share = wp.clamp(depth / wp.max(approach, 1.0e-6), 0.0, 1.0)
             want = depth * n + share * wp.dot(travel, t) * t
 
-            # Motion of the contact point under a force f: (1 + r_y^2 / c^2, ...) f, with the limit surface's radius c.
-            b = 1.0 / (model.radius * model.radius)
+            # Motion of the contact point under a force f: A f with A = J D J^T, J the contact's Jacobian.
+            b = mobility(model)[2]
             a00 = 1.0 + contact[1] * contact[1] * b
             a01 = -contact[0] * contact[1] * b
             a11 = 1.0 + contact[0] * contact[0] * b
@@ -84,7 +105,7 @@ def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_r
                 edge = n + wp.sign(wp.dot(f, t)) * model.tool_friction * t
                 yielded = wp.vec2(a00 * edge[0] + a01 * edge[1], a01 * edge[0] + a11 * edge[1])
                 along = wp.dot(n, yielded)
-                if along < 0.05:  # a cone's edge that would pull the contact back: push straight instead
+                if along < LEAST_YIELD:  # push along the normal instead
                     edge = n
                     along = a00 * n[0] * n[0] + 2.0 * a01 * n[0] * n[1] + a11 * n[1] * n[1]
                 f = (depth / along) * edge
@@ -107,12 +128,12 @@ def settle(model: ObjectModel, pose: wp.vec3, dt: float) -> Settled:
     out.force = 0.0
     field = pose_field(model.clearance, pose)
     out.clearance = field[0]
-    ease = 1.0 / (model.radius * model.radius)
+    d = mobility(model)
     for _ in range(2):
         if field[0] < model.slack:
-            mobility = field[1] * field[1] + field[2] * field[2] + ease * field[3] * field[3]
-            step = wp.min(model.slack - field[0], 0.02) / wp.max(mobility, 0.1)
-            out.pose = out.pose + step * wp.vec3(field[1], field[2], ease * field[3])
+            gradient = field[1] * field[1] + field[2] * field[2] + d[2] * field[3] * field[3]
+            step = wp.min(model.slack - field[0], LONGEST_CORRECTION) / wp.max(gradient, LEAST_GRADIENT)
+            out.pose = out.pose + step * wp.vec3(field[1], field[2], d[2] * field[3])
             out.force = out.force + model.force * step / dt
             field = pose_field(model.clearance, out.pose)
     return out

@@ -22,7 +22,7 @@ class RobotTask:
         to_go: Cost-to-go of the object [m]; not looked up where ``w_to_go`` is zero.
         goal: The object's goal, a pose, shape [1].
         reference: Where the object plan has the object at each step from now, poses, shape [horizon + 1 + align_ahead].
-        guide: Where the tip is called to and the weight of that, shape [1], see ``Stage``.
+        waypoint: Waypoint of the tip while it is repositioned, shape [1], see ``Stage``.
         dt: Control period [s].
     """
 
@@ -33,7 +33,7 @@ class RobotTask:
     to_go: PoseField
     goal: wp.array[wp.vec3]
     reference: wp.array[wp.vec3]
-    guide: wp.array[wp.vec4]
+    waypoint: wp.array[wp.vec4]
     dt: float
 
 
@@ -48,9 +48,9 @@ def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
 
 @wp.func
 def above_counts(task: RobotTask, tip: wp.vec3) -> float:
-    """Returns 1 for a tip over the object, else 0; a tip that is guided may pass ``OVER`` above it."""
+    """Returns 1 for a tip over the object, else 0; a tip that is repositioned may pass ``OVER`` above it."""
     counts = float(0.0)
-    if task.guide[0][3] <= 0.0 or tip[2] < task.model.top + OVER:
+    if task.waypoint[0][3] <= 0.0 or tip[2] < task.model.top + OVER:
         counts = 1.0
     return counts
 
@@ -67,7 +67,7 @@ def known_stage(task: RobotTask, h: int, placed: Placed, pose: wp.vec3) -> Stage
     stage.goal = task.goal[0]
     stage.reference = task.reference[h + 1]
     stage.target = task.reference[h + 1 + task.weights.align_ahead]
-    stage.guide = task.guide[0]
+    stage.waypoint = task.waypoint[0]
     if task.weights.w_to_go > 0.0:
         stage.to_go = pose_field(task.to_go, pose)[0]
     return stage

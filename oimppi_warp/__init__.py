@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from oimppi_warp.observation import Observation, planar_pose, planar_transform
     from oimppi_warp.physics.world import World
     from oimppi_warp.planning.engines.cost_terms import CostTerm
-    from oimppi_warp.planning.methods import make_planner
-    from oimppi_warp.planning.robot_level import Plan, Planner
+    from oimppi_warp.planning.factory import make_planner
+    from oimppi_warp.planning.plan import Plan
+    from oimppi_warp.planning.planner import Planner
     from oimppi_warp.plants.plant import Contacts, Plant, SimulatedPlant
     from oimppi_warp.record.log import EpisodeLog
     from oimppi_warp.record.metrics import Metrics, summarize
@@ -48,8 +49,8 @@ _MODULES = {
     "Observation": "observation",
     "ObservationError": "errors",
     "OimppiError": "errors",
-    "Plan": "planning.robot_level",
-    "Planner": "planning.robot_level",
+    "Plan": "planning.plan",
+    "Planner": "planning.planner",
     "Plant": "plants.plant",
     "RunSpec": "config.run_spec",
     "Scene": "scene",
@@ -58,7 +59,7 @@ _MODULES = {
     "World": "physics.world",
     "best": "config.presets",
     "load_scene": "usd",
-    "make_planner": "planning.methods",
+    "make_planner": "planning.factory",
     "paper": "config.presets",
     "planar_pose": "observation",
     "planar_transform": "observation",

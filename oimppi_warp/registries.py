@@ -10,12 +10,12 @@ METHODS: Registry[Any] = Registry(
     "method",
     "oimppi_warp.methods",
     {
-        "mppi": "oimppi_warp.planning.robot_level:Planner",
-        "soi": "oimppi_warp.planning.methods:SequentialPlanner",
-        "cloi": "oimppi_warp.planning.methods:ClosedLoopPlanner",
+        "mppi": "oimppi_warp.planning.planner:Planner",
+        "soi": "oimppi_warp.planning.soi:SequentialPlanner",
+        "cloi": "oimppi_warp.planning.cloi:ClosedLoopPlanner",
     },
 )
-"""Who replans when: subclasses of :class:`oimppi_warp.planning.robot_level.Planner`."""
+"""Who replans when: subclasses of :class:`oimppi_warp.planning.planner.Planner`."""
 
 OPTIMIZERS: Registry[Any] = Registry(
     "optimizer",

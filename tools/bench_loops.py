@@ -14,10 +14,10 @@ import warp as wp
 from oimppi_warp.compute.step import Compute
 from oimppi_warp.config.settings import Config
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.object_level import ObjectLevel
 from oimppi_warp.planning.optimizers.optimizer import Optimizer
-from oimppi_warp.planning.robot_level import Planner
+from oimppi_warp.planning.planner import Planner
 from oimppi_warp.scene import Scene
 
 WARM_UP = 3
@@ -59,7 +59,7 @@ class PlannerLoop:
     Args:
         scene: The task.
         config: All settings.
-        method, engine, device, threads: As for :func:`oimppi_warp.planning.methods.make_planner`.
+        method, engine, device, threads: As for :func:`oimppi_warp.planning.factory.make_planner`.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class PlannerLoop:
         self.planner: Planner = make_planner(
             scene, config, method=method, engine=engine, device=device, threads=threads, seed=1
         )
-        self.mppi: Optimizer = self.planner.mppi
+        self.optimizer: Optimizer = self.planner.optimizer
         self.first = self.seen = first_observation(scene)
         self.stopped = ""
         self.planner.warm_up()
@@ -90,14 +90,14 @@ class PlannerLoop:
         """What is wrong with the latest plan."""
         if self.stopped:
             return [f"nothing was planned: {self.stopped}"]
-        update = self.mppi.found()
+        update = self.optimizer.found()
         found = [f"{update.lost} samples have no finite cost"] if update.lost else []
         return found + ([] if update.effective_samples > 0.999 else ["no effective sample"])
 
     def stages(self, repeats: int) -> dict[str, float]:
         """Median time of each stage of the robot level in the present state [ms]."""
-        trace = self.planner.dynamics.trace(self.mppi.nominal, self.mppi.costs)
-        launches = [*zip(STAGES, self.mppi.improve, strict=False), ("trace", trace)]
+        trace = self.planner.dynamics.trace(self.optimizer.nominal, self.optimizer.costs)
+        launches = [*zip(STAGES, self.optimizer.improve, strict=False), ("trace", trace)]
         return {name: time_of(launch, repeats, self.planner.compute.device) for name, launch in launches}
 
 
@@ -111,7 +111,7 @@ class ObjectLoop:
         geometry = build_geometry(scene, device)
         start, goal = (to_center(geometry.surface, np.array(pose)) for pose in (scene.start, scene.goal))
         self.level = ObjectLevel(geometry, goal, config, compute=compute, seed=1)
-        self.mppi = self.level.mppi
+        self.optimizer = self.level.optimizer
         self.device = device
         self._step = compute.step(self.level.launches)
         self.pose = start
@@ -124,7 +124,7 @@ class ObjectLoop:
 
     def problems(self) -> list[str]:
         """What is wrong with the latest plan."""
-        update = self.mppi.found()
+        update = self.optimizer.found()
         return [] if not update.lost and update.effective_samples > 0.999 else ["lost samples, or none effective"]
 
     def stages(self, repeats: int) -> dict[str, float]:

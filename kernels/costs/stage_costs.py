@@ -98,9 +98,9 @@ def reference_term(w: RobotWeights, s: Stage) -> float:
 
 @term("approach")
 def approach_term(w: RobotWeights, s: Stage) -> float:
-    """Tool and object apart: ``w_ee max(|x_ee - x_o|^2 - r_0^2, 0)`` (equation 17); none where guided."""
+    """Tool and object apart: ``w_ee max(|x_ee - x_o|^2 - r_0^2, 0)`` (equation 17); none while repositioning."""
     cost = float(0.0)
-    if s.guide[3] <= 0.0:
+    if s.waypoint[3] <= 0.0:
         center = wp.vec3(s.pose[0], s.pose[1], 0.5 * s.top)
         cost = w.w_ee * wp.max(wp.length_sq(s.tip - center) - w.r_0 * w.r_0, 0.0)
     return cost
@@ -111,10 +111,10 @@ def align_term(w: RobotWeights, s: Stage) -> float:
     """Tool not behind the object: ``w_align max(gamma_0 - cos(x_o - x_ee, x_target - x_o), 0)`` (equations 17 and 18).
 
     Closer than ``align_fade`` to the target the direction loses its meaning, and the cost its weight; 0 turns that off.
-    There is none where the tool is guided.
+    There is none while repositioning.
     """
     cost = float(0.0)
-    if s.guide[3] <= 0.0:
+    if s.waypoint[3] <= 0.0:
         push = wp.vec2(s.pose[0], s.pose[1]) - wp.vec2(s.tip[0], s.tip[1])
         way = wp.vec2(s.target[0], s.target[1]) - wp.vec2(s.pose[0], s.pose[1])
         length = wp.length(way)
@@ -143,9 +143,9 @@ def tilt_term(w: RobotWeights, s: Stage) -> float:
 
 @term("height")
 def height_term(w: RobotWeights, s: Stage) -> float:
-    """Tip off its height above the table: ``w_height (z_ee - height)^2``; none where the tool is guided."""
+    """Tip off its height above the table: ``w_height (z_ee - height)^2``; none while repositioning."""
     cost = float(0.0)
-    if s.guide[3] <= 0.0:
+    if s.waypoint[3] <= 0.0:
         cost = w.w_height * squared(s.tip[2] - w.height)
     return cost
 
@@ -207,12 +207,12 @@ def topple_term(w: RobotWeights, s: Stage) -> float:
     return cost
 
 
-@term("guide")
-def guide_term(w: RobotWeights, s: Stage) -> float:
-    """Tip away from where it is called to while the object is let go: the guide's weight times the distance squared."""
+@term("waypoint")
+def waypoint_term(w: RobotWeights, s: Stage) -> float:
+    """Tip away from its waypoint while repositioning: the waypoint's weight times the squared distance."""
     cost = float(0.0)
-    if s.guide[3] > 0.0:
-        cost = s.guide[3] * wp.length_sq(s.tip - wp.vec3(s.guide[0], s.guide[1], s.guide[2]))
+    if s.waypoint[3] > 0.0:
+        cost = s.waypoint[3] * wp.length_sq(s.tip - wp.vec3(s.waypoint[0], s.waypoint[1], s.waypoint[2]))
     return cost
 
 

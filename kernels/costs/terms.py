@@ -17,7 +17,7 @@ FREE = wp.constant(1.0)
 """Clearance of an object that is not being pushed, for costs [m]."""
 
 OVER = wp.constant(0.01)
-"""Height above the object's top from which a tip that is guided over it costs nothing [m]."""
+"""Height above the object's top from which a tip may cross it while it is repositioned [m]."""
 
 ExtraTerms = tuple[tuple[str, wp.Function], ...]
 """Cost terms from outside the package: names, and functions ``(s: Stage) -> float`` of the unweighted cost."""
@@ -75,8 +75,7 @@ class Stage:
         rise: Speed at which the tip rises while it pushes [m/s].
         speed_squared: Squared norm of the joint velocities [rad^2/s^2].
         collision: Contact force of robot and environment, lambda_3 [N].
-        guide: Where the tip is called to while the object is let go (x, y, z [m]), and the weight of that [1/m^2]; a
-            weight of zero is none.
+        waypoint: Waypoint of the tip while it is repositioned (x, y, z [m]), and its weight [1/m^2]; zero is none.
     """
 
     tip: wp.vec3
@@ -97,7 +96,7 @@ class Stage:
     rise: float
     speed_squared: float
     collision: float
-    guide: wp.vec4
+    waypoint: wp.vec4
 
 
 def module_of(name: str, extra: ExtraTerms) -> dict[str, str]:

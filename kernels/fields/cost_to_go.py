@@ -13,6 +13,14 @@ HOME = wp.constant(0.05)
 ON_PLAN = wp.constant(0.02)
 """Distance from a plan's poses, turning counted, within which a way is on the plan [m]."""
 
+HEADWAY = wp.constant(0.7)
+"""Decrease of the cost-to-go per metre of a step along the gradient, below which the gradient is not trusted. It is 1
+where the field is smooth, and less at kinks and beside obstacles."""
+
+DETOUR = wp.constant(0.4)
+"""What a metre to a node costs when the best node around a pose is chosen. It is less than the half that a metre along
+a plan costs, so that a node further down the plan always wins over the nearest."""
+
 
 @wp.struct
 class Tolls:
@@ -158,7 +166,7 @@ def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) ->
     size = wp.length(slope)
     if size > 1.0e-6:
         ahead = pose - (step / size) * wp.cw_mul(scale, slope)
-        if pose_field(to_go, ahead)[0] < field[0] - 0.7 * step:
+        if pose_field(to_go, ahead)[0] < field[0] - HEADWAY * step:
             return ahead
     turns = to_go.values.shape[0]
     x = (pose[0] - to_go.origin[0]) * to_go.inv_step
@@ -180,7 +188,7 @@ def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) ->
                         (float(j) - y) / to_go.inv_step,
                         yaw_length * (float(t0 + a) - t) / to_go.inv_yaw_step,
                     )
-                    value = to_go.values[((t0 + a) % turns + turns) % turns, i, j] + 0.4 * wp.length(to)
+                    value = to_go.values[((t0 + a) % turns + turns) % turns, i, j] + DETOUR * wp.length(to)
                     if value < least:
                         least = value
                         way = to

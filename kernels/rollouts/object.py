@@ -4,7 +4,7 @@ import warp as wp
 
 from oimppi_warp.kernels.costs.stage_costs import ObjectWeights, object_cost
 from oimppi_warp.kernels.geometry import PoseField, pose_field
-from oimppi_warp.kernels.pushing import ObjectModel, settle
+from oimppi_warp.kernels.pushing import ObjectModel, mobility, settle
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,15 +30,14 @@ def object_rollout(
     ``poses`` [sample, horizon + 1] or empty.
     """
     k = first + wp.tid()
-    ease = 1.0 / (model.radius * model.radius)
-    mobility = wp.vec3(1.0, 1.0, ease) * (dt / model.force)
+    travel = mobility(model) * (dt / model.force)  # D dt
     pose = start[0]
     keep = k < poses.shape[0]
     if keep:
         poses[k, 0] = pose
     cost = float(0.0)
     for h in range(wrenches.shape[1]):
-        settled = settle(model, pose + wp.cw_mul(mobility, wrenches[k, h]), dt)
+        settled = settle(model, pose + wp.cw_mul(travel, wrenches[k, h]), dt)
         pose = settled.pose
         way = float(0.0)
         if weights.w_to_go > 0.0:

@@ -90,7 +90,7 @@ def _finish(gprim: UsdGeom.Gprim, color: Color | None, collide: bool, opacity: f
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), Usd.TimeCode.Default())
     gprim.CreateExtentAttr(extent)
     if color is None:
-        gprim.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        gprim.CreatePurposeAttr(UsdGeom.Tokens.waypoint)
     else:
         gprim.CreateDisplayColorAttr([Gf.Vec3f(*color)])
     if opacity < 1.0:

@@ -60,7 +60,7 @@ class Warmup:
         from oimppi_warp.compute.device import start_warp
         from oimppi_warp.config.presets import best
         from oimppi_warp.physics.world import World
-        from oimppi_warp.planning.methods import make_planner
+        from oimppi_warp.planning.factory import make_planner
         from oimppi_warp.plants.plant import SimulatedPlant
         from oimppi_warp.runtime.estimator import Estimator
         from oimppi_warp.usd import load_scene

@@ -12,7 +12,7 @@ from oimppi_warp.config.settings import (
     Mppi,
     ObjectCost,
     ObjectLevel,
-    Regrasp,
+    Reposition,
     RobotCost,
     RobotLevel,
 )
@@ -57,7 +57,7 @@ def paper(method: str = "cloi") -> Config:
     return Config(
         preset="paper",
         reference="time",
-        regrasp=Regrasp(stall_seconds=0.0),
+        reposition=Reposition(stall_seconds=0.0),
         robot=RobotLevel(optimizer=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
         object=ObjectLevel(optimizer=replace(mppi, horizon=object_horizon), noise_range=0.0),
         cost=RobotCost(
@@ -93,7 +93,7 @@ def lab(method: str = "cloi") -> Config:
         base,
         preset="lab",
         robot=replace(base.robot, optimizer=replace(base.robot.optimizer, samples=512), joint_velocity_limit=0.4),
-        regrasp=replace(base.regrasp, stall_seconds=7.5, longest_seconds=8.0),
+        reposition=replace(base.reposition, stall_seconds=7.5, longest_seconds=8.0),
         object=replace(base.object, optimizer=replace(base.object.optimizer, samples=512)),
     )
 

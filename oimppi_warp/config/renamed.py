@@ -16,6 +16,8 @@ from collections.abc import Mapping
 SETTINGS: Mapping[str, str] = {
     "robot.mppi": "robot.optimizer",
     "object.mppi": "object.optimizer",
+    "regrasp": "reposition",
+    "regrasp.w_guide": "reposition.w_waypoint",
 }
 """Settings and groups of settings: the present dotted name by the old one."""
 

@@ -321,21 +321,21 @@ class RobotCost:
 
 
 @dataclass(frozen=True)
-class Regrasp:
-    """Letting go of an object that makes no headway, to push it from another side; not in the paper."""
+class Reposition:
+    """Repositioning: an object that makes no headway is pushed from another side; not in the paper."""
 
     stall_seconds: float = setting(
-        3.0, "Time without headway after which the arm lets go; 0 turns letting go off.", unit="s"
+        3.0, "Time without headway after which the tool is repositioned; 0 turns repositioning off.", unit="s"
     )
     headway: float = setting(
         0.01,
         "Decrease of the way left to the goal that counts as headway, below the least since the arm began to push.",
         unit="m",
     )
-    w_guide: float = setting(
-        400.0, "Weight of the tip's squared distance to where it is sent after letting go.", unit="1/m^2"
+    w_waypoint: float = setting(
+        400.0, "Weight of the tip's squared distance to its waypoint while it is repositioned.", unit="1/m^2"
     )
-    longest_seconds: float = setting(4.0, "Time after which the arm is no longer sent there.", unit="s")
+    longest_seconds: float = setting(4.0, "Longest time that a repositioning may take.", unit="s")
 
 
 @dataclass(frozen=True)
@@ -368,7 +368,7 @@ class Config:
         "How SOI's robot level reads the object plan: by the time since it was made (the paper), or by progress, from "
         "where the object is on.",
     )
-    regrasp: Regrasp = group(Regrasp(), "When an object that makes no headway is let go.")
+    reposition: Reposition = group(Reposition(), "When the tool is repositioned, to push from another side.")
     robot: RobotLevel = group(RobotLevel(), "The robot level.")
     object: ObjectLevel = group(ObjectLevel(), "The object level.")
     cost: RobotCost = group(RobotCost(), "Weights of the robot level.")

@@ -64,6 +64,11 @@ class LimitSurface:
     radius: float
     force: float
 
+    @property
+    def mobility(self) -> np.ndarray:
+        """Diagonal of the mobility ``D`` (equation 5), shape [3] [m/(N s), m/(N s), rad/(N m s)]."""
+        return np.array([1.0, 1.0, 1.0 / self.radius**2]) / self.force
+
 
 def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrix of a unit quaternion (x, y, z, w), shape [3, 3]."""

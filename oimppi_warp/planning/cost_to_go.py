@@ -16,6 +16,14 @@ _SWEEPS = 200
 _SETTLED = 1e-4
 """Improvement in all 8 directions below which it is done [m]."""
 _UNKNOWN = 1e3
+_COMFORT = 0.02
+"""Clearance below which a metre costs more [m]: two cells of phi_2."""
+_CROWDED = 3.0
+"""What a metre costs more at no clearance: a detour of four times the length is taken before touching an obstacle."""
+_OUT_OF_REACH = 10.0
+"""What a metre costs where the arm pushes badly: crossed only where there is no other way."""
+_BLOCKED = 40.0
+"""What a metre costs inside an obstacle: more than any free way, but finite, so that every pose knows its way out."""
 _ALONG = 0.5
 """What a metre along a known way costs: the cost-to-go leads onto it, and stays on it past a shorter way beside it."""
 _NEAR = 4.0 * STEP
@@ -50,8 +58,8 @@ def build_to_go(
     host.values = clearance.values.to("cpu")
     host.origin, host.inv_step, host.inv_yaw_step = clearance.origin, clearance.inv_step, clearance.inv_yaw_step
     tolls = kernels.Tolls()
-    tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = yaw_length, 0.02, 3.0, 40.0
-    tolls.reach_lower, tolls.reach_upper, tolls.far = reach[0], min(reach[1], 1e3), 10.0
+    tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = yaw_length, _COMFORT, _CROWDED, _BLOCKED
+    tolls.reach_lower, tolls.reach_upper, tolls.far = reach[0], min(reach[1], 1e3), _OUT_OF_REACH
 
     def compute() -> np.ndarray:
         to_go = wp.full(host.values.shape, _UNKNOWN, dtype=float, device="cpu")

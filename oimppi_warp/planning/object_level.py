@@ -26,12 +26,12 @@ class ObjectLevel:
         self._dynamics = ObjectDynamics(
             geometry, config.object, config.object_cost, goal=goal, dt=config.control_period, compute=compute
         )
-        self.mppi = make_optimizer(self._dynamics, config.object.optimizer, seed=seed)
+        self.optimizer = make_optimizer(self._dynamics, config.object.optimizer, seed=seed)
         self._level = config.object
         self._goal = goal
         self.path = self._dynamics.path
         self.to_go = self._dynamics.to_go if config.object_cost.w_to_go > 0.0 else None
-        self.launches = [*self.mppi.improve, self._dynamics.trace(self.mppi.nominal), self.mppi.shift]
+        self.launches = [*self.optimizer.improve, self._dynamics.trace(self.optimizer.nominal), self.optimizer.shift]
         self.setup_seconds = self._dynamics.setup_seconds
 
     def set_state(self, pose: np.ndarray) -> None:
@@ -40,7 +40,7 @@ class ObjectLevel:
         share = 1.0
         if self._level.noise_range > 0.0:
             share = float(np.clip(left / self._level.noise_range, 0.1, 1.0))
-        self.mppi.noise.host[0] = np.diag(share * self._level.noise * self._dynamics.bound)
+        self.optimizer.noise.host[0] = np.diag(share * self._level.noise * self._dynamics.bound)
         self._dynamics.set_state(pose)
 
     def to_go_from(self, pose: np.ndarray) -> float:

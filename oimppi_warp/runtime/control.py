@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from oimppi_warp.observation import Observation, check_shapes
-from oimppi_warp.planning.robot_level import Plan
+from oimppi_warp.planning.plan import Plan
 from oimppi_warp.plants.plant import Plant, latency_of
 from oimppi_warp.runtime.estimator import Estimator, Event
 

@@ -19,9 +19,9 @@ from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.factory import make_planner
+from oimppi_warp.planning.plan import Plan
 from oimppi_warp.planning.resolve import entries_used, resolve
-from oimppi_warp.planning.robot_level import Plan
 from oimppi_warp.plants.plant import ContactPlant, Plant, TruthfulPlant, has_tipped, latency_of
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error

@@ -18,7 +18,7 @@ from oimppi_warp.kernels.fields import distance
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.planning.engines.dynamics import RolloutTask
 from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
-from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.optimizers.optimizer import make_optimizer
 from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene

@@ -261,8 +261,8 @@ class Session:
             return "paused"
         if self._problem_of_plan:
             return f"stopped: {self._problem_of_plan}"
-        if self._episode.planner.letting_go:
-            return "no headway: letting go, to push from another side"
+        if self._episode.planner.repositioning:
+            return "no headway: repositioning, to push from another side"
         return "pushing"
 
 

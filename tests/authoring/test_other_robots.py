@@ -16,7 +16,7 @@ from support.tasks import DT, Pushing, block, box, joints_at, observe, shipped, 
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best, lab
-from oimppi_warp.config.settings import Regrasp
+from oimppi_warp.config.settings import Reposition
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.geometry.fields import build_geometry, from_center
@@ -26,9 +26,9 @@ from oimppi_warp.kernels.costs.stage_costs import TERMS
 from oimppi_warp.physics.world import World
 from oimppi_warp.planning.engines.newton_threads import NewtonThreads
 from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
-from oimppi_warp.planning.methods import make_planner
-from oimppi_warp.planning.reposition import Regrasping
-from oimppi_warp.planning.robot_level import Planner
+from oimppi_warp.planning.factory import make_planner
+from oimppi_warp.planning.planner import Planner
+from oimppi_warp.planning.reposition import Repositioner
 from oimppi_warp.plants.plant import SimulatedPlant
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.runtime.episode import Episode
@@ -261,23 +261,23 @@ def test_the_batched_worlds_do_what_the_threads_do(name):
     np.testing.assert_allclose(found[0], found[1], atol=5e-4)
 
 
-# Letting go
+# Repositioning
 
 
 def test_a_point_goes_around_the_object_where_an_arm_goes_over_it():
-    settings = Regrasp(stall_seconds=0.1, headway=0.01, w_guide=50.0, longest_seconds=9.0)
+    settings = Reposition(stall_seconds=0.1, headway=0.01, w_waypoint=50.0, longest_seconds=9.0)
     pose, tip = np.array([0.40, 0.0, 0.0]), np.array([0.40, 0.06, 0.012])
     reference_poses = pose + np.linspace(0.0, 2.0, 31)[:, None] * np.array([0.0, 0.05, 0.0])
     highest = {}
     for name in ("task01", "point01"):
         scene = replace(shipped(name), object=block((0.16, 0.04, 0.05)))
-        watching = Regrasping(scene, build_geometry(scene, "cpu"), settings, turn=True, height=0.012, period=DT)
+        watching = Repositioner(scene, build_geometry(scene, "cpu"), settings, turn=True, height=0.012, period=DT)
         at, stops = tip, []
         for _ in range(400):
-            guide = watching.guide(at, pose, reference_poses, 0.5)
-            if guide[3] > 0.0:
-                stops.append(guide[:3])
-                at = guide[:3]
+            waypoint = watching.waypoint(at, pose, reference_poses, 0.5)
+            if waypoint[3] > 0.0:
+                stops.append(waypoint[:3])
+                at = waypoint[:3]
             elif stops:
                 break
         way = shapely.LineString(np.array([tip, *stops])[:, :2])
@@ -294,7 +294,7 @@ def test_a_point_takes_the_free_way_around():
     scene = replace(shipped("point01"), object=block((0.16, 0.04, 0.05)))
     wall = box(0.55, 0.0, (0.06, 0.3, 0.1))
     scene = replace(scene, obstacles=(Obstacle("/wall", (wall,)),))
-    watching = Regrasping(scene, build_geometry(scene, "cpu"), Regrasp(), turn=True, height=0.012, period=DT)
+    watching = Repositioner(scene, build_geometry(scene, "cpu"), Reposition(), turn=True, height=0.012, period=DT)
     body = shapely.box(0.32, -0.02, 0.48, 0.02)
     for begin in (0.36, 0.44):  # the shorter way from the second is past the wall
         way = watching._around(np.array([begin, 0.05]), np.array([begin, -0.05]), body)

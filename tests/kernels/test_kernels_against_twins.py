@@ -171,7 +171,7 @@ def test_overlapping_squares_are_as_deep_as_their_shortest_way_out():
 
 def random_case(kind: Any) -> dict[str, Any]:
     vectors = {"tip", "up", "pose", "goal", "reference", "target"}
-    sizes = dict.fromkeys(vectors, 3) | {"lean": 2, "velocity": 2, "guide": 4}
+    sizes = dict.fromkeys(vectors, 3) | {"lean": 2, "velocity": 2, "waypoint": 4}
     return {
         name: RANDOM.uniform(-0.6, 0.6, sizes[name]) if name in sizes else float(RANDOM.uniform(-0.02, 0.05))
         for name in kind.vars

@@ -13,7 +13,7 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.planning.engine_choice import choose
 from oimppi_warp.planning.engines import newton
-from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.registries import ENGINES
 
 

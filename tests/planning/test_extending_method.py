@@ -14,7 +14,7 @@ from oimppi_warp.bench.results import load_results
 from oimppi_warp.bench.runner import BenchError, SuiteRun
 from oimppi_warp.bench.suite import Suite, load_suite
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.planning.robot_level import Planner
+from oimppi_warp.planning.planner import Planner
 from oimppi_warp.plots.style import FURTHER_COLORS
 from oimppi_warp.registries import METHODS
 

@@ -27,9 +27,12 @@ from oimppi_warp.errors import ConfigError, DeviceError
 from oimppi_warp.geometry.fields import from_center, pose_field_at, to_center
 from oimppi_warp.geometry.kinematics import tip_jacobian
 from oimppi_warp.observation import Observation
+from oimppi_warp.planning.cloi import ClosedLoopPlanner
 from oimppi_warp.planning.cost_to_go import build_to_go
-from oimppi_warp.planning.methods import ClosedLoopPlanner, SequentialPlanner, make_planner
-from oimppi_warp.planning.robot_level import Plan, Planner
+from oimppi_warp.planning.factory import make_planner
+from oimppi_warp.planning.plan import Plan
+from oimppi_warp.planning.planner import Planner
+from oimppi_warp.planning.soi import SequentialPlanner
 from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene
 
@@ -141,8 +144,8 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others(method):
 def test_the_two_levels_draw_noise_of_their_own():
     planner = make(shipped("task01"))
     assert isinstance(planner, ClosedLoopPlanner)
-    assert planner.mppi.seed != planner._object.mppi.seed
-    assert len({make(shipped("task01"), seed=seed).mppi.seed for seed in range(4)}) == 4
+    assert planner.optimizer.seed != planner._object.optimizer.seed
+    assert len({make(shipped("task01"), seed=seed).optimizer.seed for seed in range(4)}) == 4
 
 
 @pytest.mark.parametrize("seed", [2**31 - 1, 2**31, 2**32 - 1])
@@ -356,7 +359,7 @@ def test_a_plan_that_did_not_arrive_leads_nowhere():
     planner.start(observe(scene))
     found = referenced(planner, to_center(planner.geometry.surface, np.array([0.45, -0.12, 0.5])))
     assert min(planner.geometry.clearance_at(pose) for pose in found) > -0.003, "not straight through the cube"
-    assert planner._to_go_from(found[-1]) < planner._to_go_from(found[0]) - 0.1
+    assert planner.to_go_from(found[-1]) < planner.to_go_from(found[0]) - 0.1
 
 
 def test_a_turn_more_of_the_object_changes_nothing_of_soi_s_reference(sequential):
@@ -374,7 +377,7 @@ def test_soi_leads_an_object_that_is_off_the_plan_a_free_way_back(sequential):
     np.testing.assert_allclose(found[0], off, atol=1e-6)
     assert min(planner.geometry.clearance_at(pose) for pose in found) > -0.003
     assert np.abs(np.diff(found, axis=0)).max() < 0.1, "no jumps, no turns around"
-    to_go = [planner._to_go_from(pose) for pose in (found[0], found[-1])]
+    to_go = [planner.to_go_from(pose) for pose in (found[0], found[-1])]
     assert to_go[1] < to_go[0] - 0.1
 
 
@@ -383,15 +386,15 @@ def test_an_object_that_does_not_get_on_is_let_go_and_the_tip_called_elsewhere()
     planner = make(scene, "cloi")
     seen = observe(scene)
     planner.start(seen)
-    stall = round(planner.config.regrasp.stall_seconds / DT)
+    stall = round(planner.config.reposition.stall_seconds / DT)
     called = []
     for _ in range(stall + 5):  # nothing moves, whatever is commanded
         planner.plan(seen)
-        called.append(planner.dynamics.guide.host[0][3])
-    assert not any(called[: stall - 2]) and called[-1] == planner.config.regrasp.w_guide
+        called.append(planner.dynamics.waypoint.host[0][3])
+    assert not any(called[: stall - 2]) and called[-1] == planner.config.reposition.w_waypoint
     planner.start(seen)
     planner.plan(seen)
-    assert planner.dynamics.guide.host[0][3] == 0.0, "another episode begins anew"
+    assert planner.dynamics.waypoint.host[0][3] == 0.0, "another episode begins anew"
 
 
 def test_a_reference_is_held_at_its_end():

@@ -1,4 +1,4 @@
-"""Letting go: when, from which side the object is pushed next, and how the tip gets there."""
+"""Repositioning: when, to which side of the object, and along which waypoints."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from support.tasks import DT, block, box, task
 
-from oimppi_warp.config.settings import Regrasp
+from oimppi_warp.config.settings import Reposition
 from oimppi_warp.geometry.fields import build_geometry
-from oimppi_warp.planning.reposition import Regrasping
+from oimppi_warp.planning.reposition import Repositioner
 from oimppi_warp.scene import Scene
 
-SETTINGS = Regrasp(stall_seconds=1.0, headway=0.01, w_guide=50.0, longest_seconds=2.0)
+SETTINGS = Reposition(stall_seconds=1.0, headway=0.01, w_waypoint=50.0, longest_seconds=2.0)
 HEIGHT = 0.012
 POSE = np.array([0.40, 0.0, 0.0])
 LONG = (0.16, 0.04, 0.05)
 """A block, long in x."""
 
 
-def watch(scene: Scene, settings: Regrasp = SETTINGS, *, turn: bool = True) -> Regrasping:
-    return Regrasping(scene, build_geometry(scene, "cpu"), settings, turn=turn, height=HEIGHT, period=DT)
+def watch(scene: Scene, settings: Reposition = SETTINGS, *, turn: bool = True) -> Repositioner:
+    return Repositioner(scene, build_geometry(scene, "cpu"), settings, turn=turn, height=HEIGHT, period=DT)
 
 
 def led(*move: float) -> np.ndarray:
@@ -29,37 +29,37 @@ def led(*move: float) -> np.ndarray:
     return POSE + np.linspace(0.0, 2.0, 31)[:, None] * np.array(move)
 
 
-def stalled(watching: Regrasping, tip: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Where the tip is called to first, once the object has not got on for long."""
+def stalled(watching: Repositioner, tip: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """The first waypoint, once the object has made no headway for long."""
     for _ in range(100):
-        guide = watching.guide(tip, POSE, reference, 0.5)
-        if guide[3] > 0.0:
-            return guide
-    raise AssertionError("never let go")
+        waypoint = watching.waypoint(tip, POSE, reference, 0.5)
+        if waypoint[3] > 0.0:
+            return waypoint
+    raise AssertionError("never repositioned")
 
 
-def last_stop(watching: Regrasping) -> np.ndarray:
-    return watching._stops[-1]
+def last_stop(watching: Repositioner) -> np.ndarray:
+    return watching._waypoints[-1]
 
 
 def test_an_object_that_gets_on_is_not_let_go():
     watching = watch(task(pushed=block()))
     for step in range(200):
-        guide = watching.guide(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 1.0 - 0.002 * step)
-        assert not guide.any()
+        waypoint = watching.waypoint(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 1.0 - 0.002 * step)
+        assert not waypoint.any()
 
 
 def test_an_object_that_stands_still_is_let_go_after_the_time_set():
     watching = watch(task(pushed=block()))
-    calls = [watching.guide(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 0.5)[3] for _ in range(25)]
-    assert np.argmax(np.array(calls) > 0.0) == pytest.approx(SETTINGS.stall_seconds / DT + 1, abs=1)
-    assert max(calls) == SETTINGS.w_guide
+    weights = [watching.waypoint(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 0.5)[3] for _ in range(25)]
+    assert np.argmax(np.array(weights) > 0.0) == pytest.approx(SETTINGS.stall_seconds / DT + 1, abs=1)
+    assert max(weights) == SETTINGS.w_waypoint
 
 
 def test_a_stall_time_of_zero_turns_it_off():
     watching = watch(task(pushed=block()), replace(SETTINGS, stall_seconds=0.0))
     for _ in range(200):
-        assert not watching.guide(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 0.5).any()
+        assert not watching.waypoint(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 0.5).any()
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_the_side_that_did_not_work_is_not_tried_again():
     stalled(watching, behind, led(0.0, 0.05, 0.0))
     first = last_stop(watching).copy()
     assert np.linalg.norm(first[:2] - behind[:2]) > 0.04
-    while watching.guide(behind, POSE, led(0.0, 0.05, 0.0), 0.5).any():
+    while watching.waypoint(behind, POSE, led(0.0, 0.05, 0.0), 0.5).any():
         pass
     stalled(watching, behind, led(0.0, 0.05, 0.0))
     assert np.linalg.norm(last_stop(watching)[:2] - first[:2]) > 0.04
@@ -120,21 +120,21 @@ def test_the_tip_goes_over_an_object_that_is_in_its_way_and_straight_where_none_
     top = build_geometry(scene, "cpu").top
     watching = watch(scene)
     tip = np.array([POSE[0], 0.09, 0.012])
-    guide = stalled(watching, tip, led(0.0, 0.05, 0.0))
-    up, over, down = watching._stops
-    np.testing.assert_array_equal(up, guide[:3])
+    waypoint = stalled(watching, tip, led(0.0, 0.05, 0.0))
+    up, over, down = watching._waypoints
+    np.testing.assert_array_equal(up, waypoint[:3])
     np.testing.assert_allclose(up[:2], tip[:2], atol=1e-9)
     assert up[2] == over[2] > top + 0.02 and down[2] == HEIGHT
     np.testing.assert_allclose(over[:2], down[:2])
     for stop in (up, over):
-        np.testing.assert_array_equal(watching._stops[0], stop)
-        watching.guide(stop, POSE, led(0.0, 0.05, 0.0), 0.5)
-    assert len(watching._stops) == 1
-    assert not watching.guide(down, POSE, led(0.0, 0.05, 0.0), 0.5).any(), "there: nothing more to call for"
+        np.testing.assert_array_equal(watching._waypoints[0], stop)
+        watching.waypoint(stop, POSE, led(0.0, 0.05, 0.0), 0.5)
+    assert len(watching._waypoints) == 1
+    assert not watching.waypoint(down, POSE, led(0.0, 0.05, 0.0), 0.5).any(), "there: no waypoint is left"
 
     free = watch(scene)
     stalled(free, np.array([POSE[0] - 0.12, -0.06, 0.012]), led(0.0, 0.05, 0.0))
-    assert len(free._stops) == 1 and free._stops[0][2] == HEIGHT
+    assert len(free._waypoints) == 1 and free._waypoints[0][2] == HEIGHT
 
 
 def test_a_tool_that_touches_the_object_steps_aside_as_it_rises():
@@ -142,28 +142,28 @@ def test_a_tool_that_touches_the_object_steps_aside_as_it_rises():
     watching = watch(scene)
     touching = np.array([POSE[0], 0.5 * LONG[1] + scene.robot.tool_radius, 0.012])
     stalled(watching, touching, led(0.0, 0.05, 0.0))
-    up = watching._stops[0]
+    up = watching._waypoints[0]
     assert up[2] > touching[2] and up[1] > touching[1] + 0.02
 
 
 def test_a_tip_that_is_over_the_object_goes_out_past_its_rim_as_it_rises():
     watching = watch(task(pushed=block(LONG)))
     stalled(watching, np.array([POSE[0], 0.5 * LONG[1] - 0.005, 0.06]), led(0.0, 0.05, 0.0))
-    assert watching._stops[0][1] > 0.5 * LONG[1] + 0.02
+    assert watching._waypoints[0][1] > 0.5 * LONG[1] + 0.02
 
 
 def test_what_is_not_known_calls_nowhere_and_leaves_no_trace():
     watching = watch(task(pushed=block(LONG)))
     tip, lost = np.array([POSE[0], 0.09, 0.012]), np.full(3, np.nan)
     for _ in range(100):
-        assert not watching.guide(tip, lost, led(0.0, 0.05, 0.0), np.nan).any()
-    calls = [watching.guide(tip, POSE, led(0.0, 0.05, 0.0), 0.5)[3] for _ in range(25)]
-    assert np.isfinite(calls).all() and not any(calls[:18]) and any(calls)
+        assert not watching.waypoint(tip, lost, led(0.0, 0.05, 0.0), np.nan).any()
+    weights = [watching.waypoint(tip, POSE, led(0.0, 0.05, 0.0), 0.5)[3] for _ in range(25)]
+    assert np.isfinite(weights).all() and not any(weights[:18]) and any(weights)
 
 
 def test_a_call_is_given_up_in_time():
     watching = watch(task(pushed=block(LONG)))
     tip = np.array([POSE[0], 0.06, 0.012])
     stalled(watching, tip, led(0.0, 0.05, 0.0))
-    calls = [watching.guide(tip, POSE, led(0.0, 0.05, 0.0), 0.5).any() for _ in range(60)]
-    assert sum(calls) == pytest.approx(SETTINGS.longest_seconds / DT, abs=2)
+    weights = [watching.waypoint(tip, POSE, led(0.0, 0.05, 0.0), 0.5).any() for _ in range(60)]
+    assert sum(weights) == pytest.approx(SETTINGS.longest_seconds / DT, abs=2)

@@ -13,7 +13,8 @@ from oimppi_warp.config.presets import PRESETS, best, lab
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.tipping import can_tip
 from oimppi_warp.kernels.costs.stage_costs import ObjectWeights, RobotWeights
-from oimppi_warp.planning.methods import ClosedLoopPlanner, make_planner
+from oimppi_warp.planning.cloi import ClosedLoopPlanner
+from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.resolve import resolve
 from oimppi_warp.record.log import to_json
 from oimppi_warp.usd import shipped_scenes

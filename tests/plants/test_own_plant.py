@@ -15,8 +15,8 @@ from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError, ObservationError, OimppiError
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planning.methods import make_planner
-from oimppi_warp.planning.robot_level import Planner
+from oimppi_warp.planning.factory import make_planner
+from oimppi_warp.planning.planner import Planner
 from oimppi_warp.plants.plant import ContactPlant, MovablePlant, SimulatedPlant, TruthfulPlant, ideal_plant
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.registries import PLANTS

@@ -260,8 +260,8 @@ def topple_cost(w: RobotCost, tip: np.ndarray, rotation: np.ndarray, velocity: n
     return share * (w.w_overhang * overhang**2 + w.w_rush * max(float(velocity @ way) - speed, 0.0) ** 2)
 
 
-NO_GUIDE = np.zeros(4)
-"""A guide that calls nowhere."""
+NO_WAYPOINT = np.zeros(4)
+"""No waypoint: its weight is zero."""
 
 
 def robot_cost(
@@ -284,7 +284,7 @@ def robot_cost(
     rise: float,
     speed_squared: float,
     collision: float = 0.0,
-    guide: np.ndarray = NO_GUIDE,
+    waypoint: np.ndarray = NO_WAYPOINT,
     edge: tuple[np.ndarray, np.ndarray] = (np.full(2, -np.inf), np.full(2, np.inf)),
     topple_speed: float = 0.0,
     size: float = 0.0,
@@ -295,12 +295,12 @@ def robot_cost(
         "goal": w.w_d * pose_distance_squared(pose, goal, w.w_theta) + w.w_to_go * to_go,
         "contact": w.w_f * max(force - w.f_0, 0.0) ** 2 + w.w_margin * max(w.margin - gap, 0.0) ** 2,
         "reference": w.w_reference * pose_distance_squared(pose, reference, w.w_theta),
-        "approach": 0.0 if guide[3] > 0.0 else w.w_ee * max(np.sum((tip - center) ** 2) - w.r_0**2, 0.0),
+        "approach": 0.0 if waypoint[3] > 0.0 else w.w_ee * max(np.sum((tip - center) ** 2) - w.r_0**2, 0.0),
         "align": 0.0
-        if guide[3] > 0.0
+        if waypoint[3] > 0.0
         else w.w_align * align_cost(tip[:2], pose[:2], target[:2], w.gamma_0, w.align_fade),
         "tilt": w.w_tilt * tilt_cost(rotation),
-        "height": 0.0 if guide[3] > 0.0 else w.w_height * (tip[2] - w.height) ** 2,
+        "height": 0.0 if waypoint[3] > 0.0 else w.w_height * (tip[2] - w.height) ** 2,
         "clearance": w.w_clearance * max(w.clearance - room, 0.0) ** 2,
         "above": w.w_above * above,
         "reach": w.w_reach * out_of_reach(pose, w.reach) + w.w_edge * over_edge(pose, edge),
@@ -308,7 +308,7 @@ def robot_cost(
         "control": w.w_control * speed_squared,
         "collision": w.w_collision * max(collision - w.f_0, 0.0),
         "topple": topple_cost(w, tip, rotation, velocity, pose[:2], top, topple_speed, size),
-        "guide": max(guide[3], 0.0) * np.sum((tip - guide[:3]) ** 2),
+        "waypoint": max(waypoint[3], 0.0) * np.sum((tip - waypoint[:3]) ** 2),
     }
 
 

@@ -90,7 +90,7 @@ class RobotDynamics(ABC):
     An engine must define :meth:`rollout`; what it computes starts from :attr:`observation` and :attr:`goal`, or from
     what :meth:`set_state` makes of them. All else is optional. :meth:`trace`, :meth:`traced` and :meth:`paths` serve
     logs and the viewer; as they are here, they say what plans cost and show the arm and the object where they stand.
-    An engine may ignore ``guide``; then letting go of a stuck object has no effect with it.
+    An engine may ignore ``waypoint``; repositioning then has no effect with it.
 
     Engines are entries of :data:`oimppi_warp.registries.ENGINES`: a subclass, or any callable that takes a
     :class:`RolloutTask` and returns an instance of one.
@@ -111,7 +111,7 @@ class RobotDynamics(ABC):
         compute: Where it computes.
         reference: Where the object should be at each step from now, poses of its friction centre, an input of the step
             (:class:`oimppi_warp.compute.step.Compute`), [horizon + 1 + align_ahead].
-        guide: Where the tip is called to and the weight of that, an input [1] of (x, y, z [m], weight [1/m^2]).
+        waypoint: Waypoint of the tip while it is repositioned, an input [1] of (x, y, z [m], weight [1/m^2]).
         observation: The state to plan from.
         goal: The goal [3] of the object's friction centre.
     """
@@ -129,7 +129,7 @@ class RobotDynamics(ABC):
         self.size = task.scene.robot.dof
         self.bound = velocity_bound(task.scene, task.level)
         self.reference = task.compute.input(task.level.optimizer.horizon + 1 + task.cost.align_ahead, wp.vec3)
-        self.guide = task.compute.input(1, wp.vec4)
+        self.waypoint = task.compute.input(1, wp.vec4)
         self._costs: wp.array | None = None
 
     @abstractmethod

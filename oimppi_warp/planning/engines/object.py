@@ -42,9 +42,8 @@ class ObjectDynamics:
         device = compute.device
         self._dt = dt
         self._model = object_model(geometry, tool_friction=0.0)
-        # The wrench that moves the object at the speed limit, by x' = D w.
-        resistance = geometry.surface.force * np.array([1.0, 1.0, geometry.surface.radius**2])
-        self.bound = resistance * np.asarray(level.speed_limit) * [1.0, 1.0, float(level.turn)]
+        # The wrench that moves the object at the speed limit: x' = D w.
+        self.bound = np.asarray(level.speed_limit) * [1.0, 1.0, float(level.turn)] / geometry.surface.mobility
         self._weights = ObjectWeights()
         fill_weights(self._weights, cost)
         began = time.perf_counter()

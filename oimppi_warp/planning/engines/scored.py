@@ -40,7 +40,7 @@ class ScoredDynamics(RobotDynamics):
         packed.to_go = no_field(device) if task.to_go is None else task.to_go
         packed.goal = self._goal.array
         packed.reference = self.reference.array
-        packed.guide = self.guide.array
+        packed.waypoint = self.waypoint.array
         packed.dt = task.dt
         self._packed = packed
 

@@ -24,7 +24,7 @@ from oimppi_warp.planning.engines.cost_terms import CostTerm, weighted_terms
 from oimppi_warp.planning.engines.dynamics import control_type
 from oimppi_warp.planning.engines.newton_threads import NewtonThreads
 from oimppi_warp.planning.engines.quasistatic import QuasistaticDynamics
-from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.registries import COST_TERMS
 
 STEPS = 12

@@ -15,7 +15,7 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.planning.engines.dynamics import RobotDynamics
 from oimppi_warp.planning.engines.quasistatic import QuasistaticDynamics
-from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.registries import ENGINES
 
 TARGET = np.array([0.35, 0.15, 0.2])

@@ -13,7 +13,7 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Uncertainty
 from oimppi_warp.kernels.rollouts.uncertainty import combine_costs
 from oimppi_warp.planning.engines.uncertainty import CERTAIN, draw
-from oimppi_warp.planning.methods import make_planner
+from oimppi_warp.planning.factory import make_planner
 
 
 def combined(costs: np.ndarray, worst: int) -> np.ndarray:
@@ -82,6 +82,6 @@ def test_a_robust_plan_heeds_the_worst_draw(shared):
             device="cpu",
         )
         planner.plan(tasks.observe(scene))
-        found[measure] = planner.mppi.costs.numpy()
+        found[measure] = planner.optimizer.costs.numpy()
     assert (found["worst"] >= found["mean"] - 1e-3).all()
     assert (found["worst"] > found["mean"] + 1e-3).any()

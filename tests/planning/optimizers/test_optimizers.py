@@ -20,7 +20,8 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config, Mppi, Sampling
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.kernels.optimizers.update import WeightStats
-from oimppi_warp.planning.methods import ClosedLoopPlanner, make_planner
+from oimppi_warp.planning.cloi import ClosedLoopPlanner
+from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.optimizers.cem import Cem
 from oimppi_warp.planning.optimizers.optimizer import Optimizer, make_optimizer, wrapped_seed
 from oimppi_warp.record.metrics import pose_error
@@ -92,8 +93,8 @@ def test_cem_pushes_the_object_nearer_to_its_goal_than_an_arm_that_stands_still(
     for level in ("robot", "object"):
         config = set_option(config, f"{level}.optimizer.samples=400")
     episode = Episode(loaded, config, method="cloi", engine="quasistatic", device="cpu", seed=1)
-    assert isinstance(episode.planner.mppi, Cem)
-    assert isinstance(episode.planner, ClosedLoopPlanner) and isinstance(episode.planner._object.mppi, Cem)
+    assert isinstance(episode.planner.optimizer, Cem)
+    assert isinstance(episode.planner, ClosedLoopPlanner) and isinstance(episode.planner._object.optimizer, Cem)
     log = episode.run()
     still = pose_error(np.array(loaded.start), loaded.goal)
     assert log["position_error"][-1] < still[0] - 0.05
@@ -173,10 +174,10 @@ def test_an_optimizer_from_outside_is_chosen_set_and_plans(search: str):
     seen = tasks.observe(scene)
     planner.start(seen)
     plan = planner.plan(seen)
-    assert isinstance(planner.mppi, RandomSearch)
-    assert plan.update.min_cost == planner.mppi.costs.numpy().min()
+    assert isinstance(planner.optimizer, RandomSearch)
+    assert plan.update.min_cost == planner.optimizer.costs.numpy().min()
     assert np.abs(plan.command).max() > 0.0
-    cheapest = planner.mppi.controls.numpy()[int(np.argmin(planner.mppi.costs.numpy()))]
+    cheapest = planner.optimizer.controls.numpy()[int(np.argmin(planner.optimizer.costs.numpy()))]
     np.testing.assert_array_equal(plan.command, cheapest[0].astype(float))
 
 

@@ -1,10 +1,12 @@
-"""The robot level of every method, which alone is plain MPPI (the paper's Algorithm 1): it tracks object poses."""
+"""The robot level, common to all methods: joint velocities that make the object follow a reference.
+
+Alone it is plain MPPI (the paper's Algorithm 1), whose reference is the goal.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -21,63 +23,22 @@ from oimppi_warp.planning.engines.factory import make_dynamics
 from oimppi_warp.planning.engines.uncertainty import draw
 from oimppi_warp.planning.object_level import distance
 from oimppi_warp.planning.optimizers.optimizer import Update, make_optimizer
-from oimppi_warp.planning.reposition import Regrasping
+from oimppi_warp.planning.plan import Plan, Samples
+from oimppi_warp.planning.reposition import Repositioner
 from oimppi_warp.scene import Scene
 
 _DAMPING = 0.05
 """Damping of the Jacobian's pseudo-inverse: singular values below it are not inverted [m/rad]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """One control step's plan.
-
-    Attributes:
-        command: Joint velocities to apply now, shape [dof] [rad/s].
-        update: What the robot level found.
-        object_update: What the object level found, if it planned.
-        object_seconds: Wall time that the object level took [s]; NaN where it did not plan, or where nobody can tell
-            because the whole step is one CUDA graph.
-        terms: Weighted cost terms of the robot's nominal, summed over the horizon.
-        tips: Tool tip along the nominal, shape [horizon + 1, 3] [m].
-        object_poses: The object along it, shape [horizon + 1, 3].
-        reference: The object plan that was tracked, from the object's present pose on, shape [n, 3].
-        problem: Why nothing could be planned, so that the command is zero; empty if a plan was made.
-    """
-
-    command: np.ndarray
-    update: Update
-    object_update: Update | None
-    object_seconds: float
-    terms: np.ndarray
-    tips: np.ndarray
-    object_poses: np.ndarray
-    reference: np.ndarray
-    problem: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Some samples of a plan, the cheapest first.
-
-    Attributes:
-        tips: Tool paths, shape [n, steps, 3] [m].
-        weights: Their weights relative to the largest, shape [n].
-        terms: Weighted cost terms of the cheapest.
-    """
-
-    tips: np.ndarray
-    weights: np.ndarray
-    terms: dict[str, float]
-
-
 class Planner:
-    """Plain MPPI, and what the methods that plan the object's motion have in common.
+    """Plain MPPI, and the base of the methods that plan the object's motion.
 
-    A control step is: inputs written, one :meth:`Compute.step`, outputs read. A method is a subclass that says where
-    the reference comes from: it overrides :meth:`set_reference` and, where need be, :meth:`start` and :meth:`tracked`,
-    and puts what a step launches before the robot level into ``object_launches`` in its constructor. It is added to the
-    registry :data:`oimppi_warp.registries.METHODS`.
+    A control step (:meth:`plan`) writes the inputs, runs one :meth:`Compute.step` and reads the outputs. A method is a
+    subclass that says where the reference comes from. It overrides :meth:`set_reference`, and :meth:`start`,
+    :meth:`tracked`, :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` where it needs to; what a
+    step launches before the robot level goes into ``object_launches`` in its constructor. It is registered in
+    :data:`oimppi_warp.registries.METHODS`.
 
     Args:
         scene: The task.
@@ -92,10 +53,10 @@ class Planner:
         geometry: Shapes of the scene.
         goal: The scene's, of the friction centre.
         dynamics: The engine.
-        mppi: The robot level.
+        optimizer: The robot level's optimizer.
         object_launches: What a step launches before the robot level; complete before the first plan.
         object_one_graph: Whether these can be captured in a CUDA graph.
-        object_plan: The object's whole way as it was planned ahead, poses [n, 3]; ``None`` for methods that do not.
+        object_plan: The object plan made at the start, poses [n, 3]; ``None`` for methods that make none.
     """
 
     method: str = "mppi"
@@ -139,17 +100,17 @@ class Planner:
                 to_go=to_go,
             ),
         )
-        self.mppi = make_optimizer(self.dynamics, level.optimizer, seed=2 * seed + 1)
+        self.optimizer = make_optimizer(self.dynamics, level.optimizer, seed=2 * seed + 1)
         self.object_launches: list[Launch] = []
         self._robot_launches = [
-            *self.mppi.improve,
-            self.dynamics.trace(self.mppi.nominal, self.mppi.costs),
-            self.mppi.shift,
+            *self.optimizer.improve,
+            self.dynamics.trace(self.optimizer.nominal, self.optimizer.costs),
+            self.optimizer.shift,
         ]
-        self._regrasping = Regrasping(
+        self._repositioner = Repositioner(
             scene,
             self.geometry,
-            config.regrasp,
+            config.reposition,
             turn=config.object.turn,
             height=config.cost.height,
             period=config.control_period,
@@ -160,13 +121,13 @@ class Planner:
     def _step(self) -> Launch:
         """A control step of both levels."""
         launches = [*self.object_launches, *self._robot_launches]
-        captured = self.dynamics.one_graph and self.mppi.one_graph and self.object_one_graph
+        captured = self.dynamics.one_graph and self.optimizer.one_graph and self.object_one_graph
         return self.compute.step(launches, one_graph=captured)
 
     @property
-    def letting_go(self) -> bool:
+    def repositioning(self) -> bool:
         """Whether the tool is on its way to another side of the object."""
-        return bool(self.dynamics.guide.host[0][3] > 0.0)
+        return bool(self.dynamics.waypoint.host[0][3] > 0.0)
 
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""
@@ -188,8 +149,8 @@ class Planner:
         check_shapes(observation, self.scene.robot.dof)
         if problem := implausible(observation, self.scene.robot):
             raise ObservationError(f"no episode can begin here: {problem}")
-        self.mppi.reset()
-        self._regrasping.reset()
+        self.optimizer.reset()
+        self._repositioner.reset()
         return self._setup_seconds
 
     def plan(self, observation: Observation) -> Plan:
@@ -206,20 +167,20 @@ class Planner:
             return self._stop(problem)
         pose = to_center(self.geometry.surface, observation.object_pose)
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
-        guide = self._regrasping.guide(tip, pose, self.tracked(), self._to_go_from(pose))
-        self.dynamics.guide.host[0] = guide
+        waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
+        self.dynamics.waypoint.host[0] = waypoint
         self.dynamics.set_state(observation, self.goal)
-        self.mppi.noise.host[0] = self._noise(observation.joint_position, lifting=guide[3] > 0.0)
+        self.optimizer.noise.host[0] = self._noise(observation.joint_position, lifting=waypoint[3] > 0.0)
         self.set_reference(pose)
         began = time.perf_counter()
         self._step()
         trace = self.dynamics.traced()
         surface = self.geometry.surface
         return Plan(
-            command=self.mppi.command.host[0].astype(float),
-            update=self.mppi.found(),
-            object_update=self._object_update(),
-            object_seconds=self._object_done() - began,
+            command=self.optimizer.command.host[0].astype(float),
+            update=self.optimizer.found(),
+            object_update=self.object_statistics(),
+            object_seconds=self.object_finished() - began,
             terms=trace.terms,
             tips=trace.tips,
             object_poses=from_center(surface, trace.poses),
@@ -232,11 +193,11 @@ class Planner:
         Args:
             count: How many.
         """
-        weights = self.mppi.weights.numpy()
+        weights = self.optimizer.weights.numpy()
         heaviest = np.argsort(-weights, kind="stable")
         half = count // 2
         chosen = np.concatenate([heaviest[:half], heaviest[half :: max((len(heaviest) - half) // (count - half), 1)]])
-        tips, terms = self.dynamics.paths(self.mppi.controls, chosen[:count])
+        tips, terms = self.dynamics.paths(self.optimizer.controls, chosen[:count])
         shares = weights[chosen[:count]] / max(float(weights.max()), 1e-30)
         return Samples(tips, shares, dict(zip(self.dynamics.terms, terms[0].tolist(), strict=True)))
 
@@ -269,18 +230,18 @@ class Planner:
         """The reference that was tracked in the latest step, of the friction centre, shape [n, 3]."""
         return self._tracked
 
-    def _to_go_from(self, pose: np.ndarray) -> float:
-        """What the object still has to go from a pose [3], turning counted [m]."""
+    def to_go_from(self, pose: np.ndarray) -> float:
+        """Distance that the object still has to go from a pose [3], turning counted [m]."""
         if self._to_go is not None:
             return pose_field_at(self._to_go, pose, self._to_go_values)
         return distance(pose, self.goal, self.config.object.yaw_length)
 
-    def _object_update(self) -> Update | None:
-        """What the object level found in this step, if it planned."""
+    def object_statistics(self) -> Update | None:
+        """Statistics of the object level's update in the latest step, if it planned."""
         return None
 
-    def _object_done(self) -> float:
-        """When the object level was done with this step, by ``time.perf_counter``; NaN if nobody knows."""
+    def object_finished(self) -> float:
+        """Time at which the object level was done with this step, by ``time.perf_counter``; NaN if not known."""
         return math.nan
 
     def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:

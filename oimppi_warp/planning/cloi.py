@@ -1,0 +1,65 @@
+"""CLOI-MPPI, the paper's Algorithm 2: the object's motion is planned anew in every control step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oimppi_warp.compute.step import Compute, Stopwatch
+from oimppi_warp.config.settings import Config
+from oimppi_warp.kernels.rollouts.object import follow_path
+from oimppi_warp.observation import Observation
+from oimppi_warp.planning.object_level import ObjectLevel
+from oimppi_warp.planning.optimizers.optimizer import Update
+from oimppi_warp.planning.planner import Planner
+from oimppi_warp.scene import Scene
+
+
+class ClosedLoopPlanner(Planner):
+    """CLOI-MPPI (Algorithm 2): the object plan is updated from every observation.
+
+    Algorithm 2 and where it is::
+
+        while not converged:                                  Planner.plan, in every control step
+            (A) update W with Algorithm 1 and S_o                 object_launches: ObjectLevel
+                extract x_{t:t+H^o}^{o*} from the nominal         follow_path
+            (B) update U with Algorithm 1 and S                   Planner
+                apply u; shift; observe x_{t+1}
+
+    Both levels are one list of launches, which is one graph on CUDA.
+    """
+
+    method = "cloi"
+
+    def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
+        super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
+        reference = self.dynamics.reference
+        extract = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
+        self._watch = Stopwatch(self.compute.device)
+        self.object_launches = [*self._object.launches, extract, self._watch]
+        self.object_one_graph = self._object.optimizer.one_graph
+
+    def start(self, observation: Observation) -> float:
+        """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""
+        self._object.optimizer.reset()
+        return super().start(observation) + self._object.setup_seconds
+
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Sets the object level's state; its plan becomes the reference within the step."""
+        self._object.set_state(pose)
+
+    def tracked(self) -> np.ndarray:
+        """Returns the object plan of the latest step, shape [n, 3]."""
+        return self._object.path.host[0].astype(float)
+
+    def to_go_from(self, pose: np.ndarray) -> float:
+        """Distance that the object still has to go from a pose [3], turning counted [m]."""
+        return self._object.to_go_from(pose)
+
+    def object_statistics(self) -> Update | None:
+        """Statistics of the object level's latest update."""
+        return self._object.optimizer.found()
+
+    def object_finished(self) -> float:
+        """Time at which the object level was done with this step, by ``time.perf_counter``; NaN if not known."""
+        return self._watch.take()

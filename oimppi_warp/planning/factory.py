@@ -1,0 +1,43 @@
+"""Makes the planner that a run asks for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from oimppi_warp.compute.step import Compute
+from oimppi_warp.config.overrides import validate
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.config.settings import Config
+from oimppi_warp.planning.engine_choice import choose
+from oimppi_warp.planning.planner import Planner
+from oimppi_warp.planning.resolve import resolve
+from oimppi_warp.registries import METHODS
+from oimppi_warp.scene import Scene
+
+
+def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **options: Any) -> Planner:
+    """Makes a planner for a scene.
+
+    Args:
+        scene: The task.
+        config: All settings.
+        spec: Method, engine, device, threads and seed. With the engine ``"auto"``, a few plans are timed.
+        **options: Fields of ``spec`` to change, for example ``method="soi"``.
+
+    Raises:
+        ConfigError: Unknown method or engine, or a setting that cannot be used.
+        DeviceError: There is no such device.
+    """
+    spec = (spec or RunSpec()).changed(**options)
+    config = resolve(validate(config), scene).config
+    method = METHODS.get_checked(spec.method)
+
+    def make(engine: str) -> Planner:
+        compute = Compute(spec.device, threads=spec.threads)
+        return method(scene, config, engine=engine, compute=compute, seed=spec.seed)
+
+    if spec.engine != "auto":
+        return make(spec.engine)
+    choice = choose(spec.method, config.control_period, make)
+    choice.planner.engine_reason = choice.reason
+    return choice.planner

@@ -1,0 +1,95 @@
+"""Following an object plan by progress: the reference begins where the object is. Not in the paper.
+
+The paper's SOI reads its plan by time. An object that was held up or pushed astray is then led to poses that it cannot
+reach. Here the plan makes a cost-to-go in which a metre along the plan costs half of a metre elsewhere, and the
+reference is the way down that field from where the object is: along the plan, or back onto it, around obstacles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.compute.step import Compute, Slot
+from oimppi_warp.config.settings import Config
+from oimppi_warp.geometry.fields import Geometry, pose_field_at
+from oimppi_warp.kernels.fields import cost_to_go
+from oimppi_warp.kernels.geometry import PoseField
+from oimppi_warp.kernels.rollouts.object import follow_path
+from oimppi_warp.planning.cost_to_go import build_to_go
+
+_STRIDE = 3
+"""Every so many poses of the plan one is kept to be followed."""
+
+
+class PlanFollower:
+    """Reference of the robot level, read from an object plan by progress.
+
+    Args:
+        geometry: Shapes of the scene.
+        config: All settings.
+        goal: The goal of the friction centre, pose [3].
+        reference: The robot level's reference, poses [n], which the launches write.
+        compute: Where to compute.
+
+    Attributes:
+        launches: What a control step launches: from the object's pose to the reference.
+    """
+
+    def __init__(
+        self, geometry: Geometry, config: Config, *, goal: np.ndarray, reference: Slot, compute: Compute
+    ) -> None:
+        self._clearance = geometry.clearance
+        self._config = config
+        self._goal = goal
+        self._device = compute.device
+        self._to_go = PoseField()
+        self._to_go.values = wp.zeros_like(self._clearance.values)
+        self._to_go.origin, self._to_go.inv_step = self._clearance.origin, self._clearance.inv_step
+        self._to_go.inv_yaw_step = self._clearance.inv_yaw_step
+        self._to_go_values = self._to_go.values.numpy()
+        self._start = compute.input(1, wp.vec3)
+        self._path = compute.output((1, len(reference.host)), wp.vec3)
+        level = config.object
+        self._plan = wp.zeros(level.plan_steps // _STRIDE + 2, dtype=wp.vec3, device=self._device)
+        goal_array = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=self._device)
+        step = level.speed_limit[0] * config.control_period
+        inputs = [self._to_go, self._plan, self._start.array, goal_array, level.yaw_length, step]
+        self.launches = [
+            compute.launch(cost_to_go.follow_down, 1, inputs, [self._path.array]),
+            compute.launch(follow_path, len(reference.host), [self._path.array], [reference.array]),
+        ]
+
+    def set_plan(self, path: np.ndarray, *, arrived: bool, bound: PoseField | None) -> None:
+        """Takes a plan to follow.
+
+        Args:
+            path: The object plan, poses [n, 3]. One that did not arrive leads nowhere and is not followed.
+            arrived: Whether it leads to the goal.
+            bound: The cost-to-go to the goal alone, if it is known; it saves time.
+        """
+        kept = path[::-_STRIDE][::-1] if arrived else self._goal[None]
+        found = build_to_go(
+            self._clearance,
+            kept,
+            yaw_length=self._config.object.yaw_length,
+            reach=self._config.object_cost.reach,
+            bound=bound,
+            device=self._device,
+        )
+        wp.copy(self._to_go.values, found.values)
+        self._to_go_values = found.values.numpy()
+        padded = kept[np.minimum(np.arange(len(self._plan)), len(kept) - 1)]
+        self._plan.assign(padded.astype(np.float32))
+
+    def set_state(self, pose: np.ndarray) -> None:
+        """Sets the object's pose [3], from which the reference begins."""
+        self._start.host[0] = pose
+
+    def tracked(self) -> np.ndarray:
+        """Returns the reference of the latest step, shape [n, 3]."""
+        return self._path.host[0].astype(float)
+
+    def to_go_from(self, pose: np.ndarray) -> float:
+        """Cost-to-go at a pose [3], a metre along the plan counted half [m]."""
+        return pose_field_at(self._to_go, pose, self._to_go_values)

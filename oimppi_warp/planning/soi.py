@@ -1,0 +1,111 @@
+"""SOI-MPPI, the paper's Algorithm 3: the object's motion is planned once, before the robot moves."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import warp as wp
+
+from oimppi_warp.compute.step import Compute
+from oimppi_warp.config.settings import Config
+from oimppi_warp.geometry.fields import from_center, to_center
+from oimppi_warp.kernels.fields import cost_to_go
+from oimppi_warp.observation import Observation
+from oimppi_warp.planning.object_level import ObjectLevel, distance
+from oimppi_warp.planning.planner import Planner
+from oimppi_warp.planning.progress import PlanFollower
+from oimppi_warp.scene import Scene
+
+_ARRIVED = 0.01
+"""Distance from the goal, turning counted, at which the object plan has converged [m]."""
+
+
+class SequentialPlanner(Planner):
+    """SOI-MPPI (Algorithm 3): one object plan to the goal before the robot moves, then tracked.
+
+    Algorithm 3 and where it is::
+
+        (A) while not converged:                              start, plan_object
+                update W with Algorithm 1 and S_o                 ObjectLevel
+                simulate W to obtain x_{t+1}^o; shift W
+            extract x_{0:H}^{o*}
+        (B) while not converged:                              Planner.plan, in every control step
+                extract the segment x_{t:t+H^r}^{o*}              set_reference
+                update U with Algorithm 1 and S; apply u; shift
+
+    With ``reference="time"`` the segment begins at the pose planned for this time, as in the paper. With
+    ``reference="progress"`` it begins where the object is: :class:`PlanFollower`, which is not in the paper.
+    """
+
+    method = "soi"
+
+    def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
+        super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
+        # (A) runs before the robot moves, hence as a step of its own, with its own inputs and outputs.
+        alone = Compute(compute.device, threads=compute.threads)
+        self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=alone, seed=2 * seed + 2)
+        self._object_step = alone.step(self._object.launches, one_graph=self._object.optimizer.one_graph)
+        self._path = self.goal[None]
+        self._time = 0
+        self._follower: PlanFollower | None = None
+        if config.reference == "progress":
+            self._follower = PlanFollower(
+                self.geometry, config, goal=self.goal, reference=self.dynamics.reference, compute=compute
+            )
+            self.object_launches = self._follower.launches
+
+    @property
+    def object_plan(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The object plan made at the start, poses [n, 3]."""
+        return from_center(self.geometry.surface, self._path)
+
+    def warm_up(self) -> None:
+        """Compiles and loads every kernel, so that the first plan is as fast as the others."""
+        super().warm_up()
+        self._improve(self._path[0])
+        wp.load_module(cost_to_go, device="cpu")
+
+    def start(self, observation: Observation) -> float:
+        """Plans the object's motion to the goal; returns the wall time, the cost-to-go included [s]."""
+        super().start(observation)
+        began = time.perf_counter()
+        self._object.optimizer.reset()
+        self._time = 0
+        self._path, arrived = self.plan_object(to_center(self.geometry.surface, observation.object_pose))
+        if self._follower is not None:
+            self._follower.set_plan(self._path, arrived=arrived, bound=self._object.to_go)
+        return time.perf_counter() - began + self._object.setup_seconds
+
+    def plan_object(self, pose: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Part (A): returns the object plan [n, 3] from a pose [3] to the goal, and whether it converged.
+
+        Its last pose is the goal itself in either case.
+        """
+        path, converged = [pose], False
+        while not converged and len(path) <= self.config.object.plan_steps:
+            path.append(self._improve(path[-1])[1])
+            converged = distance(path[-1], self.goal, self.config.object.yaw_length) < _ARRIVED
+        return np.array([*path, self.goal]), converged
+
+    def _improve(self, pose: np.ndarray) -> np.ndarray:
+        """Updates the wrenches from a pose [3]; returns the path [horizon + 1, 3] under the new nominal."""
+        self._object.set_state(pose)
+        self._object_step()
+        return self._object.path.host[0].astype(float)
+
+    def set_reference(self, pose: np.ndarray) -> None:
+        """Extracts the segment to be tracked: from this time on, or from the object's pose on."""
+        if self._follower is not None:
+            self._follower.set_state(pose)
+            return
+        self.track(self._path[self._time :])
+        self._time = min(self._time + 1, len(self._path) - 1)
+
+    def tracked(self) -> np.ndarray:
+        """Returns the reference tracked in the latest step, shape [n, 3]."""
+        return super().tracked() if self._follower is None else self._follower.tracked()
+
+    def to_go_from(self, pose: np.ndarray) -> float:
+        """Distance that the object still has to go from a pose [3], turning counted [m]."""
+        return super().to_go_from(pose) if self._follower is None else self._follower.to_go_from(pose)
