@@ -55,7 +55,7 @@ LONGEST_CORRECTION = wp.constant(0.02)
 """Longest correction of phi_2 in one projection [m]: further out the linearization does not hold."""
 
 LEAST_GRADIENT = wp.constant(0.1)
-"""Least ``g^T D g`` in units of ``1 / (mu m g)``: the gradient vanishes at kinks of phi_2, and the step would explode."""
+"""Least ``g^T D g`` in units of ``1 / (mu m g)``: the gradient vanishes at kinks of phi_2, and the step would not."""
 
 
 @wp.func

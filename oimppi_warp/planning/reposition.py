@@ -159,7 +159,7 @@ class Repositioner:
         self._time_left = self._settings.longest_seconds
 
     def _clear_of(self, tip: np.ndarray, body: shapely.Geometry) -> np.ndarray:
-        """Returns the position [2] nearest to a tip where it can rise: a tool that rises while it presses tips objects."""
+        """Returns the nearest position [2] where a tip can rise: a tool that rises while it presses tips the object."""
         boundary = shapely.boundary(body)
         nearest = np.array(boundary.interpolate(boundary.project(shapely.Point(tip))).coords[0])
         inside = shapely.contains_xy(body, *tip)
