@@ -37,9 +37,10 @@ test: $(LOCK_ENV) ## the tests, under ten minutes on two cores
 nightly: $(LOCK_ENV) ## the tests that take longer: whole episodes over many seeds, kernels for a GPU that is not here
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
 
-lint: $(LOCK_ENV) ## ruff
+lint: $(LOCK_ENV) ## ruff, and which package may import which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 
 format: $(LOCK_ENV) ## let ruff format and fix
 	$(BIN)/ruff check --fix .
