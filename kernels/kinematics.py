@@ -1,4 +1,4 @@
-"""Forward kinematics of a serial arm whose joints turn about or slide along their local z axes, and its room.
+"""Forward kinematics of a serial arm whose joints turn about or slide along their local z axes, and its clearance.
 
 A chain is written as a letter for each joint, R where it turns and P where it slides; kernels are made for a chain, so
 that a thread asks no joint of which kind it is.
@@ -66,13 +66,14 @@ class Placed:
         tip: The tool's tip [m].
         up: The world's z axis in the tip's frame.
         lean: How far the stick's other end is from straight above the tip, per metre of height, in x and y.
-        room: Clearance of arm and tool to obstacles and table, phi_3 [m]; beyond ``Surroundings.near`` a lower bound.
+        arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m]; beyond ``Surroundings.near`` a
+            lower bound.
     """
 
     tip: wp.vec3
     up: wp.vec3
     lean: wp.vec2
-    room: float
+    arm_clearance: float
 
 
 @wp.func
@@ -107,7 +108,7 @@ def make_place_arm(chain: str) -> wp.Function:
 
     @wp.func(module=f"oimppi_warp.kernels.kinematics_{chain}")
     def place_arm(arm: Arm, surroundings: Surroundings, tip: wp.vec3, q: vec) -> Placed:
-        """Tip, tilt and room of the arm.
+        """Tip, tilt and clearance of the arm.
 
         Args:
             arm: The arm.
@@ -115,7 +116,7 @@ def make_place_arm(chain: str) -> wp.Function:
             tip: The tip in the last link's frame [m].
             q: Joint positions [rad].
         """
-        room = float(1.0)
+        clearance = float(1.0)
         r = wp.identity(n=3, dtype=float)
         p = wp.vec3()
         for j in range(dof):
@@ -128,16 +129,16 @@ def make_place_arm(chain: str) -> wp.Function:
             # A link that is far from everything as a whole is not looked at more closely.
             whole = lowest_clearance(surroundings, p, r, arm.hull[j])
             if whole > surroundings.near:
-                room = wp.min(room, whole)
+                clearance = wp.min(clearance, whole)
             else:
                 for s in range(arm.first_sphere[j], arm.first_sphere[j + 1]):
-                    room = wp.min(room, lowest_clearance(surroundings, p, r, arm.sphere[s]))
+                    clearance = wp.min(clearance, lowest_clearance(surroundings, p, r, arm.sphere[s]))
         placed = Placed()
         placed.tip = p + r * tip
         placed.up = wp.transpose(arm.tip_rotation) * wp.vec3(r[2, 0], r[2, 1], r[2, 2])
         stick = r * wp.vec3(-arm.tip_rotation[0, 2], -arm.tip_rotation[1, 2], -arm.tip_rotation[2, 2])
         placed.lean = wp.vec2(stick[0], stick[1]) / wp.max(stick[2], 0.1)
-        placed.room = wp.min(room, placed.tip[2])
+        placed.arm_clearance = wp.min(clearance, placed.tip[2])
         return placed
 
     return place_arm

@@ -22,8 +22,8 @@ INTRO = """\
 # Settings
 
 Every setting of a run, by the name that `--set NAME=VALUE`, a suite's `set` and the viewer's panel know it by. Tuples
-are written with commas: `--set cost.reach=0.3,0.55`. Defaults are those of the preset `best` for CLOI; `paper`, `lab`
-and `best` for other methods begin with other values for some (`oimppi_warp/config/presets.py`). What takes effect
+are written with commas: `--set cost.push_ring=0.3,0.55`. Defaults are those of the preset `best` for CLOI; `paper`,
+`lab` and `best` for other methods begin with other values for some (`oimppi_warp/config/presets.py`). What takes effect
 on a task can differ from what was asked for: `oimppi_warp/planning/resolve.py` says where, and a record holds what took
 effect.
 

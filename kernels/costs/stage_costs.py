@@ -44,10 +44,10 @@ def shortfall(value: float, wanted: float) -> float:
 
 
 @wp.func
-def out_of_reach(pose: wp.vec3, reach: wp.vec2) -> float:
+def outside_ring(pose: wp.vec3, ring: wp.vec2) -> float:
     """Distance of the object's centre to the ring around the base in which the arm can push well [m]."""
     distance = wp.sqrt(pose[0] * pose[0] + pose[1] * pose[1])
-    return wp.max(reach[0] - distance, 0.0) + wp.max(distance - reach[1], 0.0)
+    return wp.max(ring[0] - distance, 0.0) + wp.max(distance - ring[1], 0.0)
 
 
 @wp.func
@@ -58,7 +58,7 @@ def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, cl
         + w.w_f * contact_cost(force, w.f_0)
         + w.w_margin * shortfall(clearance, w.margin)
         + w.w_to_go * to_go
-        + w.w_reach * out_of_reach(pose, w.reach)
+        + w.w_push_ring * outside_ring(pose, w.push_ring)
     )
 
 
@@ -150,10 +150,10 @@ def height_term(w: RobotWeights, s: Stage) -> float:
     return cost
 
 
-@term("clearance")
-def clearance_term(w: RobotWeights, s: Stage) -> float:
-    """Arm close to obstacles or table: ``w_clearance max(clearance - phi_3, 0)^2``."""
-    return w.w_clearance * shortfall(s.room, w.clearance)
+@term("arm_clearance")
+def arm_clearance_term(w: RobotWeights, s: Stage) -> float:
+    """Arm close to obstacles or table: ``w_arm_clearance max(arm_clearance - phi_3, 0)^2``."""
+    return w.w_arm_clearance * shortfall(s.arm_clearance, w.arm_clearance)
 
 
 @term("above")
@@ -162,12 +162,12 @@ def above_term(w: RobotWeights, s: Stage) -> float:
     return w.w_above * s.above
 
 
-@term("reach")
-def reach_term(w: RobotWeights, s: Stage) -> float:
-    """Object where the arm pushes badly, or close to the table's edge: ``w_reach`` and ``w_edge`` times how far [m]."""
+@term("push_ring")
+def push_ring_term(w: RobotWeights, s: Stage) -> float:
+    """Object outside the ring, or close to the table's edge: ``w_push_ring`` and ``w_edge`` times the distance [m]."""
     along = wp.max(w.edge_lower[0] - s.pose[0], 0.0) + wp.max(s.pose[0] - w.edge_upper[0], 0.0)
     across = wp.max(w.edge_lower[1] - s.pose[1], 0.0) + wp.max(s.pose[1] - w.edge_upper[1], 0.0)
-    return w.w_reach * out_of_reach(s.pose, w.reach) + w.w_edge * (along + across)
+    return w.w_push_ring * outside_ring(s.pose, w.push_ring) + w.w_edge * (along + across)
 
 
 @term("press")

@@ -68,7 +68,7 @@ class Stage:
         target: Where the object plan has it some steps ahead, for the alignment.
         to_go: Cost-to-go of the pose [m]; 0 where no weight asks for it.
         force: Contact force of object and environment, lambda_2 [N].
-        room: Clearance of arm and tool to obstacles and table, phi_3 [m].
+        arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m].
         above: 1 where the tip is above the object, else 0.
         pressed: Depth by which the tool presses into an object that cannot yield [m].
         gap: Clearance phi_2 of the pose that the tool pushes the object to; ``FREE`` while it does not [m].
@@ -89,7 +89,7 @@ class Stage:
     target: wp.vec3
     to_go: float
     force: float
-    room: float
+    arm_clearance: float
     above: float
     pressed: float
     gap: float

@@ -31,7 +31,7 @@ class Tolls:
         comfort: Clearance below which a metre costs more [m].
         crowded: What it costs more at no clearance at all.
         blocked: What it costs inside an obstacle: finite, so that every pose knows its way out.
-        reach_lower, reach_upper: Distances from the base's axis between which the arm can push well [m].
+        ring_inner, ring_outer: Distances from the base's axis between which the arm can push well [m].
         far: What a metre costs outside of them.
     """
 
@@ -39,8 +39,8 @@ class Tolls:
     comfort: float
     crowded: float
     blocked: float
-    reach_lower: float
-    reach_upper: float
+    ring_inner: float
+    ring_outer: float
     far: float
 
 
@@ -49,7 +49,7 @@ def toll(tolls: Tolls, clearance: float, distance: float) -> float:
     """What a metre costs at a clearance and a distance from the base's axis."""
     lack = wp.clamp((tolls.comfort - clearance) / tolls.comfort, 0.0, 1.0)
     cost = 1.0 + tolls.crowded * lack * lack
-    if distance < tolls.reach_lower or distance > tolls.reach_upper:
+    if distance < tolls.ring_inner or distance > tolls.ring_outer:
         cost = wp.max(cost, tolls.far)
     if clearance < 0.0:
         cost = tolls.blocked

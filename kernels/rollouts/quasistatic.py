@@ -90,11 +90,11 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                 q[j] = wp.clamp(q[j] + dt * speed, wp.min(arm.lower[j], q[j]), wp.max(arm.upper[j], q[j]))
             placed = place_arm(arm, surroundings, tool, q)
             tip = placed.tip
-            room = placed.room
+            arm_clearance = placed.arm_clearance
 
             # A step that would carry the arm further into an obstacle or the table, or the tool down onto the object,
             # is not taken: the arm stalls.
-            stalled = room < -GIVE and room < old.room
+            stalled = arm_clearance < -GIVE and arm_clearance < old.arm_clearance
             above = float(0.0)
             if tip[2] >= body.top or old.tip[2] >= body.top:
                 if over_object(task, tip, pose):
@@ -135,7 +135,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
             stage = known_stage(task, h, placed, pose)
             stage.velocity = wp.vec2(tip[0] - old.tip[0], tip[1] - old.tip[1]) / dt
             stage.force = force
-            stage.room = room
+            stage.arm_clearance = arm_clearance
             stage.above = above
             stage.pressed = pressed
             stage.gap = gap

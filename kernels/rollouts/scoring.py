@@ -98,7 +98,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
             stage.velocity = wp.vec2(placed.tip[0] - last[0], placed.tip[1] - last[1]) / task.dt
             stage.force = felt.forces[n, h][0]
             stage.collision = felt.forces[n, h][1]
-            stage.room = placed.room
+            stage.arm_clearance = placed.arm_clearance
             stage.gap = FREE
             stage.speed_squared = speed_squared
             total += robot_cost(task.weights, stage)

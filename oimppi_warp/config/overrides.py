@@ -82,8 +82,8 @@ def effective_weights(cost: RobotCost) -> ExtraWeights:
 def set_option(config: T, assignment: str) -> T:
     """A copy of ``config`` with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.optimizer.samples=512"``.
 
-    Tuples are written with commas, ``"cost.reach=0.2,0.6"``. ``"robot.optimizer=cem"`` takes another optimizer, which
-    keeps what all have: samples, horizon, iterations, knots. Names of earlier versions are accepted
+    Tuples are written with commas, ``"cost.push_ring=0.2,0.6"``. ``"robot.optimizer=cem"`` takes another optimizer,
+    which keeps what all have: samples, horizon, iterations, knots. Names of earlier versions are accepted
     (:mod:`oimppi_warp.config.renamed`). The value is checked on its own; :func:`validate` checks the settings against
     each other, once all are set.
 
@@ -173,8 +173,8 @@ def validate(config: Config) -> Config:
             COST_TERMS.check(name)
     for setting in _walk(config, ""):
         _check(setting, setting.value)
-    check_order("cost.reach", config.cost.reach)
-    check_order("object_cost.reach", config.object_cost.reach)
+    check_order("cost.push_ring", config.cost.push_ring)
+    check_order("object_cost.push_ring", config.object_cost.push_ring)
     return config
 
 

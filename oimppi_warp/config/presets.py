@@ -40,9 +40,9 @@ def paper(method: str = "cloi") -> Config:
     keeps 5 to 10 effective samples, weights 100 and 8 for the goal's position and yaw, 5 for the tool's distance, 45
     for align, 20 for the tip's height. The coupling cost l_c is printed without a weight; it shares the goal's, whose
     d^2 it has. Nowhere given, hence ours: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise. The terms that stand
-    for the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_clearance``) and for the table's edge (``w_edge``)
-    stay; our other additions are off. There is no terminal cost l_f, which the paper leaves open, and SOI's plan ends
-    in the exact goal.
+    for the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_arm_clearance``) and for the table's edge
+    (``w_edge``) stay; our other additions are off. There is no terminal cost l_f, which the paper leaves open, and
+    SOI's plan ends in the exact goal.
     """
     samples = 1200
     horizon = {"mppi": 25, "soi": 25}.get(method, 15)
@@ -72,12 +72,12 @@ def paper(method: str = "cloi") -> Config:
             w_margin=0.0,
             w_lift=0.0,
             w_above=0.0,
-            w_reach=0.0,
+            w_push_ring=0.0,
             w_overhang=0.0,
             w_rush=0.0,
         ),
         episode=EpisodeConfig(tight=False),
-        object_cost=ObjectCost(w_d=100.0, w_theta=0.08, w_to_go=0.0, w_margin=0.0, w_reach=0.0),
+        object_cost=ObjectCost(w_d=100.0, w_theta=0.08, w_to_go=0.0, w_margin=0.0, w_push_ring=0.0),
     )
 
 

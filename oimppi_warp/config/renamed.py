@@ -16,6 +16,12 @@ from collections.abc import Mapping
 SETTINGS: Mapping[str, str] = {
     "robot.mppi": "robot.optimizer",
     "object.mppi": "object.optimizer",
+    "cost.clearance": "cost.arm_clearance",
+    "cost.w_clearance": "cost.w_arm_clearance",
+    "cost.reach": "cost.push_ring",
+    "cost.w_reach": "cost.w_push_ring",
+    "object_cost.reach": "object_cost.push_ring",
+    "object_cost.w_reach": "object_cost.w_push_ring",
     "regrasp": "reposition",
     "regrasp.w_guide": "reposition.w_waypoint",
 }

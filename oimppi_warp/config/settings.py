@@ -204,10 +204,8 @@ class ObjectCost:
         2000.0, "Weight of the squared shortfall of clearance below margin; not in the paper.", unit="1/m^2"
     )
     margin: float = setting(0.015, "Clearance between object and obstacles below which w_margin acts.", unit="m")
-    w_reach: float = setting(
-        20.0, "Weight of the object's distance to the ring of reach; not in the paper.", unit="1/m"
-    )
-    reach: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
+    w_push_ring: float = setting(20.0, "Weight of the object's distance to push_ring; not in the paper.", unit="1/m")
+    push_ring: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
 
 
 @dataclass(frozen=True)
@@ -225,7 +223,7 @@ class RobotCost:
     w_to_go: float = setting(
         0.0,
         "Weight of the object's shortest free path to the goal, which gives plain MPPI what the others have from the "
-        "object level; computed with object_cost.reach and object.speed_limit; not in the paper.",
+        "object level; computed with object_cost.push_ring and object.speed_limit; not in the paper.",
         unit="1/m",
     )
     w_reference: float = setting(
@@ -253,17 +251,15 @@ class RobotCost:
     w_tilt: float = setting(3.0, "Weight of the tool's tilt from vertical (equation 19).", unit="1/rad")
     w_height: float = setting(1000.0, "Weight of the squared deviation of the tip from height.", unit="1/m^2")
     height: float = setting(0.012, "Height above the table at which the tip should push.", unit="m")
-    w_clearance: float = setting(
-        1e4, "Weight of the squared shortfall of the arm's clearance phi_3 below clearance.", unit="1/m^2"
+    w_arm_clearance: float = setting(
+        1e4, "Weight of the squared shortfall of the arm's clearance phi_3 below arm_clearance.", unit="1/m^2"
     )
-    clearance: float = setting(
-        0.01, "Clearance between the arm and obstacles or table below which w_clearance acts.", unit="m"
+    arm_clearance: float = setting(
+        0.01, "Clearance between the arm and obstacles or table below which w_arm_clearance acts.", unit="m"
     )
     w_above: float = setting(20.0, "Cost of each control step with the tip above the object; not in the paper.")
-    w_reach: float = setting(
-        40.0, "Weight of the object's distance to the ring of reach; not in the paper.", unit="1/m"
-    )
-    reach: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
+    w_push_ring: float = setting(40.0, "Weight of the object's distance to push_ring; not in the paper.", unit="1/m")
+    push_ring: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
     w_edge: float = setting(
         40.0,
         "Weight of the object's distance to the rectangle in which all of it is on the table; not in the paper.",

@@ -35,7 +35,7 @@ def build_to_go(
     way: np.ndarray,
     *,
     yaw_length: float,
-    reach: tuple[float, float] = (0.0, np.inf),
+    push_ring: tuple[float, float] = (0.0, np.inf),
     bound: PoseField | None = None,
     device: str,
 ) -> PoseField:
@@ -49,7 +49,7 @@ def build_to_go(
         clearance: phi_2.
         way: Poses [n, 3] of the friction centre that lead to the goal, the last one; one pose is the goal alone.
         yaw_length: Length that turning by one radian counts as [m].
-        reach: Distances from the base's axis between which the arm can push well [m].
+        push_ring: Distances from the base's axis between which the arm can push well [m].
         bound: The cost-to-go to the goal alone, if it is known: it is a bound to start from, and saves most sweeps.
         device: Warp device of the result.
     """
@@ -59,7 +59,7 @@ def build_to_go(
     host.origin, host.inv_step, host.inv_yaw_step = clearance.origin, clearance.inv_step, clearance.inv_yaw_step
     tolls = kernels.Tolls()
     tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = yaw_length, _COMFORT, _CROWDED, _BLOCKED
-    tolls.reach_lower, tolls.reach_upper, tolls.far = reach[0], min(reach[1], 1e3), _OUT_OF_REACH
+    tolls.ring_inner, tolls.ring_outer, tolls.far = push_ring[0], min(push_ring[1], 1e3), _OUT_OF_REACH
 
     def compute() -> np.ndarray:
         to_go = wp.full(host.values.shape, _UNKNOWN, dtype=float, device="cpu")
@@ -81,7 +81,7 @@ def build_to_go(
         return to_go.numpy()
 
     numbers = [*host.origin, host.inv_step, tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked]
-    numbers += [tolls.reach_lower, tolls.reach_upper, tolls.far, _NEAR, _SETTLED, _SWEEPS]
+    numbers += [tolls.ring_inner, tolls.ring_outer, tolls.far, _NEAR, _SETTLED, _SWEEPS]
     content = content_of(host.values.numpy(), way, numbers)
     field = PoseField()
     # A goal comes again, a planned way does not.

@@ -81,7 +81,7 @@ class Planner:
                 self.geometry.clearance,
                 self.goal,
                 yaw_length=config.object.yaw_length,
-                reach=config.object_cost.reach,
+                push_ring=config.object_cost.push_ring,
                 device=compute.device,
             )
             self._to_go_values = to_go.values.numpy()

@@ -73,7 +73,7 @@ class PlanFollower:
             self._clearance,
             kept,
             yaw_length=self._config.object.yaw_length,
-            reach=self._config.object_cost.reach,
+            push_ring=self._config.object_cost.push_ring,
             bound=bound,
             device=self._device,
         )

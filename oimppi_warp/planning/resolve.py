@@ -22,7 +22,7 @@ from oimppi_warp.registry import Registry
 from oimppi_warp.scene import Scene
 
 _USUAL_REACH = 0.717
-"""Reach of the xArm6 with its stick, for which the rings ``cost.reach`` and ``object_cost.reach`` are given [m]."""
+"""Reach of the xArm6 with its stick, for which ``cost.push_ring`` and ``object_cost.push_ring`` are given [m]."""
 _EVERYWHERE = 1e3
 """Outer radius of a ring that excludes nothing [m]."""
 
@@ -56,7 +56,7 @@ class Resolved:
 def resolve(config: Config, scene: Scene, *, control_period: float | None = None) -> Resolved:
     """The settings as they take effect on a task.
 
-    - ``cost.reach`` and ``object_cost.reach`` are scaled to the robot's own reach.
+    - ``cost.push_ring`` and ``object_cost.push_ring`` are scaled to the robot's own reach.
     - Where the goal's tolerance allows every yaw, none is asked for.
     - What keeps an object from tipping over is off for an object that a push cannot tip.
     - The weights of cost terms from outside the package are written out.
@@ -87,7 +87,7 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
             if reach.border is None
             else "the robot does not turn about a base"
         )
-        reasons |= {"cost.reach": why, "object_cost.reach": why}
+        reasons |= {"cost.push_ring": why, "object_cost.push_ring": why}
         if not math.isfinite(scene.tolerance.yaw):
             effective = _without_yaw(effective)
             names = ("object.turn", "cost.w_theta", "object_cost.w_theta")
@@ -134,8 +134,8 @@ def _for_reach(config: Config, reach: Reach) -> Config:
 
     return replace(
         config,
-        cost=replace(config.cost, reach=ring(config.cost.reach)),
-        object_cost=replace(config.object_cost, reach=ring(config.object_cost.reach)),
+        cost=replace(config.cost, push_ring=ring(config.cost.push_ring)),
+        object_cost=replace(config.object_cost, push_ring=ring(config.object_cost.push_ring)),
     )
 
 

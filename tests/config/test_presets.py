@@ -55,12 +55,12 @@ def test_a_setting_is_changed_by_its_dotted_name_and_nothing_else_is():
     ("assignment", "value"),
     [
         ("robot.optimizer.samples=512", 512),
-        ("cost.reach = 0.2, 0.5", (0.2, 0.5)),
+        ("cost.push_ring = 0.2, 0.5", (0.2, 0.5)),
         ("reference=time", "time"),
         ("episode.tight=true", True),
         ("episode.tight=0", False),
         ("robot.tool_noise=1,2,3,4,5,6", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)),
-        ("cost.w_clearance=1e3", 1000.0),
+        ("cost.w_arm_clearance=1e3", 1000.0),
     ],
 )
 def test_values_are_read_by_the_type_of_their_field(assignment: str, value: object):
@@ -96,7 +96,7 @@ def test_an_unknown_name_suggests_the_nearest(assignment: str, suggestion: str):
         ("cost.w_align=nan", "finite"),
         ("cost.w_align=inf", "finite"),
         ("cost.w_align=-1", "0 or more"),
-        ("cost.reach=0.2", "2 numbers"),
+        ("cost.push_ring=0.2", "2 numbers"),
         ("reference=clock", "time or progress"),
         ("episode.tight=perhaps", "true or false"),
         ("control_period=0", "0.001 to 1"),
@@ -119,7 +119,7 @@ def test_settings_that_contradict_each_other_are_refused():
         validate(few_steps)
     validate(set_option(few_steps, "robot.optimizer.knots=0"))
     with pytest.raises(ConfigError, match="lower bound is above"):
-        validate(set_option(best(), "cost.reach=0.6,0.2"))
+        validate(set_option(best(), "cost.push_ring=0.6,0.2"))
 
 
 def test_a_config_made_by_hand_is_checked_too():

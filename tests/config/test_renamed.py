@@ -81,7 +81,14 @@ def test_a_record_of_an_earlier_version_gives_its_settings():
     for level in ("robot", "object"):
         record[level]["mppi"] = record[level].pop("optimizer")
         del record[level]["mppi"]["kind"]
+    record["regrasp"] = record.pop("reposition")
+    record["regrasp"]["w_guide"] = record["regrasp"].pop("w_waypoint")
+    record["cost"]["w_clearance"], record["cost"]["clearance"] = 2.0, 0.5
+    del record["cost"]["w_arm_clearance"], record["cost"]["arm_clearance"]
+    for costs in ("cost", "object_cost"):
+        record[costs]["reach"] = record[costs].pop("push_ring")
     del record["cost"]["extra"], record["resolved_for"]
+    config = set_option(set_option(config, "cost.w_arm_clearance=2"), "cost.arm_clearance=0.5")
     assert from_record(record) == config
 
 
@@ -89,7 +96,7 @@ def test_a_record_with_a_setting_that_does_not_exist_or_a_wrong_value_is_refused
     record = to_json(asdict(best()))
     with pytest.raises(ConfigError, match=r"record: cost\.w_aligm"):
         from_record({"cost": {"w_aligm": 1.0}})
-    with pytest.raises(ConfigError, match=r"record: cost\.reach = 3"):
+    with pytest.raises(ConfigError, match=r"record: cost\.push_ring = 3"):
         from_record(record | {"cost": {"reach": 3}})
     with pytest.raises(ConfigError, match="a whole number"):
         from_record({"robot": {"mppi": {"samples": 1.5}}})

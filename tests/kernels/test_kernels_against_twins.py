@@ -193,7 +193,7 @@ def different_weights(kind: type[T]) -> T:
     """All weights and thresholds at numbers of their own, so that none can stand in for another."""
     numbers: dict[str, Any] = {item.name: 1.0 + 0.37 * i for i, item in enumerate(fields(kind)) if item.name != "extra"}
     small = {"f_0": 0.01, "margin": 0.02, "r_0": 0.3, "gamma_0": 0.4, "align_fade": 0.5, "height": 0.2,
-             "clearance": 0.03, "reach": (0.3, 0.5), "align_ahead": 2, "contact_slack": 0.01}  # fmt: skip
+             "arm_clearance": 0.03, "push_ring": (0.3, 0.5), "align_ahead": 2, "contact_slack": 0.01}  # fmt: skip
     return kind(**(numbers | {name: value for name, value in small.items() if name in numbers}))
 
 
@@ -319,7 +319,7 @@ def test_an_object_rollout_is_its_twins(to_go_weight):
     [
         ("task01", (0.40, -0.33, 0.02), (0.05, 0.20, 0.0), "reference"),
         ("task02", (0.48, -0.24, 0.02), (0.02, 0.25, 0.0), "contact"),
-        ("task03", (0.32, -0.20, 0.02), (0.0, 0.20, 0.0), "clearance"),
+        ("task03", (0.32, -0.20, 0.02), (0.0, 0.20, 0.0), "arm_clearance"),
         ("task01", (0.40, -0.30, 0.03), (0.0, 0.10, -0.10), "height"),
         ("task01", (0.40, -0.25, 0.06), (0.02, 0.15, -0.02), "above"),
     ],

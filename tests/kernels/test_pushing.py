@@ -346,11 +346,11 @@ def test_an_arm_is_held_back_at_a_shelf_by_its_links(shelves):
         np.tile(shelves.scene.goal, (len(shelves.dynamics.reference.host), 1)),
         controls,
     )
-    assert min(world.room(q) for q in twin.joints) > -GIVE - 1e-4
+    assert min(world.arm_clearance(q) for q in twin.joints) > -GIVE - 1e-4
     np.testing.assert_allclose(rolled.tips[0], twin.tips, atol=3 * LENGTH_TOLERANCE)
     held_back = -0.075 - robot.tool_radius - rolled.tips[0, -1, 1]
     assert held_back > 0.005, "the tool alone would have reached the box"
-    assert rolled.term("clearance")[0] > 0.0
+    assert rolled.term("arm_clearance")[0] > 0.0
 
 
 def test_an_arm_passes_over_a_low_obstacle(shelves):
@@ -364,7 +364,7 @@ def test_an_arm_passes_over_a_low_obstacle(shelves):
 def test_an_arm_that_is_too_close_may_move_away(shelves):
     robot, world = shelves.scene.robot, shelves.twin()
     joints = joints_at(robot, (0.32, -0.07, 0.02))  # within the box
-    assert world.room(joints) < -GIVE
+    assert world.arm_clearance(joints) < -GIVE
     away = straight(robot, joints, (0.0, -0.2, 0.0), 25)
     rolled = shelves.roll(joints, np.array([0.5, -0.4, 0.0]), np.array([away, -away]))
     assert rolled.tips[0, -1, 1] < -0.25

@@ -49,7 +49,7 @@ def walled() -> np.ndarray:
     return clearance
 
 
-REACH = (0.03, 0.13)
+RING = (0.03, 0.13)
 """Distances from the base between which the arm pushes well [m]."""
 
 
@@ -58,7 +58,7 @@ def toll(gap: float, distance: float) -> float:
     crowded = 1.0 + 3.0 * np.clip((0.02 - gap) / 0.02, 0.0, 1.0) ** 2
     if gap < 0.0:
         return 40.0
-    return crowded if REACH[0] <= distance <= REACH[1] else max(crowded, 10.0)
+    return crowded if RING[0] <= distance <= RING[1] else max(crowded, 10.0)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def toll(gap: float, distance: float) -> float:
     ids=["goal", "way to a goal"],
 )
 def test_the_cost_to_go_is_dijkstras(way):
-    found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, reach=REACH, device="cpu").values.numpy()
+    found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, push_ring=RING, device="cpu").values.numpy()
     expected = reference.to_go(walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, toll=toll)
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
@@ -89,8 +89,8 @@ def test_a_goal_where_the_arm_pushes_badly_is_far_away():
     goal, pose = np.array([0.121, 0.093, 1.0]), np.array([0.05, 0.093, 1.0])
     field = field_of(np.full((8, 14, 11), 0.05))
     near, far = (
-        pose_field_at(build_to_go(field, goal, yaw_length=YAW_LENGTH, reach=reach, device="cpu"), pose)
-        for reach in ((0.0, np.inf), (0.0, 0.10))
+        pose_field_at(build_to_go(field, goal, yaw_length=YAW_LENGTH, push_ring=ring, device="cpu"), pose)
+        for ring in ((0.0, np.inf), (0.0, 0.10))
     )
     assert far > 2.0 * near
 
@@ -100,7 +100,7 @@ def test_sweeping_no_further_changes_a_cost_to_go_that_is_done():
     to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device="cpu")
     tolls = kernels.Tolls()
     tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
-    tolls.reach_lower, tolls.reach_upper, tolls.far = 0.0, 1e3, 10.0
+    tolls.ring_inner, tolls.ring_outer, tolls.far = 0.0, 1e3, 10.0
     change = wp.zeros(1, dtype=float, device="cpu")
     for direction in range(8):
         inputs = [field, tolls, direction]
@@ -207,9 +207,9 @@ def test_a_way_leads_along_a_plan_past_a_shorter_one():
 
 def test_a_bound_to_start_from_changes_nothing():
     way = np.array([[0.02, 0.09, 3.0], [0.05, 0.09, 3.4], [0.09, 0.085, 3.9], [0.121, 0.033, 5.0]])
-    bound = build_to_go(field_of(walled()), way[-1], yaw_length=YAW_LENGTH, reach=REACH, device="cpu")
+    bound = build_to_go(field_of(walled()), way[-1], yaw_length=YAW_LENGTH, push_ring=RING, device="cpu")
     found, expected = (
-        build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, reach=REACH, bound=known, device="cpu")
+        build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, push_ring=RING, bound=known, device="cpu")
         for known in (bound, None)
     )
     np.testing.assert_allclose(found.values.numpy(), expected.values.numpy(), atol=1e-3)

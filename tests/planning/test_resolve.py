@@ -47,7 +47,7 @@ def test_the_settings_that_are_recorded_are_those_that_the_kernels_get(name: str
     ):
         packed = RobotWeights if cost is recorded.cost else ObjectWeights
         shared = vars(cost).keys() & packed.vars.keys() - {"extra"}  # pyright: ignore[reportAttributeAccessIssue]
-        assert shared >= {"w_d", "w_theta", "w_f", "w_reach", "margin"}
+        assert shared >= {"w_d", "w_theta", "w_f", "w_push_ring", "margin"}
         for weight in shared:
             found = np.float32(getattr(weights, weight))
             np.testing.assert_array_equal(found, np.float32(getattr(cost, weight)), weight)
@@ -79,12 +79,12 @@ def test_a_can_is_not_turned_and_the_record_says_so():
 
 
 def test_the_ring_of_reach_goes_with_the_robot():
-    asked = best("cloi").cost.reach
-    assert resolve(best("cloi"), tasks.shipped("task01")).config.cost.reach == asked
+    asked = best("cloi").cost.push_ring
+    assert resolve(best("cloi"), tasks.shipped("task01")).config.cost.push_ring == asked
     point = resolve(best("cloi"), tasks.shipped("point01"))
-    assert point.config.cost.reach[0] == 0.0 and point.config.cost.reach[1] > 100.0
-    assert point.changes["cost.reach"].asked == asked
-    arm7 = resolve(best("cloi"), tasks.shipped("arm7_01")).config.cost.reach
+    assert point.config.cost.push_ring[0] == 0.0 and point.config.cost.push_ring[1] > 100.0
+    assert point.changes["cost.push_ring"].asked == asked
+    arm7 = resolve(best("cloi"), tasks.shipped("arm7_01")).config.cost.push_ring
     assert arm7[0] / asked[0] == pytest.approx(arm7[1] / asked[1])
 
 
@@ -107,8 +107,8 @@ def test_settings_resolved_for_one_robot_are_not_used_with_another():
 def test_a_change_made_after_resolving_takes_effect_as_it_is():
     scene = tasks.shipped("point01")
     once = resolve(best("cloi"), scene).config
-    again = resolve(replace(once, cost=replace(once.cost, reach=(0.1, 2.0))), scene)
-    assert again.config.cost.reach == (0.1, 2.0)
+    again = resolve(replace(once, cost=replace(once.cost, push_ring=(0.1, 2.0))), scene)
+    assert again.config.cost.push_ring == (0.1, 2.0)
 
 
 def test_a_plants_own_control_period_takes_the_place_of_the_setting():

@@ -211,10 +211,10 @@ def pose_distance_squared(a: np.ndarray, b: np.ndarray, w_theta: float) -> float
     return float(np.sum((a[:2] - b[:2]) ** 2) + w_theta * angle**2)
 
 
-def out_of_reach(pose: np.ndarray, reach: tuple[float, float]) -> float:
+def outside_ring(pose: np.ndarray, ring: tuple[float, float]) -> float:
     """How far the object's centre is from the ring around the base in which the arm pushes [m]."""
     distance = float(np.hypot(pose[0], pose[1]))
-    return max(reach[0] - distance, 0.0) + max(distance - reach[1], 0.0)
+    return max(ring[0] - distance, 0.0) + max(distance - ring[1], 0.0)
 
 
 def over_edge(pose: np.ndarray, edge: tuple[np.ndarray, np.ndarray]) -> float:
@@ -229,7 +229,7 @@ def object_cost(w: ObjectCost, pose: np.ndarray, goal: np.ndarray, force: float,
         + w.w_f * max(force - w.f_0, 0.0) ** 2
         + w.w_margin * max(w.margin - clearance, 0.0) ** 2
         + w.w_to_go * way
-        + w.w_reach * out_of_reach(pose, w.reach)
+        + w.w_push_ring * outside_ring(pose, w.push_ring)
     )
 
 
@@ -277,7 +277,7 @@ def robot_cost(
     target: np.ndarray,
     to_go: float = 0.0,
     force: float,
-    room: float,
+    arm_clearance: float,
     above: float,
     pressed: float,
     gap: float,
@@ -301,9 +301,9 @@ def robot_cost(
         else w.w_align * align_cost(tip[:2], pose[:2], target[:2], w.gamma_0, w.align_fade),
         "tilt": w.w_tilt * tilt_cost(rotation),
         "height": 0.0 if waypoint[3] > 0.0 else w.w_height * (tip[2] - w.height) ** 2,
-        "clearance": w.w_clearance * max(w.clearance - room, 0.0) ** 2,
+        "arm_clearance": w.w_arm_clearance * max(w.arm_clearance - arm_clearance, 0.0) ** 2,
         "above": w.w_above * above,
-        "reach": w.w_reach * out_of_reach(pose, w.reach) + w.w_edge * over_edge(pose, edge),
+        "push_ring": w.w_push_ring * outside_ring(pose, w.push_ring) + w.w_edge * over_edge(pose, edge),
         "press": w.w_press * pressed**2 + w.w_lift * rise**2,
         "control": w.w_control * speed_squared,
         "collision": w.w_collision * max(collision - w.f_0, 0.0),
@@ -445,14 +445,14 @@ class World:
     topple_speed: float = 0.0
     size: float = 0.0
 
-    def room(self, joints: np.ndarray) -> float:
+    def arm_clearance(self, joints: np.ndarray) -> float:
         """Clearance of arm and tool to the table and the obstacles (phi_3), at most a metre [m]."""
-        room = min(1.0, tip_frame(self.robot, joints)[2, 3])
+        arm_clearance = min(1.0, tip_frame(self.robot, joints)[2, 3])
         for *center, radius in arm_spheres(self.robot, joints):
-            room = min(room, center[2] - radius)
+            arm_clearance = min(arm_clearance, center[2] - radius)
             if center[2] - radius < self.top:
-                room = min(room, space_field(self.obstacles, np.array(center)) - radius)
-        return room
+                arm_clearance = min(arm_clearance, space_field(self.obstacles, np.array(center)) - radius)
+        return arm_clearance
 
     def push_along(self, pose: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """The object after the tool moved from ``start`` to ``end`` in small steps."""
@@ -474,16 +474,16 @@ def robot_rollout(
     robot, body, dt = world.robot, world.body, world.dt
     lower = np.minimum([joint.lower for joint in robot.joints], joints)
     upper = np.maximum([joint.upper for joint in robot.joints], joints)
-    frame, room = tip_frame(robot, joints), world.room(joints)
+    frame, arm_clearance = tip_frame(robot, joints), world.arm_clearance(joints)
     out = Rollout(dict.fromkeys(TERMS, 0.0), [joints], [frame[:3, 3]], [pose])
     for h, control in enumerate(controls, start=1):
         speed = np.clip(control, -world.speed, world.speed)
         new_joints = np.clip(joints + dt * speed, lower, upper)
-        new_frame, new_room, new_pose = tip_frame(robot, new_joints), world.room(new_joints), pose
+        new_frame, new_clearance, new_pose = tip_frame(robot, new_joints), world.arm_clearance(new_joints), pose
         tip, new_tip = frame[:3, 3], new_frame[:3, 3]
 
         above = max(tip[2], new_tip[2]) >= body.top and body.gap(pose, new_tip[:2]) < robot.tool_radius
-        stalled = (new_room < -GIVE and new_room < room) or (above and new_tip[2] < body.top)
+        stalled = (new_clearance < -GIVE and new_clearance < arm_clearance) or (above and new_tip[2] < body.top)
         pressed = force = rise = 0.0
         gap = 1.0
         if not stalled and max(tip[2], new_tip[2]) < body.top:
@@ -494,9 +494,9 @@ def robot_rollout(
             if force > 0.0:
                 pressed = max(robot.tool_radius - body.gap(new_pose, new_tip[:2]), 0.0)
                 stalled = pressed > JAM
-        shown_room = new_room
+        shown_clearance = new_clearance
         if not stalled:
-            joints, frame, room, pose = new_joints, new_frame, new_room, new_pose
+            joints, frame, arm_clearance, pose = new_joints, new_frame, new_clearance, new_pose
 
         terms = robot_cost(
             world.weights,
@@ -509,7 +509,7 @@ def robot_rollout(
             reference=reference[h],
             target=reference[h + world.weights.align_ahead],
             force=force,
-            room=shown_room,
+            arm_clearance=shown_clearance,
             above=float(above),
             pressed=pressed,
             gap=gap,

@@ -49,7 +49,7 @@ class ObjectDynamics:
         began = time.perf_counter()
         if cost.w_to_go > 0.0:
             self.to_go = build_to_go(
-                geometry.clearance, goal, yaw_length=level.yaw_length, reach=cost.reach, device=device
+                geometry.clearance, goal, yaw_length=level.yaw_length, push_ring=cost.push_ring, device=device
             )
         else:
             self.to_go = no_field(device)

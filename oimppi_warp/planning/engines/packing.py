@@ -49,7 +49,7 @@ def surroundings(scene: Scene, geometry: Geometry, cost: RobotCost) -> Surroundi
     packed = Surroundings()
     packed.obstacles = geometry.space
     packed.top = geometry.space_top
-    packed.near = max(cost.clearance, NEAR)
+    packed.near = max(cost.arm_clearance, NEAR)
     packed.tool_radius = scene.robot.tool_radius
     return packed
 
