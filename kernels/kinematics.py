@@ -42,7 +42,7 @@ class Arm:
 
 
 @wp.struct
-class Surroundings:
+class Environment:
     """What the arm must keep clear of.
 
     Attributes:
@@ -59,14 +59,14 @@ class Surroundings:
 
 
 @wp.struct
-class Placed:
+class ArmPlacement:
     """Where an arm is.
 
     Attributes:
         tip: The tool's tip [m].
         up: The world's z axis in the tip's frame.
         lean: How far the stick's other end is from straight above the tip, per metre of height, in x and y.
-        arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m]; beyond ``Surroundings.near`` a
+        arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m]; beyond ``Environment.near`` a
             lower bound.
     """
 
@@ -87,13 +87,13 @@ def turn_about_z(r: wp.mat33, c: float, s: float) -> wp.mat33:
 
 
 @wp.func
-def lowest_clearance(surroundings: Surroundings, p: wp.vec3, r: wp.mat33, ball: wp.vec4) -> float:
+def lowest_clearance(environment: Environment, p: wp.vec3, r: wp.mat33, ball: wp.vec4) -> float:
     """Clearance to table and obstacles of a sphere (centre, radius) given in a frame ``p``, ``r`` [m]."""
     height = p[2] + r[2, 0] * ball[0] + r[2, 1] * ball[1] + r[2, 2] * ball[2] - ball[3]
     clearance = height
-    if height < surroundings.top:
+    if height < environment.top:
         at = p + r * wp.vec3(ball[0], ball[1], ball[2])
-        clearance = wp.min(height, space_field(surroundings.obstacles, at) - ball[3])
+        clearance = wp.min(height, space_field(environment.obstacles, at) - ball[3])
     return clearance
 
 
@@ -107,12 +107,12 @@ def make_place_arm(chain: str) -> wp.Function:
     slides = sum(1 << j for j, kind in enumerate(chain) if kind == "P")
 
     @wp.func(module=f"oimppi_warp.kernels.kinematics_{chain}")
-    def place_arm(arm: Arm, surroundings: Surroundings, tip: wp.vec3, q: vec) -> Placed:
+    def place_arm(arm: Arm, environment: Environment, tip: wp.vec3, q: vec) -> ArmPlacement:
         """Tip, tilt and clearance of the arm.
 
         Args:
             arm: The arm.
-            surroundings: What is around it.
+            environment: What is around it.
             tip: The tip in the last link's frame [m].
             q: Joint positions [rad].
         """
@@ -127,13 +127,13 @@ def make_place_arm(chain: str) -> wp.Function:
             else:
                 r = turn_about_z(r * arm.rotation[j], wp.cos(q[j]), wp.sin(q[j]))
             # A link that is far from everything as a whole is not looked at more closely.
-            whole = lowest_clearance(surroundings, p, r, arm.hull[j])
-            if whole > surroundings.near:
+            whole = lowest_clearance(environment, p, r, arm.hull[j])
+            if whole > environment.near:
                 clearance = wp.min(clearance, whole)
             else:
                 for s in range(arm.first_sphere[j], arm.first_sphere[j + 1]):
-                    clearance = wp.min(clearance, lowest_clearance(surroundings, p, r, arm.sphere[s]))
-        placed = Placed()
+                    clearance = wp.min(clearance, lowest_clearance(environment, p, r, arm.sphere[s]))
+        placed = ArmPlacement()
         placed.tip = p + r * tip
         placed.up = wp.transpose(arm.tip_rotation) * wp.vec3(r[2, 0], r[2, 1], r[2, 2])
         stick = r * wp.vec3(-arm.tip_rotation[0, 2], -arm.tip_rotation[1, 2], -arm.tip_rotation[2, 2])

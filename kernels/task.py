@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from oimppi_warp.kernels.costs.terms import OVER, RobotWeights, Stage
+from oimppi_warp.kernels.costs.terms import CROSSING, RobotWeights, Stage
 from oimppi_warp.kernels.geometry import PoseField, planar_field, pose_field, rotate
-from oimppi_warp.kernels.kinematics import Arm, Placed, Surroundings
+from oimppi_warp.kernels.kinematics import Arm, ArmPlacement, Environment
 from oimppi_warp.kernels.pushing import ObjectModel
 
 wp.set_module_options({"enable_backward": False})
@@ -12,12 +12,12 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class RobotTask:
-    """The robot level's task: arm, object, surroundings, targets and weights.
+    """The robot level's task: arm, object, environment, targets and weights.
 
     Attributes:
         arm: The arm.
         model: The pushed object.
-        surroundings: What the arm must keep clear of.
+        environment: What the arm must keep clear of.
         weights: Of the cost terms.
         to_go: Cost-to-go of the object [m]; not looked up where ``w_to_go`` is zero.
         goal: The object's goal, a pose, shape [1].
@@ -28,7 +28,7 @@ class RobotTask:
 
     arm: Arm
     model: ObjectModel
-    surroundings: Surroundings
+    environment: Environment
     weights: RobotWeights
     to_go: PoseField
     goal: wp.array[wp.vec3]
@@ -43,20 +43,20 @@ def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
     c = wp.cos(pose[2])
     s = wp.sin(pose[2])
     local = rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1]))
-    return planar_field(task.model.body, local)[0] < task.surroundings.tool_radius
+    return planar_field(task.model.body, local)[0] < task.environment.tool_radius
 
 
 @wp.func
-def above_counts(task: RobotTask, tip: wp.vec3) -> float:
-    """Returns 1 for a tip over the object, else 0; a tip that is repositioned may pass ``OVER`` above it."""
+def above_penalty(task: RobotTask, tip: wp.vec3) -> float:
+    """Returns 1 for a tip over the object, else 0; a tip that is repositioned may pass ``CROSSING`` above it."""
     counts = float(0.0)
-    if task.waypoint[0][3] <= 0.0 or tip[2] < task.model.top + OVER:
+    if task.waypoint[0][3] <= 0.0 or tip[2] < task.model.top + CROSSING:
         counts = 1.0
     return counts
 
 
 @wp.func
-def known_stage(task: RobotTask, h: int, placed: Placed, pose: wp.vec3) -> Stage:
+def make_stage(task: RobotTask, h: int, placed: ArmPlacement, pose: wp.vec3) -> Stage:
     """The stage after control step ``h`` as far as it follows from where arm and object are; the rest is zero."""
     stage = Stage()
     stage.tip = placed.tip

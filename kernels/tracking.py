@@ -5,7 +5,7 @@ from functools import lru_cache
 import warp as wp
 
 from oimppi_warp.kernels.geometry import planar_field, rotate
-from oimppi_warp.kernels.kinematics import Arm, Surroundings, make_place_arm
+from oimppi_warp.kernels.kinematics import Arm, Environment, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, push, settle
 
 wp.set_module_options({"enable_backward": False})
@@ -35,7 +35,7 @@ def make_track_object(chain: str) -> wp.Kernel:
         # in:
         arm: Arm,
         model: ObjectModel,
-        surroundings: Surroundings,
+        environment: Environment,
         joints: wp.array[vec],
         begin: wp.array[int],
         contact_steps: int,
@@ -53,9 +53,9 @@ def make_track_object(chain: str) -> wp.Kernel:
         and object, after each step [m].
         """
         pose = poses[begin[0]]
-        old = place_arm(arm, surroundings, arm.tip_position, joints[begin[0]])
+        old = place_arm(arm, environment, arm.tip_position, joints[begin[0]])
         for i in range(begin[0] + 1, begin[1]):
-            new = place_arm(arm, surroundings, arm.tip_position, joints[i])
+            new = place_arm(arm, environment, arm.tip_position, joints[i])
             gap = float(1.0)
             if new.tip[2] < model.top and old.tip[2] < model.top:
                 before = pose
@@ -64,9 +64,9 @@ def make_track_object(chain: str) -> wp.Kernel:
                     end = wp.vec2(new.tip[0], new.tip[1]) + wp.float32(part) * (model.top - new.tip[2]) * new.lean
                     move = (end - last) / float(contact_steps)
                     for _ in range(contact_steps):
-                        pose = push(model, pose, last, last + move, surroundings.tool_radius)
+                        pose = push(model, pose, last, last + move, environment.tool_radius)
                         last = last + move
-                    gap = wp.min(gap, gap_to(model, pose, end, surroundings.tool_radius))
+                    gap = wp.min(gap, gap_to(model, pose, end, environment.tool_radius))
                 if pose[0] != before[0] or pose[1] != before[1] or pose[2] != before[2]:
                     pose = settle(model, pose, 1.0).pose
             poses[i] = pose

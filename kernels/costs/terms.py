@@ -13,10 +13,10 @@ from oimppi_warp.config.settings import RobotCost
 
 wp.set_module_options({"enable_backward": False})
 
-FREE = wp.constant(1.0)
+NOT_PUSHED = wp.constant(1.0)
 """Clearance of an object that is not being pushed, for costs [m]."""
 
-OVER = wp.constant(0.01)
+CROSSING = wp.constant(0.01)
 """Height above the object's top from which a tip may cross it while it is repositioned [m]."""
 
 ExtraTerms = tuple[tuple[str, wp.Function], ...]
@@ -59,7 +59,7 @@ class Stage:
     Attributes:
         tip: Tool tip [m].
         up: The world's z axis in the tip's frame.
-        lean: How far the stick leans, see ``Placed``.
+        lean: How far the stick leans, see ``ArmPlacement``.
         velocity: Of the tip, in x and y [m/s].
         pose: The object's pose.
         top: Height of the object's top above the table [m].
@@ -71,7 +71,7 @@ class Stage:
         arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m].
         above: 1 where the tip is above the object, else 0.
         pressed: Depth by which the tool presses into an object that cannot yield [m].
-        gap: Clearance phi_2 of the pose that the tool pushes the object to; ``FREE`` while it does not [m].
+        gap: Clearance phi_2 of the pose that the tool pushes the object to; ``NOT_PUSHED`` while it does not [m].
         rise: Speed at which the tip rises while it pushes [m/s].
         speed_squared: Squared norm of the joint velocities [rad^2/s^2].
         collision: Contact force of robot and environment, lambda_3 [N].

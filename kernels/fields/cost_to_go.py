@@ -23,7 +23,7 @@ a plan costs, so that a node further down the plan always wins over the nearest.
 
 
 @wp.struct
-class Tolls:
+class TravelCost:
     """What a metre of way costs.
 
     Attributes:
@@ -45,14 +45,14 @@ class Tolls:
 
 
 @wp.func
-def toll(tolls: Tolls, clearance: float, distance: float) -> float:
+def cost_per_metre(travel: TravelCost, clearance: float, distance: float) -> float:
     """What a metre costs at a clearance and a distance from the base's axis."""
-    lack = wp.clamp((tolls.comfort - clearance) / tolls.comfort, 0.0, 1.0)
-    cost = 1.0 + tolls.crowded * lack * lack
-    if distance < tolls.ring_inner or distance > tolls.ring_outer:
-        cost = wp.max(cost, tolls.far)
+    lack = wp.clamp((travel.comfort - clearance) / travel.comfort, 0.0, 1.0)
+    cost = 1.0 + travel.crowded * lack * lack
+    if distance < travel.ring_inner or distance > travel.ring_outer:
+        cost = wp.max(cost, travel.far)
     if clearance < 0.0:
-        cost = tolls.blocked
+        cost = travel.blocked
     return cost
 
 
@@ -60,7 +60,7 @@ def toll(tolls: Tolls, clearance: float, distance: float) -> float:
 def seed_to_go(
     # in:
     clearance: PoseField,
-    tolls: Tolls,
+    travel: TravelCost,
     pose: wp.vec3,
     near: float,
     left: float,
@@ -81,7 +81,7 @@ def seed_to_go(
     step = 1.0 / clearance.inv_step
     dx = clearance.origin[0] + step * float(i) - pose[0]
     dy = clearance.origin[1] + step * float(j) - pose[1]
-    turn = tolls.yaw_length * wrap_angle(2.0 * PI * float(t) / float(to_go.shape[0]) - pose[2])
+    turn = travel.yaw_length * wrap_angle(2.0 * PI * float(t) / float(to_go.shape[0]) - pose[2])
     straight = wp.sqrt(dx * dx + dy * dy + turn * turn)
     if straight <= near:
         to_go[t, i, j] = wp.min(to_go[t, i, j], left + straight)
@@ -100,7 +100,7 @@ def sweep_order(n: int, m: int, backward: int) -> int:
 def sweep_to_go(
     # in:
     clearance: PoseField,
-    tolls: Tolls,
+    travel: TravelCost,
     direction: int,
     # out:
     to_go: wp.array3d[float],
@@ -115,7 +115,7 @@ def sweep_to_go(
     nx = to_go.shape[1]
     ny = to_go.shape[2]
     step = 1.0 / clearance.inv_step
-    turn = tolls.yaw_length / clearance.inv_yaw_step
+    turn = travel.yaw_length / clearance.inv_yaw_step
     largest = float(0.0)
     for a in range(nt + 1):
         t = sweep_order(nt + 1, a, direction & 1) % nt
@@ -125,7 +125,7 @@ def sweep_to_go(
                 j = sweep_order(ny, c, (direction >> 2) & 1)
                 old = to_go[t, i, j]
                 at = clearance.origin + step * wp.vec2(float(i), float(j))
-                here = toll(tolls, clearance.values[t, i, j], wp.length(at))
+                here = cost_per_metre(travel, clearance.values[t, i, j], wp.length(at))
                 best = old
                 for dt in range(-1, 2):
                     tt = (t + dt + nt) % nt
@@ -196,7 +196,7 @@ def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) ->
 
 
 @wp.kernel
-def follow_down(
+def descend(
     # in:
     to_go: PoseField,
     plan: wp.array[wp.vec3],

@@ -5,16 +5,16 @@ from functools import lru_cache
 import warp as wp
 
 from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
-from oimppi_warp.kernels.costs.terms import FREE, ExtraTerms, module_of
+from oimppi_warp.kernels.costs.terms import NOT_PUSHED, ExtraTerms, module_of
 from oimppi_warp.kernels.geometry import planar_field, rotate
 from oimppi_warp.kernels.kinematics import make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, push, settle
 from oimppi_warp.kernels.rollouts.uncertainty import Draw
-from oimppi_warp.kernels.task import RobotTask, above_counts, known_stage, over_object
+from oimppi_warp.kernels.task import RobotTask, above_penalty, make_stage, over_object
 
 wp.set_module_options({"enable_backward": False})
 
-GIVE = wp.constant(5.0e-4)
+PENETRATION_TOLERANCE = wp.constant(5.0e-4)
 """Depth that a contact may grow by before the arm is held back [m]."""
 
 
@@ -60,7 +60,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
         draw = draws[n % draws.shape[0]]
         arm = task.arm
         model = task.model
-        surroundings = task.surroundings
+        environment = task.environment
         dt = task.dt
         body = ObjectModel()
         body.force = model.force * draw.force
@@ -73,7 +73,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
         tool = arm.tip_position + arm.tip_rotation * wp.vec3(draw.tool[0], draw.tool[1], 0.0)
         q = start_joints[0]
         pose = start_object[0] + draw.pose
-        placed = place_arm(arm, surroundings, tool, q)
+        placed = place_arm(arm, environment, tool, q)
         total = vector()
         if n < tips.shape[0]:
             tips[n, 0] = placed.tip
@@ -88,22 +88,22 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                 speed = wp.clamp(u[j], -arm.speed[j], arm.speed[j])
                 speed_squared += speed * speed
                 q[j] = wp.clamp(q[j] + dt * speed, wp.min(arm.lower[j], q[j]), wp.max(arm.upper[j], q[j]))
-            placed = place_arm(arm, surroundings, tool, q)
+            placed = place_arm(arm, environment, tool, q)
             tip = placed.tip
             arm_clearance = placed.arm_clearance
 
             # A step that would carry the arm further into an obstacle or the table, or the tool down onto the object,
             # is not taken: the arm stalls.
-            stalled = arm_clearance < -GIVE and arm_clearance < old.arm_clearance
+            stalled = arm_clearance < -PENETRATION_TOLERANCE and arm_clearance < old.arm_clearance
             above = float(0.0)
             if tip[2] >= body.top or old.tip[2] >= body.top:
                 if over_object(task, tip, pose):
-                    above = above_counts(task, tip)
+                    above = above_penalty(task, tip)
                     if tip[2] < body.top:
                         stalled = True
             pressed = float(0.0)
             force = float(0.0)
-            gap = FREE
+            gap = NOT_PUSHED
             rise = float(0.0)
             new_pose = pose
             if not stalled:
@@ -111,7 +111,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                     last = wp.vec2(old.tip[0], old.tip[1])
                     move = (wp.vec2(tip[0], tip[1]) - last) / float(contact_steps)
                     for _ in range(contact_steps):
-                        new_pose = push(body, new_pose, last, last + move, surroundings.tool_radius)
+                        new_pose = push(body, new_pose, last, last + move, environment.tool_radius)
                         last = last + move
                 if new_pose[0] != pose[0] or new_pose[1] != pose[1] or new_pose[2] != pose[2]:
                     settled = settle(body, new_pose, dt)
@@ -124,7 +124,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                         c = wp.cos(new_pose[2])
                         s = wp.sin(new_pose[2])
                         local = rotate(c, -s, wp.vec2(tip[0] - new_pose[0], tip[1] - new_pose[1]))
-                        pressed = wp.max(surroundings.tool_radius - planar_field(body.body, local)[0], 0.0)
+                        pressed = wp.max(environment.tool_radius - planar_field(body.body, local)[0], 0.0)
                         stalled = pressed > 2.0e-3
             if stalled:
                 q = old_q
@@ -132,7 +132,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
             else:
                 pose = new_pose
 
-            stage = known_stage(task, h, placed, pose)
+            stage = make_stage(task, h, placed, pose)
             stage.velocity = wp.vec2(tip[0] - old.tip[0], tip[1] - old.tip[1]) / dt
             stage.force = force
             stage.arm_clearance = arm_clearance

@@ -5,16 +5,16 @@ from functools import lru_cache
 import warp as wp
 
 from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
-from oimppi_warp.kernels.costs.terms import FREE, ExtraTerms, module_of
+from oimppi_warp.kernels.costs.terms import NOT_PUSHED, ExtraTerms, module_of
 from oimppi_warp.kernels.geometry import rotate
 from oimppi_warp.kernels.kinematics import make_place_arm
-from oimppi_warp.kernels.task import RobotTask, above_counts, known_stage, over_object
+from oimppi_warp.kernels.task import RobotTask, above_penalty, make_stage, over_object
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class Felt:
+class PhysicsOutcome:
     """Contact forces and failures of rollouts by a physics engine.
 
     Attributes:
@@ -54,7 +54,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
         start_joints: wp.array[vec],
         joints: wp.array2d[joints_type],
         objects: wp.array2d[object_type],
-        felt: Felt,
+        outcome: PhysicsOutcome,
         # out:
         costs: wp.array[float],
         terms: wp.array[vector],
@@ -69,9 +69,9 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
         """
         n = first + wp.tid()
         arm = task.arm
-        surroundings = task.surroundings
+        environment = task.environment
         total = vector()
-        last = place_arm(arm, surroundings, arm.tip_position, start_joints[0]).tip
+        last = place_arm(arm, environment, arm.tip_position, start_joints[0]).tip
         for h in range(controls.shape[1]):
             q = vec()
             speed_squared = float(0.0)
@@ -80,7 +80,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
                 q[j] = float(joints[n, h][j])
                 speed = wp.clamp(u[j], -arm.speed[j], arm.speed[j])
                 speed_squared += speed * speed
-            placed = place_arm(arm, surroundings, arm.tip_position, q)
+            placed = place_arm(arm, environment, arm.tip_position, q)
             at = objects[n, h]
             qw = float(at[3])
             qx = float(at[4])
@@ -91,15 +91,15 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
             s = wp.sin(yaw)
             middle = rotate(c, s, task.model.center) + wp.vec2(float(at[0]), float(at[1]))
             pose = wp.vec3(middle[0], middle[1], yaw)
-            stage = known_stage(task, h, placed, pose)
+            stage = make_stage(task, h, placed, pose)
             if placed.tip[2] >= task.model.top:
                 if over_object(task, placed.tip, pose):
-                    stage.above = above_counts(task, placed.tip)
+                    stage.above = above_penalty(task, placed.tip)
             stage.velocity = wp.vec2(placed.tip[0] - last[0], placed.tip[1] - last[1]) / task.dt
-            stage.force = felt.forces[n, h][0]
-            stage.collision = felt.forces[n, h][1]
+            stage.force = outcome.forces[n, h][0]
+            stage.collision = outcome.forces[n, h][1]
             stage.arm_clearance = placed.arm_clearance
-            stage.gap = FREE
+            stage.gap = NOT_PUSHED
             stage.speed_squared = speed_squared
             total += robot_cost(task.weights, stage)
             last = placed.tip
@@ -109,7 +109,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
         cost = float(0.0)
         for i in range(wp.static(len(vector()))):
             cost += total[i]
-        if felt.lost[n] != 0:
+        if outcome.lost[n] != 0:
             cost = wp.inf
         costs[n] = cost
 

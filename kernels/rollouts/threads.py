@@ -1,4 +1,4 @@
-"""What goes into and comes out of rollouts by MuJoCo's C engine: controls, and the forces that its sensors felt."""
+"""What goes into and comes out of rollouts by MuJoCo's C engine: controls, and the forces that its sensors sensed."""
 
 from functools import lru_cache
 
@@ -49,10 +49,10 @@ def make_expand_controls(dof: int) -> wp.Kernel:
 
 
 @wp.kernel
-def feel_forces(
+def read_forces(
     # in:
     first: int,
-    felt: wp.array3d[wp.float64],
+    sensed: wp.array3d[wp.float64],
     group: wp.array[int],
     substeps: int,
     times: wp.array[wp.float64],
@@ -63,9 +63,9 @@ def feel_forces(
 ):
     """The largest contact forces within each control step, and whether the simulation got to its end.
 
-    Shapes: ``felt`` [rollout, horizon * substeps, 3 * sensor] [N], ``group`` [sensor]: 0 for lambda_2, 1 for lambda_3,
-    ``times`` [rollout]: time at the end of each rollout [s], which is before ``end`` where it diverged, ``forces``
-    [rollout, horizon] [N], ``lost`` [rollout].
+    Shapes: ``sensed`` [rollout, horizon * substeps, 3 * sensor] [N], ``group`` [sensor]: 0 for lambda_2, 1 for
+    lambda_3, ``times`` [rollout]: time at the end of each rollout [s], which is before ``end`` where it diverged,
+    ``forces`` [rollout, horizon] [N], ``lost`` [rollout].
     """
     n = first + wp.tid()
     for h in range(forces.shape[1]):
@@ -73,9 +73,9 @@ def feel_forces(
         for s in range(substeps):
             sums = wp.vec2()
             for i in range(group.shape[0]):
-                x = float(felt[n, h * substeps + s, 3 * i])
-                y = float(felt[n, h * substeps + s, 3 * i + 1])
-                z = float(felt[n, h * substeps + s, 3 * i + 2])
+                x = float(sensed[n, h * substeps + s, 3 * i])
+                y = float(sensed[n, h * substeps + s, 3 * i + 1])
+                z = float(sensed[n, h * substeps + s, 3 * i + 2])
                 force = wp.sqrt(x * x + y * y + z * z)
                 sums[group[i]] = sums[group[i]] + force
             most = wp.max(most, sums)

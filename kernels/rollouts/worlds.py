@@ -134,13 +134,13 @@ def feel_contacts(
     force: wp.array2d[float],
     group: wp.array2d[int],
     # out:
-    felt: wp.array2d[wp.vec2],
+    sensed: wp.array2d[wp.vec2],
 ):
     """Adds up the normal forces of one physics step.
 
     Shapes: ``contacts`` [1] is their number, ``geom``, ``world`` and ``row`` (of the normal force among the
     constraints; negative if there is none) of each [contact], ``force`` [world, constraint] [N], ``group``
-    [geom, geom]: 0 for lambda_2, 1 for lambda_3, else negative, ``felt`` [world, physics step] [N].
+    [geom, geom]: 0 for lambda_2, 1 for lambda_3, else negative, ``sensed`` [world, physics step] [N].
     """
     c = wp.tid()
     if c < contacts[0]:
@@ -148,13 +148,13 @@ def feel_contacts(
         if which >= 0 and row[c, 0] >= 0:
             w = world[c]
             normal = force[w, row[c, 0]]
-            wp.atomic_add(felt, w, step, wp.vec2(float(1 - which) * normal, float(which) * normal))
+            wp.atomic_add(sensed, w, step, wp.vec2(float(1 - which) * normal, float(which) * normal))
 
 
 @wp.kernel
 def take_forces(
     # in:
-    felt: wp.array2d[wp.vec2],
+    sensed: wp.array2d[wp.vec2],
     substeps: int,
     qpos: wp.array2d[float],
     overflow: wp.array[int],
@@ -165,14 +165,14 @@ def take_forces(
 ):
     """The largest contact forces within each control step, which worlds diverged, and what overflowed anywhere.
 
-    Shapes: ``felt`` [world, horizon * substeps] [N], ``qpos`` [world, n], ``overflow`` [world], ``forces``
+    Shapes: ``sensed`` [world, horizon * substeps] [N], ``qpos`` [world, n], ``overflow`` [world], ``forces``
     [world, horizon] [N], ``lost`` [world], ``overflows`` [1].
     """
     w = wp.tid()
     for h in range(forces.shape[1]):
         most = wp.vec2()
         for s in range(substeps):
-            most = wp.max(most, felt[w, h * substeps + s])
+            most = wp.max(most, sensed[w, h * substeps + s])
         forces[w, h] = most
     bad = int(0)
     for i in range(qpos.shape[1]):

@@ -57,9 +57,9 @@ def build_to_go(
     host = PoseField()
     host.values = clearance.values.to("cpu")
     host.origin, host.inv_step, host.inv_yaw_step = clearance.origin, clearance.inv_step, clearance.inv_yaw_step
-    tolls = kernels.Tolls()
-    tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = yaw_length, _COMFORT, _CROWDED, _BLOCKED
-    tolls.ring_inner, tolls.ring_outer, tolls.far = push_ring[0], min(push_ring[1], 1e3), _OUT_OF_REACH
+    travel = kernels.TravelCost()
+    travel.yaw_length, travel.comfort, travel.crowded, travel.blocked = yaw_length, _COMFORT, _CROWDED, _BLOCKED
+    travel.ring_inner, travel.ring_outer, travel.far = push_ring[0], min(push_ring[1], 1e3), _OUT_OF_REACH
 
     def compute() -> np.ndarray:
         to_go = wp.full(host.values.shape, _UNKNOWN, dtype=float, device="cpu")
@@ -68,20 +68,20 @@ def build_to_go(
         left = _ALONG * np.concatenate([np.cumsum(path_lengths(way, yaw_length)[::-1])[::-1], [0.0]])
         for pose, length in zip(way, left, strict=True):
             first, size = _box_around(host, pose, yaw_length)
-            inputs = [host, tolls, wp.vec3(*pose), _NEAR, float(length), wp.vec3i(*first)]
+            inputs = [host, travel, wp.vec3(*pose), _NEAR, float(length), wp.vec3i(*first)]
             wp.launch(kernels.seed_to_go, dim=size, inputs=inputs, outputs=[to_go], device="cpu")
         change = wp.zeros(1, dtype=float, device="cpu")
         improvement = np.full(8, np.inf)
         for sweep in range(_SWEEPS):
-            inputs = [host, tolls, sweep % 8]
+            inputs = [host, travel, sweep % 8]
             wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go, change], device="cpu")
             improvement[sweep % 8] = change.numpy()[0]
             if improvement.max() < _SETTLED:
                 break
         return to_go.numpy()
 
-    numbers = [*host.origin, host.inv_step, tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked]
-    numbers += [tolls.ring_inner, tolls.ring_outer, tolls.far, _NEAR, _SETTLED, _SWEEPS]
+    numbers = [*host.origin, host.inv_step, travel.yaw_length, travel.comfort, travel.crowded, travel.blocked]
+    numbers += [travel.ring_inner, travel.ring_outer, travel.far, _NEAR, _SETTLED, _SWEEPS]
     content = content_of(host.values.numpy(), way, numbers)
     field = PoseField()
     # A goal comes again, a planned way does not.

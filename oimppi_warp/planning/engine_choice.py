@@ -36,7 +36,7 @@ P = TypeVar("P", bound=Rehearsable)
 
 
 @dataclass(frozen=True)
-class Choice(Generic[P]):
+class EngineChoice(Generic[P]):
     """An engine and why it was chosen.
 
     Attributes:
@@ -50,7 +50,7 @@ class Choice(Generic[P]):
     planner: P
 
 
-def choose(method: str, period: float, make: Callable[[str], P]) -> Choice[P]:
+def choose_engine(method: str, period: float, make: Callable[[str], P]) -> EngineChoice[P]:
     """The engine to plan with.
 
     Engines are tried in the order of their known success; of equals, those first that are slower than fewer others. An
@@ -85,12 +85,12 @@ def choose(method: str, period: float, make: Callable[[str], P]) -> Choice[P]:
         found[name] = plan_seconds(planners[name], period)
         if found[name] <= period:
             others = "".join(f", with {other} {_ms(found[other])}" for other in found if other != name)
-            return Choice(name, f"a plan takes {_ms(found[name])} of {_ms(period)}{others}", planners[name])
+            return EngineChoice(name, f"a plan takes {_ms(found[name])} of {_ms(period)}{others}", planners[name])
     fastest = min(found, key=lambda name: found[name])
     reason = f"none keeps up; with this one a plan takes {_ms(found[fastest])} of {_ms(period)}"
     if left_out:
         reason += f", and {', '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} known to be slower"
-    return Choice(fastest, reason, planners[fastest])
+    return EngineChoice(fastest, reason, planners[fastest])
 
 
 def plan_seconds(planner: Rehearsable, period: float) -> float:

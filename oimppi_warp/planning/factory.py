@@ -8,7 +8,7 @@ from oimppi_warp.compute.step import Compute
 from oimppi_warp.config.overrides import validate
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
-from oimppi_warp.planning.engine_choice import choose
+from oimppi_warp.planning.engine_choice import choose_engine
 from oimppi_warp.planning.planner import Planner
 from oimppi_warp.planning.resolve import resolve
 from oimppi_warp.registries import METHODS
@@ -38,6 +38,6 @@ def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **op
 
     if spec.engine != "auto":
         return make(spec.engine)
-    choice = choose(spec.method, config.control_period, make)
+    choice = choose_engine(spec.method, config.control_period, make)
     choice.planner.engine_reason = choice.reason
     return choice.planner

@@ -56,7 +56,7 @@ class PlanFollower:
         step = level.speed_limit[0] * config.control_period
         inputs = [self._to_go, self._plan, self._start.array, goal_array, level.yaw_length, step]
         self.launches = [
-            compute.launch(cost_to_go.follow_down, 1, inputs, [self._path.array]),
+            compute.launch(cost_to_go.descend, 1, inputs, [self._path.array]),
             compute.launch(follow_path, len(reference.host), [self._path.array], [reference.array]),
         ]
 

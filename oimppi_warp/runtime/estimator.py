@@ -29,7 +29,7 @@ from oimppi_warp.observation import (
     planar_transform,
 )
 from oimppi_warp.planning.engines.dynamics import control_type
-from oimppi_warp.planning.engines.packing import object_model, surroundings, velocity_bound
+from oimppi_warp.planning.engines.packing import environment, object_model, velocity_bound
 from oimppi_warp.scene import Scene
 
 _CAPACITY = 1024
@@ -82,7 +82,7 @@ class Estimator:
         self._arm = pack_arm(scene.robot, velocity_bound(scene, config.robot), "cpu")
         self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
         self._model.clearance = geometry.obstruction
-        self._surroundings = surroundings(scene, geometry, config.cost)
+        self._surroundings = environment(scene, geometry, config.cost)
         self._contact_steps = config.robot.contact_steps
         self._kernel = make_track_object(scene.robot.chain)
         vec = control_type(scene.robot.dof)

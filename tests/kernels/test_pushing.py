@@ -26,7 +26,7 @@ from support.tasks import (
 
 from oimppi_warp.config.settings import Config, ObjectLevel
 from oimppi_warp.kernels.pushing import ObjectModel
-from oimppi_warp.kernels.rollouts.quasistatic import GIVE
+from oimppi_warp.kernels.rollouts.quasistatic import PENETRATION_TOLERANCE
 from oimppi_warp.planning.engines.packing import object_model
 
 DEPTH = 1e-3
@@ -298,7 +298,7 @@ def test_a_tool_does_not_dive_into_the_table(open_table):
     down = straight(robot, joints, (0.0, 0.1, -0.1), 25)
     random = down + np.random.default_rng(3).normal(scale=0.2, size=(50, 25, robot.dof))
     rolled = open_table.roll(joints, T_POSE, np.concatenate([down[None], random]))
-    assert rolled.tips[:, :, 2].min() >= -GIVE - 1e-6
+    assert rolled.tips[:, :, 2].min() >= -PENETRATION_TOLERANCE - 1e-6
     assert rolled.tips[0, -1, 2] < 0.006, "it went down as far as it may"
 
 
@@ -308,7 +308,7 @@ def test_a_tool_without_a_collider_does_not_dive_into_the_table_either():
     pushing = Pushing.on(replace(scene, robot=bare))
     joints = joints_at(bare, (0.35, 0.2, 0.03))
     rolled = pushing.roll(joints, T_POSE, straight(bare, joints, (0.0, 0.1, -0.1), 25)[None])
-    assert -GIVE - 1e-6 <= rolled.tips[0, -1, 2] < 0.006
+    assert -PENETRATION_TOLERANCE - 1e-6 <= rolled.tips[0, -1, 2] < 0.006
 
 
 def test_the_first_joint_stops_at_its_limit_and_its_speed(open_table):
@@ -346,7 +346,7 @@ def test_an_arm_is_held_back_at_a_shelf_by_its_links(shelves):
         np.tile(shelves.scene.goal, (len(shelves.dynamics.reference.host), 1)),
         controls,
     )
-    assert min(world.arm_clearance(q) for q in twin.joints) > -GIVE - 1e-4
+    assert min(world.arm_clearance(q) for q in twin.joints) > -PENETRATION_TOLERANCE - 1e-4
     np.testing.assert_allclose(rolled.tips[0], twin.tips, atol=3 * LENGTH_TOLERANCE)
     held_back = -0.075 - robot.tool_radius - rolled.tips[0, -1, 1]
     assert held_back > 0.005, "the tool alone would have reached the box"
@@ -364,7 +364,7 @@ def test_an_arm_passes_over_a_low_obstacle(shelves):
 def test_an_arm_that_is_too_close_may_move_away(shelves):
     robot, world = shelves.scene.robot, shelves.twin()
     joints = joints_at(robot, (0.32, -0.07, 0.02))  # within the box
-    assert world.arm_clearance(joints) < -GIVE
+    assert world.arm_clearance(joints) < -PENETRATION_TOLERANCE
     away = straight(robot, joints, (0.0, -0.2, 0.0), 25)
     rolled = shelves.roll(joints, np.array([0.5, -0.4, 0.0]), np.array([away, -away]))
     assert rolled.tips[0, -1, 1] < -0.25

@@ -53,7 +53,7 @@ RING = (0.03, 0.13)
 """Distances from the base between which the arm pushes well [m]."""
 
 
-def toll(gap: float, distance: float) -> float:
+def cost_per_metre(gap: float, distance: float) -> float:
     """What a metre costs at a clearance and a distance from the base."""
     crowded = 1.0 + 3.0 * np.clip((0.02 - gap) / 0.02, 0.0, 1.0) ** 2
     if gap < 0.0:
@@ -71,7 +71,9 @@ def toll(gap: float, distance: float) -> float:
 )
 def test_the_cost_to_go_is_dijkstras(way):
     found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, push_ring=RING, device="cpu").values.numpy()
-    expected = reference.to_go(walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, toll=toll)
+    expected = reference.to_go(
+        walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, cost_per_metre=cost_per_metre
+    )
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
@@ -98,12 +100,12 @@ def test_a_goal_where_the_arm_pushes_badly_is_far_away():
 def test_sweeping_no_further_changes_a_cost_to_go_that_is_done():
     field = field_of(walled())
     to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device="cpu")
-    tolls = kernels.Tolls()
-    tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
-    tolls.ring_inner, tolls.ring_outer, tolls.far = 0.0, 1e3, 10.0
+    travel = kernels.TravelCost()
+    travel.yaw_length, travel.comfort, travel.crowded, travel.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
+    travel.ring_inner, travel.ring_outer, travel.far = 0.0, 1e3, 10.0
     change = wp.zeros(1, dtype=float, device="cpu")
     for direction in range(8):
-        inputs = [field, tolls, direction]
+        inputs = [field, travel, direction]
         wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go.values, change], device="cpu")
         assert change.numpy()[0] < 1e-3
 
@@ -132,7 +134,7 @@ def followed(to_go: PoseField, pose: np.ndarray, goal: np.ndarray, *, step: floa
     start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
     way = wp.zeros((1, steps + 1), dtype=wp.vec3, device="cpu")
     wp.launch(
-        kernels.follow_down, dim=1, inputs=[to_go, no_plan(), start, end, YAW_LENGTH, step], outputs=[way], device="cpu"
+        kernels.descend, dim=1, inputs=[to_go, no_plan(), start, end, YAW_LENGTH, step], outputs=[way], device="cpu"
     )
     return way.numpy()[0].astype(float)
 
@@ -177,9 +179,7 @@ def test_a_way_down_leads_through_a_gap_as_narrow_as_the_grid():
     to_go = build_to_go(field, goal, yaw_length=0.01, device="cpu")
     start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
     way = wp.zeros((1, 121), dtype=wp.vec3, device="cpu")
-    wp.launch(
-        kernels.follow_down, dim=1, inputs=[to_go, no_plan(), start, end, 0.01, 0.006], outputs=[way], device="cpu"
-    )
+    wp.launch(kernels.descend, dim=1, inputs=[to_go, no_plan(), start, end, 0.01, 0.006], outputs=[way], device="cpu")
     np.testing.assert_allclose(way.numpy()[0, -1], goal, atol=1e-3)
     left = np.linalg.norm(way.numpy()[0, :, :2] - goal[:2], axis=1)
     assert (left[5:] < left[:-5] + 1e-6).all(), "it does not turn around"
@@ -196,7 +196,7 @@ def test_a_way_leads_along_a_plan_past_a_shorter_one():
     packed = wp.array(plan.astype(np.float32), dtype=wp.vec3, device="cpu")
     found = wp.zeros((1, 200), dtype=wp.vec3, device="cpu")
     inputs = [to_go, packed, start, end, YAW_LENGTH, 0.006]
-    wp.launch(kernels.follow_down, dim=1, inputs=inputs, outputs=[found], device="cpu")
+    wp.launch(kernels.descend, dim=1, inputs=inputs, outputs=[found], device="cpu")
     way = found.numpy()[0].astype(float)
     np.testing.assert_allclose(way[-1], goal, atol=1e-3)
     off = [np.linalg.norm(plan[:, :2] - p[:2], axis=1).min() for p in way]

@@ -11,7 +11,7 @@ from support import tasks
 
 from oimppi_warp.config.presets import best
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.planning.engine_choice import choose
+from oimppi_warp.planning.engine_choice import choose_engine
 from oimppi_warp.planning.engines import newton
 from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.registries import ENGINES
@@ -75,7 +75,7 @@ class Machine:
 def test_the_most_successful_engine_that_keeps_up_is_taken(add, monkeypatch):
     add |= {"good": Known({"cloi": 0.8}), "better": Known({"cloi": 0.9})}
     machine = Machine(monkeypatch, good=0.01, better=0.04)
-    choice = choose("cloi", 0.05, machine.make)
+    choice = choose_engine("cloi", 0.05, machine.make)
     assert (choice.engine, choice.planner.engine, machine.made) == ("better", "better", ["better"])
     assert machine.timed == {"better": 3}
     assert choice.reason == "a plan takes 40 ms of 50 ms"
@@ -84,21 +84,21 @@ def test_the_most_successful_engine_that_keeps_up_is_taken(add, monkeypatch):
 def test_success_is_the_methods_own(add, monkeypatch):
     add |= {"good": Known({"cloi": 0.8, "soi": 0.7}), "better": Known({"cloi": 0.9, "soi": 0.1})}
     machine = Machine(monkeypatch, good=0.01, better=0.01)
-    assert choose("soi", 0.05, machine.make).engine == "good"
+    assert choose_engine("soi", 0.05, machine.make).engine == "good"
     assert machine.made == ["good"]
 
 
 def test_of_equals_the_one_that_is_slower_than_others_comes_last(add, monkeypatch):
     add |= {"slow": Known({"cloi": 0.9}, frozenset({"fast"})), "fast": Known({"cloi": 0.9})}
     machine = Machine(monkeypatch, slow=0.04, fast=0.01)
-    assert choose("cloi", 0.05, machine.make).engine == "fast"
+    assert choose_engine("cloi", 0.05, machine.make).engine == "fast"
     assert machine.made == ["fast"]
 
 
 def test_an_engine_that_is_too_slow_gives_way_after_one_plan(add, monkeypatch):
     add |= {"good": Known({"cloi": 0.8}), "better": Known({"cloi": 0.9}, frozenset({"good"}))}
     machine = Machine(monkeypatch, good=0.01, better=0.4)
-    choice = choose("cloi", 0.05, machine.make)
+    choice = choose_engine("cloi", 0.05, machine.make)
     assert choice.engine == "good"
     assert machine.timed == {"better": 1, "good": 3}
     assert choice.reason == "a plan takes 10 ms of 50 ms, with better 400 ms"
@@ -107,7 +107,7 @@ def test_an_engine_that_is_too_slow_gives_way_after_one_plan(add, monkeypatch):
 def test_timing_stops_at_the_first_plan_beyond_the_period(add, monkeypatch):
     add |= {"only": Known({"cloi": 0.9})}
     machine = Machine(monkeypatch, only=(0.01, 0.06, 0.01))
-    choice = choose("cloi", 0.05, machine.make)
+    choice = choose_engine("cloi", 0.05, machine.make)
     assert machine.timed == {"only": 2}
     assert choice.reason == "none keeps up; with this one a plan takes 60 ms of 50 ms"
 
@@ -115,7 +115,7 @@ def test_timing_stops_at_the_first_plan_beyond_the_period(add, monkeypatch):
 def test_an_engine_that_is_known_to_be_slower_is_not_tried_after_one_that_is_too_slow(add, monkeypatch):
     add |= {"fast": Known({"cloi": 0.95}), "slow": Known({"cloi": 0.9}, frozenset({"fast"}))}
     machine = Machine(monkeypatch, fast=0.7)
-    choice = choose("cloi", 0.05, machine.make)
+    choice = choose_engine("cloi", 0.05, machine.make)
     assert (choice.engine, machine.made, machine.timed) == ("fast", ["fast"], {"fast": 1})
     assert choice.reason == "none keeps up; with this one a plan takes 700 ms of 50 ms, and slow is known to be slower"
 
@@ -123,7 +123,7 @@ def test_an_engine_that_is_known_to_be_slower_is_not_tried_after_one_that_is_too
 def test_where_none_keeps_up_the_fastest_is_taken_and_that_is_said(add, monkeypatch):
     add |= {"good": Known({"cloi": 0.8}), "better": Known({"cloi": 0.9})}
     machine = Machine(monkeypatch, good=0.2, better=0.4)
-    choice = choose("cloi", 0.05, machine.make)
+    choice = choose_engine("cloi", 0.05, machine.make)
     assert (choice.engine, choice.planner.engine) == ("good", "good")
     assert machine.timed == {"better": 1, "good": 1}
     assert choice.reason == "none keeps up; with this one a plan takes 200 ms of 50 ms"
@@ -132,14 +132,14 @@ def test_where_none_keeps_up_the_fastest_is_taken_and_that_is_said(add, monkeypa
 def test_an_engine_that_nobody_has_measured_is_not_tried(add, monkeypatch):
     add |= {"known": Known({"cloi": 0.5}), "unknown": Known(), "plain": object()}  # type: ignore[dict-item]
     machine = Machine(monkeypatch, known=0.2)
-    assert choose("cloi", 0.05, machine.make).engine == "known"
+    assert choose_engine("cloi", 0.05, machine.make).engine == "known"
     assert machine.made == ["known"]
     # A method that nobody has measured takes the engines that are known with others.
-    assert choose("mine", 0.05, machine.make).engine == "known"
+    assert choose_engine("mine", 0.05, machine.make).engine == "known"
     assert machine.made == ["known", "known"]
     del add["known"]
     with pytest.raises(ConfigError, match=r"no engine has a known success\n.*unknown, plain"):
-        choose("soi", 0.05, machine.make)
+        choose_engine("soi", 0.05, machine.make)
 
 
 def test_shipped_engines_are_known_for_every_method_that_was_measured():

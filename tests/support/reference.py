@@ -22,7 +22,7 @@ from oimppi_warp.geometry.kinematics import collider_spheres
 from oimppi_warp.kernels.costs.stage_costs import TERMS
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.kernels.pushing import ObjectModel
-from oimppi_warp.kernels.rollouts.quasistatic import GIVE
+from oimppi_warp.kernels.rollouts.quasistatic import PENETRATION_TOLERANCE
 from oimppi_warp.scene import Robot
 
 LENGTH_TOLERANCE = 2e-5
@@ -483,7 +483,9 @@ def robot_rollout(
         tip, new_tip = frame[:3, 3], new_frame[:3, 3]
 
         above = max(tip[2], new_tip[2]) >= body.top and body.gap(pose, new_tip[:2]) < robot.tool_radius
-        stalled = (new_clearance < -GIVE and new_clearance < arm_clearance) or (above and new_tip[2] < body.top)
+        stalled = (new_clearance < -PENETRATION_TOLERANCE and new_clearance < arm_clearance) or (
+            above and new_tip[2] < body.top
+        )
         pressed = force = rise = 0.0
         gap = 1.0
         if not stalled and max(tip[2], new_tip[2]) < body.top:

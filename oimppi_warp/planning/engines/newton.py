@@ -15,7 +15,7 @@ import warp as wp
 
 from oimppi_warp.compute.step import Launch
 from oimppi_warp.geometry.fields import to_center
-from oimppi_warp.kernels.rollouts.scoring import Felt, make_pick_trace, make_stage_costs
+from oimppi_warp.kernels.rollouts.scoring import PhysicsOutcome, make_pick_trace, make_stage_costs
 from oimppi_warp.kernels.rollouts.uncertainty import combine_costs
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.engines.dynamics import RolloutTask, Trace, control_type
@@ -99,9 +99,9 @@ class NewtonDynamics(ScoredDynamics):
         """
         draws = self._draws
         joints, objects, precision = self.states()
-        felt = Felt()
-        felt.forces, felt.lost = self.forces, self._lost
-        inputs = [self._packed, controls, draws.per_sample, self._start_joints.array, joints, objects, felt]
+        outcome = PhysicsOutcome()
+        outcome.forces, outcome.lost = self.forces, self._lost
+        inputs = [self._packed, controls, draws.per_sample, self._start_joints.array, joints, objects, outcome]
         rolled = costs if draws.per_sample == 1 else self._rolled
         outputs = [rolled, self._terms, self.tips, self.poses]
         kernel = make_stage_costs(self.task.scene.robot.chain, precision, self._extra)

@@ -11,7 +11,7 @@ import warp as wp
 
 from oimppi_warp.compute.step import Launch
 from oimppi_warp.geometry.footprint import rotation_matrix
-from oimppi_warp.kernels.rollouts.threads import feel_forces, make_expand_controls
+from oimppi_warp.kernels.rollouts.threads import make_expand_controls, read_forces
 from oimppi_warp.observation import Observation, planar_pose, planar_transform
 from oimppi_warp.physics.mujoco_model import MujocoModel
 from oimppi_warp.physics.newton_model import MIN_FRICTION, ROLES
@@ -58,7 +58,7 @@ class NewtonThreads(NewtonDynamics):
         self._warm_start = np.zeros((self._rollouts, self.model.nv))
         self._drives = np.zeros((self._rollouts, steps, self.model.nu))
         self._states = np.zeros((self._rollouts, steps, width))
-        self._felt = np.zeros((self._rollouts, steps, self.model.nsensordata))
+        self._sensed = np.zeros((self._rollouts, steps, self.model.nsensordata))
         self._joints = wp.zeros(1, dtype=control_type(self.size), device="cpu")
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
@@ -85,12 +85,12 @@ class NewtonThreads(NewtonDynamics):
             [controls, self._draws.per_sample, self._joints, self._packed.arm, dt, substeps, drive],
             [wp.array(self._drives, dtype=wp.float64, device="cpu", copy=False)],
         )
-        felt = wp.array(self._felt, dtype=wp.float64, device="cpu", copy=False)
+        sensed = wp.array(self._sensed, dtype=wp.float64, device="cpu", copy=False)
         group = wp.array(self._map.sensors, dtype=int, device="cpu")
         times = _view(self._states[:, -1, 0], wp.float64)
         end = (self._horizon - 0.5 / substeps) * dt
         feel = self.compute.launch_samples(
-            feel_forces, self._rollouts, [felt, group, substeps, times, end], [self.forces, self._lost]
+            read_forces, self._rollouts, [sensed, group, substeps, times, end], [self.forces, self._lost]
         )
         return [expand, self._roll, feel]
 
@@ -117,7 +117,7 @@ class NewtonThreads(NewtonDynamics):
             nstep=self._states.shape[1],
             initial_warmstart=self._warm_start,
             state=self._states,
-            sensordata=self._felt,
+            sensordata=self._sensed,
         )
 
 

@@ -84,7 +84,7 @@ class NewtonWorlds(NewtonDynamics):
         self._seen = [compute.input(1, vec), compute.input(1, vec), compute.input(1, Transform)]
         self._joints = wp.zeros(size, dtype=vec, device=device)
         self._objects = wp.zeros(size, dtype=Transform, device=device)
-        self._felt = wp.zeros((worlds, self._horizon * level.substeps), dtype=wp.vec2, device=device)
+        self._sensed = wp.zeros((worlds, self._horizon * level.substeps), dtype=wp.vec2, device=device)
         self._overflows = compute.output(1, int)
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
@@ -126,7 +126,7 @@ class NewtonWorlds(NewtonDynamics):
                 self._mujoco_warp.step(model, data)
 
         step()  # loads the solver's kernels: none should be loaded while a graph is captured
-        launches: list[Launch] = [self._felt.zero_, self._overflows.array.zero_, place]
+        launches: list[Launch] = [self._sensed.zero_, self._overflows.array.zero_, place]
         for h in range(self._horizon + 1):
             inputs = [h, controls, self._draws.per_sample, self._packed.arm, self.task.dt, places, data.qpos]
             launches.append(
@@ -135,8 +135,8 @@ class NewtonWorlds(NewtonDynamics):
             for s in range(substeps if h < self._horizon else 0):
                 inputs = [h * substeps + s, data.nacon, contact.geom, contact.worldid, contact.efc_address]
                 inputs += [data.efc.force, group]
-                launches += [step, launch(feel_contacts, data.naconmax, inputs, [self._felt])]
-        inputs = [self._felt, substeps, data.qpos, data.overflow]
+                launches += [step, launch(feel_contacts, data.naconmax, inputs, [self._sensed])]
+        inputs = [self._sensed, substeps, data.qpos, data.overflow]
         outputs = [self.forces, self._lost, self._overflows.array]
         return [*launches, launch(take_forces, worlds, inputs, outputs)]
 

@@ -13,7 +13,7 @@ from oimppi_warp.geometry.reach import area_of
 from oimppi_warp.geometry.tipping import tipping_speed
 from oimppi_warp.kernels.costs.terms import RobotWeights
 from oimppi_warp.kernels.geometry import PoseField
-from oimppi_warp.kernels.kinematics import Surroundings
+from oimppi_warp.kernels.kinematics import Environment
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.scene import Scene
 
@@ -44,9 +44,9 @@ def velocity_bound(scene: Scene, level: RobotLevel) -> np.ndarray:
     return np.minimum([joint.velocity_limit for joint in scene.robot.joints], level.joint_velocity_limit)
 
 
-def surroundings(scene: Scene, geometry: Geometry, cost: RobotCost) -> Surroundings:
+def environment(scene: Scene, geometry: Geometry, cost: RobotCost) -> Environment:
     """What the arm must keep clear of, as the kernels read it."""
-    packed = Surroundings()
+    packed = Environment()
     packed.obstacles = geometry.space
     packed.top = geometry.space_top
     packed.near = max(cost.arm_clearance, NEAR)

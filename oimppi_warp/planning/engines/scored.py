@@ -11,7 +11,7 @@ from oimppi_warp.kernels.task import RobotTask
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.engines.cost_terms import weighted_terms
 from oimppi_warp.planning.engines.dynamics import RobotDynamics, RolloutTask
-from oimppi_warp.planning.engines.packing import no_field, object_model, robot_weights, surroundings
+from oimppi_warp.planning.engines.packing import environment, no_field, object_model, robot_weights
 
 
 class ScoredDynamics(RobotDynamics):
@@ -35,7 +35,7 @@ class ScoredDynamics(RobotDynamics):
         packed = RobotTask()
         packed.arm = pack_arm(scene.robot, self.bound, device)
         packed.model = self._model
-        packed.surroundings = surroundings(scene, geometry, task.cost)
+        packed.environment = environment(scene, geometry, task.cost)
         packed.weights = weights
         packed.to_go = no_field(device) if task.to_go is None else task.to_go
         packed.goal = self._goal.array
