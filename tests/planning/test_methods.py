@@ -401,7 +401,7 @@ def test_a_reference_is_held_at_its_end():
     planner.start(seen)
     planner.plan(seen)
     held = planner.dynamics.reference.host
-    assert len(held) == len(planner.dynamics.reference.host)
+    assert len(held) == planner.config.robot.optimizer.horizon + 1 + planner.config.cost.align_ahead
     np.testing.assert_allclose(held, np.tile(planner.goal, (len(held), 1)), atol=1e-6)
 
 
