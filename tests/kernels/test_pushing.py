@@ -324,10 +324,6 @@ def test_the_first_joint_stops_at_its_limit_and_its_speed(open_table):
     assert angles[-1] - angles[0] == pytest.approx(0.1, abs=ANGLE_TOLERANCE)
 
 
-SHELF = 0.20
-"""Height of the boxes of task 03 [m]."""
-
-
 @pytest.fixture(scope="module")
 def shelves() -> Pushing:
     return Pushing.on(shipped("task03"))
