@@ -22,14 +22,14 @@ install: $(LOCK_ENV) ## make the environment in .venv: what it takes to run, no 
 
 $(LOCK_ENV): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, $(PYTHON) is older: make PYTHON=python3.x")'
-	@echo "Installing into $(VENV): about 2 GB, a minute or more"
+	@echo "Installing into $(VENV): about 1.3 GB, a minute or more"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
 $(EXTRAS_ENV): $(LOCK_ENV) requirements-extras.lock
-	@echo "Installing the extras and the tools for development into $(VENV)"
+	@echo "Installing the extras and the tools for development into $(VENV): about 0.7 GB more"
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock -r requirements-extras.lock
 	@touch $@
 
