@@ -4,7 +4,10 @@ PYTHON ?= python3
 VENV ?= .venv
 PYTEST_FLAGS ?= --numprocesses auto --dist worksteal
 LOCK_ENV := $(VENV)/.installed
+EXTRAS_ENV := $(VENV)/.installed-extras
 BIN := $(VENV)/bin
+COMPILE := uv pip compile --no-config --universal --python-version 3.11 --generate-hashes --fork-strategy fewest \
+	--no-emit-index-url --no-emit-find-links --no-header --no-annotate --upgrade -q
 
 # One thread for NumPy's linear algebra: more of them slow the planner's kernels down.
 export OMP_NUM_THREADS ?= 1
@@ -15,14 +18,19 @@ export OPENBLAS_NUM_THREADS ?= 1
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
 
-install: $(LOCK_ENV) ## make the environment in .venv
+install: $(LOCK_ENV) ## make the environment in .venv: what it takes to run, no tools
 
 $(LOCK_ENV): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, $(PYTHON) is older: make PYTHON=python3.x")'
-	@echo "Installing into $(VENV): about 2 GB, a minute or more"
+	@echo "Installing into $(VENV): about 1.3 GB, a minute or more"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(EXTRAS_ENV): $(LOCK_ENV) requirements-extras.lock
+	@echo "Installing the extras and the tools for development into $(VENV): about 0.7 GB more"
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock -r requirements-extras.lock
 	@touch $@
 
 demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
@@ -31,22 +39,22 @@ demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a mi
 view: $(LOCK_ENV) ## watch it push in the browser, and change things while it runs
 	$(BIN)/oimppi view task02 --start 1
 
-test: $(LOCK_ENV) ## the tests, under ten minutes on two cores
+test: $(EXTRAS_ENV) ## the tests, under ten minutes on two cores
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
 
-nightly: $(LOCK_ENV) ## the tests that take longer: whole episodes over many seeds, kernels for a GPU that is not here
+nightly: $(EXTRAS_ENV) ## the tests that take longer: whole episodes over many seeds, kernels for a GPU that is not here
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
 
-lint: $(LOCK_ENV) ## ruff, and which package may import which
+lint: $(EXTRAS_ENV) ## ruff
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 
-format: $(LOCK_ENV) ## let ruff format and fix
+format: $(EXTRAS_ENV) ## let ruff format and fix
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-types: $(LOCK_ENV) ## pyright
+types: $(EXTRAS_ENV) ## pyright
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 bench: $(LOCK_ENV) ## time of a plan, by stage
@@ -55,15 +63,16 @@ bench: $(LOCK_ENV) ## time of a plan, by stage
 scenes: $(LOCK_ENV) ## write the shipped scenes anew
 	$(BIN)/python tools/make_scenes.py
 
-wheel: $(LOCK_ENV) ## build a wheel through the source distribution and try it elsewhere
+wheel: $(EXTRAS_ENV) ## build a wheel through the source distribution and try it elsewhere
 	$(BIN)/python tools/check_wheel.py
 
 ci: ## what the continuous integration runs
 	.ci/run
 
 lock: ## resolve the dependencies anew (needs uv)
-	uv pip compile --no-config --universal --python-version 3.11 --extra dev --generate-hashes --fork-strategy fewest \
-		--no-emit-index-url --no-emit-find-links --no-header --no-annotate --upgrade -q pyproject.toml -o requirements.lock
+	$(COMPILE) --group build pyproject.toml -o requirements.lock
+	$(COMPILE) --all-extras -c requirements.lock pyproject.toml -o requirements-extras.lock \
+		$$(sed -n 's/^\([a-z0-9-]*\)==.*/--no-emit-package \1/p' requirements.lock)
 
 clean: ## remove what was built; not .venv
 	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

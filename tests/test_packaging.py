@@ -15,7 +15,7 @@ from oimppi_warp.bench.provenance import NO_PART
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-LOCK = (ROOT / "requirements.lock").read_text()
+RUNTIME, EXTRAS = (ROOT / name for name in ("requirements.lock", "requirements-extras.lock"))
 HEAVY = {"pxr", "viser", "newton", "mujoco", "warp", "matplotlib", "trimesh", "shapely", "scipy"}
 
 
@@ -72,22 +72,41 @@ def test_the_version_is_the_same_everywhere():
     assert oimppi_warp.__version__ == PROJECT["project"]["version"]
 
 
-def test_the_lock_names_no_index():
-    assert not re.search(r"https?://|file:|--(extra-)?index-url|--find-links|--trusted-host", LOCK)
+def locked(lock: Path) -> set[str]:
+    """Names of the packages in a lock."""
+    return set(re.findall(r"^([a-z0-9-]+)==", lock.read_text(), flags=re.MULTILINE))
 
 
-def test_every_locked_package_is_pinned_and_hashed():
-    entries = re.split(r"\n(?=\S)", "\n".join(line for line in LOCK.splitlines() if not line.startswith("#")))
+def names(requirements: list[str]) -> set[str]:
+    """Names of the packages that are required."""
+    return {re.split(r"[\[<>=~ ]", requirement)[0] for requirement in requirements}
+
+
+@pytest.mark.parametrize("lock", [RUNTIME, EXTRAS], ids=lambda lock: lock.name)
+def test_a_lock_names_no_index(lock: Path):
+    assert not re.search(r"https?://|file:|--(extra-)?index-url|--find-links|--trusted-host", lock.read_text())
+
+
+@pytest.mark.parametrize("lock", [RUNTIME, EXTRAS], ids=lambda lock: lock.name)
+def test_every_locked_package_is_pinned_and_hashed(lock: Path):
+    lines = lock.read_text().splitlines()
+    entries = re.split(r"\n(?=\S)", "\n".join(line for line in lines if not line.startswith("#")))
     assert len(entries) > 30
     for entry in entries:
         assert re.match(r"[a-z0-9-]+==[\w.]+", entry), entry
         assert re.search(r"--hash=sha256:[0-9a-f]{64}", entry), entry
 
 
-def test_every_dependency_is_locked():
-    locked = set(re.findall(r"^([a-z0-9-]+)==", LOCK, flags=re.MULTILINE))
-    wanted = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["dev"]
-    assert {re.split(r"[\[<>=~ ]", requirement)[0] for requirement in wanted} <= locked
+def test_what_it_takes_to_run_is_locked_in_one_file_and_extras_and_tools_in_the_other():
+    runtime = names(PROJECT["project"]["dependencies"] + PROJECT["dependency-groups"]["build"])
+    extras = {name for each in PROJECT["project"]["optional-dependencies"].values() for name in names(each)} - runtime
+    assert runtime <= locked(RUNTIME)
+    assert {"pytest", "ruff", "distributed", "av"} <= extras <= locked(EXTRAS)
+    assert not locked(RUNTIME) & locked(EXTRAS)
+
+
+def test_what_builds_the_editable_install_is_what_the_build_system_asks_for():
+    assert PROJECT["dependency-groups"]["build"] == PROJECT["build-system"]["requires"]
 
 
 @pytest.mark.parametrize("name", ["kernels", "scenes"])

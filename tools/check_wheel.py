@@ -1,6 +1,6 @@
 """Try the wheel: build it through the source distribution, install it elsewhere, load a scene and launch a kernel.
 
-The new environment sees the packages of this one (from `requirements.lock`) but not the checkout. Run it as
+The new environment sees the packages of this one (from the locks) but not the checkout. Run it as
 ``python tools/check_wheel.py``; it exits with an error at the first step that fails.
 """
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+from scipy.spatial.transform import Rotation
 
 Vector = Sequence[float] | np.ndarray
 Points = Sequence[Vector] | np.ndarray
@@ -232,19 +233,10 @@ def _is_diagonal(matrix: np.ndarray) -> bool:
 
 
 def matrix_quat(matrix: np.ndarray) -> np.ndarray:
-    """The quaternion (xyzw) of a rotation matrix: the eigenvector of Bar-Itzhack's symmetric form.
+    """The quaternion (xyzw) of a rotation matrix.
 
     Of the two, the one with w > 0, and for half a turn the one whose first number is negative: the same everywhere.
     """
-    m = matrix
-    k = np.array(
-        [
-            [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
-            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
-            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
-        ]
-    )
-    q = np.linalg.eigh(k)[1][:, -1]
+    q = Rotation.from_matrix(matrix).as_quat()
     w, first = q[3], q[np.flatnonzero(np.abs(q) > 1e-9)[0]]
     return q if w > 1e-9 or (w > -1e-9 and first < 0.0) else -q

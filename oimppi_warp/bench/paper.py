@@ -12,9 +12,6 @@ from dataclasses import dataclass
 METHODS = ("mppi", "cloi", "soi")
 """The paper's methods, in the order of its tables."""
 
-TRIALS = {"I": 10, "II": 5}
-"""Trials of a task and method in each table."""
-
 
 @dataclass(frozen=True)
 class Reported:

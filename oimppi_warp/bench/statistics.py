@@ -35,23 +35,13 @@ class Rate:
 
 
 def wilson(count: int, total: int, *, confidence: float = 0.95) -> Rate:
-    """A rate with Wilson's score interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927), without continuity correction.
-
-    With z the normal quantile and p = count / total it is
-
-        (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
-    """
+    """A rate with Wilson's score interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
     if not total:
         return Rate(0, 0, 0.0, 1.0)
-    from scipy.stats import norm
+    from scipy.stats import binomtest
 
-    z = float(norm.ppf(0.5 + confidence / 2))
-    p, n = count / total, total
-    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    scale = 1 + z * z / n
-    low = 0.0 if count == 0 else (middle - half) / scale
-    high = 1.0 if count == total else (middle + half) / scale
-    return Rate(count, total, low, high)
+    found = binomtest(count, total).proportion_ci(confidence, method="wilson")
+    return Rate(count, total, float(found.low), float(found.high))
 
 
 @dataclass(frozen=True)

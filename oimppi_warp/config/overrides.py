@@ -58,16 +58,6 @@ def options(config: Any) -> dict[str, Any]:
     return {name: setting.value for name, setting in settings_of(config).items()}
 
 
-def descriptions(config: Any) -> dict[str, str]:
-    """What every setting is, with its unit."""
-    return {name: setting.help for name, setting in settings_of(config).items()}
-
-
-def kinds(config: Any) -> dict[str, Any]:
-    """The type of every setting."""
-    return {name: setting.kind for name, setting in settings_of(config).items()}
-
-
 def extra_weights(cost: RobotCost) -> ExtraWeights:
     """The weight of every cost term from outside the package: the one that is set, or else the term's own."""
     return ExtraWeights({name: float(term.weight) for name, term in COST_TERMS.loadable()} | dict(cost.extra))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numpy as np
-
 from oimppi_warp.physics.mujoco_model import MujocoModel, translated
 from oimppi_warp.physics.newton_model import NewtonModel, build_model
 from oimppi_warp.scene import Scene
@@ -35,22 +33,3 @@ class World:
     def mujoco_sensing(self) -> MujocoModel:
         """:attr:`mujoco` with sensors of the contact forces, for rollouts."""
         return translated(self.scene, sensing=True)
-
-    def link_transforms(self, joint_position: np.ndarray) -> np.ndarray:
-        """Poses of the arm's moving links from Newton's forward kinematics (float32).
-
-        Args:
-            joint_position: Shape [dof] [rad].
-
-        Returns:
-            Position and quaternion xyzw of each link in the world's frame, shape [dof, 7].
-        """
-        built = self.newton
-        import newton
-        import warp as wp
-
-        coords = built.model.joint_q.numpy().copy()
-        coords[built.joint_coords] = joint_position
-        state, still = built.model.state(), wp.zeros(built.model.joint_dof_count, dtype=float, device="cpu")
-        newton.eval_fk(built.model, wp.array(coords, dtype=float, device="cpu"), still, state)
-        return state.body_q.numpy()[built.link_bodies]

@@ -85,7 +85,7 @@ class LabPlant:
             )
         self.control_period = control_period
         self.latency = config.command_latency
-        self.camera = Camera(world.scene, config.camera)
+        self.camera = Camera(world, config.camera)
         self.wrong_detections = 0
         self._config = config
         self._scene = world.scene

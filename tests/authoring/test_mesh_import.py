@@ -349,7 +349,7 @@ def test_any_mesh_becomes_a_sound_object_or_is_refused_in_words_at_length(boxes,
     check_any_mesh(boxes, holes, flips, seed)
 
 
-def test_an_imported_bracket_is_pushed_around_a_box_to_its_goal(tmp_path):
+def test_an_imported_bracket_is_pushed_around_a_box_to_its_goal(tmp_path, device):
     file = saved(bracket(), tmp_path, "bracket.stl", scale=1000)
     assert main(["scene", "import", str(file), "--scale", "mm", "--mass", "0.4", "--out", str(tmp_path)]) == 0
     options = ["--object", "bracket", "--start", "0.3,-0.4,0", "--goal", "0.45,0.2,1.57"]
@@ -357,7 +357,7 @@ def test_an_imported_bracket_is_pushed_around_a_box_to_its_goal(tmp_path):
     assert main(["scene", "new", "push", *options, *obstacle, "--out", str(tmp_path)]) == 0
     scene = load_scene(tmp_path / "push.usda")
     config = set_option(set_option(best("cloi"), "robot.optimizer.samples=512"), "object.optimizer.samples=512")
-    log = Episode(scene, config, method="cloi", engine="quasistatic", device="cpu").run()
+    log = Episode(scene, config, method="cloi", engine="quasistatic", device=device).run()
     metrics = summarize(log)
     assert metrics.success_tight, (metrics.position_error_m, metrics.yaw_error_rad)
     assert metrics.min_clearance_m > -0.005

@@ -111,11 +111,11 @@ def test_a_point_reaches_a_rectangle():
     assert not can_lift(robot)
 
 
-def test_the_object_of_a_point_is_kept_to_where_the_stick_gets_behind_it():
+def test_the_object_of_a_point_is_kept_to_where_the_stick_gets_behind_it(device: str):
     scene = shipped("point01")
     lower, upper = area_of(scene)
     np.testing.assert_allclose([lower, upper], [[-0.204, -0.754], [0.954, 0.754]], atol=1e-9)
-    geometry = build_geometry(scene, "cpu")
+    geometry = build_geometry(scene, device)
     assert geometry.clearance_at(np.array([0.954 - geometry.size - 0.02, 0.0, 0.3])) > 0.0
     assert geometry.clearance_at(np.array([0.954, 0.0, 0.3])) < 0.0
     table = shipped("task01")
@@ -174,9 +174,9 @@ def test_a_point_that_passes_over_the_object_is_refused():
 
 
 @pytest.mark.parametrize(("name", "scale"), [("task01", 1.0), ("arm7_01", 1.06), ("point01", 0.0)])
-def test_the_ring_in_which_an_arm_pushes_grows_with_its_reach(name, scale):
+def test_the_ring_in_which_an_arm_pushes_grows_with_its_reach(name, scale, device):
     config = set_option(best("cloi"), "robot.optimizer.samples=16")
-    planner: Planner = make_planner(shipped(name), config, method="mppi", device="cpu", engine="quasistatic")
+    planner: Planner = make_planner(shipped(name), config, method="mppi", device=device, engine="quasistatic")
     for given, found in ((config.cost, planner.config.cost), (config.object_cost, planner.config.object_cost)):
         expected = (scale * given.reach[0], scale * given.reach[1]) if scale else (0.0, 1e3)
         assert found.reach == pytest.approx(expected)
@@ -225,9 +225,9 @@ def test_a_point_goes_as_fast_and_as_far_as_it_may():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_newton_engine_ends_a_push_where_the_plant_does(name):
+def test_the_newton_engine_ends_a_push_where_the_plant_does(name, device):
     scene = shipped(name)
-    geometry = build_geometry(scene, "cpu")
+    geometry = build_geometry(scene, device)
     pose = from_center(geometry.surface, np.array([0.42, -0.10, 0.0]))
     joints = joints_at(scene.robot, (0.42, -0.25, 0.012))
     controls = straight(scene.robot, joints, (0.0, 0.15, 0.0), 20)
@@ -246,10 +246,10 @@ def test_the_newton_engine_ends_a_push_where_the_plant_does(name):
 
 @pytest.mark.slow  # its kernels are MuJoCo Warp's, compiled for each robot's joints
 @pytest.mark.parametrize("name", NAMES)
-def test_the_batched_worlds_do_what_the_threads_do(name):
+def test_the_batched_worlds_do_what_the_threads_do(name, device):
     scene = shipped(name)
     joints = joints_at(scene.robot, (0.42, -0.212, 0.012))
-    pose = from_center(build_geometry(scene, "cpu").surface, np.array([0.42, -0.10, 0.0]))
+    pose = from_center(build_geometry(scene, device).surface, np.array([0.42, -0.10, 0.0]))
     controls = straight(scene.robot, joints, (0.0, 0.15, 0.0), 8)
     seen = observe(scene, joints=joints, pose=pose)
     found = []
@@ -264,14 +264,14 @@ def test_the_batched_worlds_do_what_the_threads_do(name):
 # Repositioning
 
 
-def test_a_point_goes_around_the_object_where_an_arm_goes_over_it():
-    settings = Reposition(stall_seconds=0.1, headway=0.01, w_waypoint=50.0, longest_seconds=9.0)
+def test_a_point_goes_around_the_object_where_an_arm_goes_over_it(device: str):
+    settings = Regrasp(stall_seconds=0.1, headway=0.01, w_guide=50.0, longest_seconds=9.0)
     pose, tip = np.array([0.40, 0.0, 0.0]), np.array([0.40, 0.06, 0.012])
     reference_poses = pose + np.linspace(0.0, 2.0, 31)[:, None] * np.array([0.0, 0.05, 0.0])
     highest = {}
     for name in ("task01", "point01"):
         scene = replace(shipped(name), object=block((0.16, 0.04, 0.05)))
-        watching = Repositioner(scene, build_geometry(scene, "cpu"), settings, turn=True, height=0.012, period=DT)
+        watching = Regrasping(scene, build_geometry(scene, device), settings, turn=True, height=0.012, period=DT)
         at, stops = tip, []
         for _ in range(400):
             waypoint = watching.waypoint(at, pose, reference_poses, 0.5)
@@ -290,11 +290,11 @@ def test_a_point_goes_around_the_object_where_an_arm_goes_over_it():
     assert highest["point01"] == 0.012
 
 
-def test_a_point_takes_the_free_way_around():
+def test_a_point_takes_the_free_way_around(device: str):
     scene = replace(shipped("point01"), object=block((0.16, 0.04, 0.05)))
     wall = box(0.55, 0.0, (0.06, 0.3, 0.1))
     scene = replace(scene, obstacles=(Obstacle("/wall", (wall,)),))
-    watching = Repositioner(scene, build_geometry(scene, "cpu"), Reposition(), turn=True, height=0.012, period=DT)
+    watching = Regrasping(scene, build_geometry(scene, device), Regrasp(), turn=True, height=0.012, period=DT)
     body = shapely.box(0.32, -0.02, 0.48, 0.02)
     for begin in (0.36, 0.44):  # the shorter way from the second is past the wall
         way = watching._around(np.array([begin, 0.05]), np.array([begin, -0.05]), body)
@@ -306,17 +306,17 @@ def test_a_point_takes_the_free_way_around():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_object_is_brought_to_its_goal(name):
+def test_the_object_is_brought_to_its_goal(name, device):
     scene = shipped(name)
-    log = Episode(scene, best("cloi"), method="cloi", device="cpu", seed=0, engine="quasistatic").run()
+    log = Episode(scene, best("cloi"), method="cloi", device=device, seed=0, engine="quasistatic").run()
     metrics = summarize(log)
     assert metrics.success, (metrics.position_error_m, metrics.yaw_error_rad)
     assert metrics.success_tight
     assert np.linalg.norm(log["object_pose"][-1, :2] - scene.start[:2]) > 0.6
 
 
-def test_a_point_is_followed_in_the_lab():
+def test_a_point_is_followed_in_the_lab(device: str):
     config = set_option(lab("cloi"), "episode.max_sim_seconds=6")
-    log = Episode(shipped("point01"), config, method="cloi", device="cpu", seed=0, plant="lab").run()
+    log = Episode(shipped("point01"), config, method="cloi", device=device, seed=0, plant="lab").run()
     assert np.linalg.norm(log["object_pose"][-1, :2] - log["object_pose"][0, :2]) > 0.1
     assert np.nanmedian(summarize(log).mean_estimate_error_m) < 0.03

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 from pxr import Usd, UsdGeom, UsdValidation
+from support.device import DEVICE
 from support.meshes import bracket, saved
 
 from oimppi_warp.authoring import Block, Pillar, Standing, Task, box, letter, read_object, write_object, write_task
@@ -409,7 +410,7 @@ def run_ten_steps(options: dict) -> None:
         config = best("cloi")
         for option in ("robot.optimizer.samples=64", "object.optimizer.samples=64", "episode.max_sim_seconds=0.5"):
             config = set_option(config, option)
-        log = Episode(scene, config, method="cloi", engine="quasistatic", device="cpu").run()
+        log = Episode(scene, config, method="cloi", engine="quasistatic", device=DEVICE).run()
         assert len(log) == 10
         assert np.isfinite(log["command"]).all()
         assert log["lost_samples"].max() == 0

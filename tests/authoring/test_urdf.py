@@ -456,8 +456,8 @@ def test_a_mistake_on_the_command_line_writes_nothing(tmp_path, capsys, more, wh
 
 
 @pytest.mark.slow
-def test_an_arm_from_a_urdf_brings_its_object_to_the_goal(tmp_path):
+def test_an_arm_from_a_urdf_brings_its_object_to_the_goal(tmp_path, device):
     urdf = write_urdf(tmp_path, arm_parts())
     assert main(["scene", "robot", str(urdf), "--tool-axis=x", "--out", str(tmp_path)]) == 0
-    log = Episode(load_scene(tmp_path / "made_open.usda"), best("cloi"), method="cloi", device="cpu", seed=0).run()
+    log = Episode(load_scene(tmp_path / "made_open.usda"), best("cloi"), method="cloi", device=device, seed=0).run()
     assert summarize(log).success

@@ -41,13 +41,13 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def geometry(cache):
+def geometry(cache, device):
     """The geometry of a shipped scene, made once."""
     made: dict[str, Geometry] = {}
 
     def get(name: str) -> Geometry:
         if name not in made:
-            made[name] = build_geometry(shipped(name), "cpu")
+            made[name] = build_geometry(shipped(name), device)
         return made[name]
 
     return get
@@ -122,16 +122,16 @@ def test_phi_2s_gradient_is_its_finite_difference(geometry):
             assert gradient[axis] == pytest.approx(slope, abs=1e-6)
 
 
-def test_phi_2s_gradient_points_straight_away_from_a_wall(geometry):
-    made = build_geometry(task(box(0.5, 0.0, (0.1, 0.6, 0.1)), pushed=block()), "cpu")
+def test_phi_2s_gradient_points_straight_away_from_a_wall(geometry, device):
+    made = build_geometry(task(box(0.5, 0.0, (0.1, 0.6, 0.1)), pushed=block()), device)
     value, gradient = pose_grid(made.clearance).at(np.array([0.3634, 0.0123, 0.0]))
     assert value == pytest.approx(0.45 - 0.3634 - 0.05, abs=1e-4)
     np.testing.assert_allclose(gradient[:2], [-1.0, 0.0], atol=1e-3)
 
 
-def test_phi_2_falls_to_zero_where_the_object_reaches_the_tables_edge(geometry):
+def test_phi_2_falls_to_zero_where_the_object_reaches_the_tables_edge(geometry, device):
     scene = replace(task(pushed=block()), table=replace(shipped("task01").table, lower=(-0.25, -0.5)))
-    made = build_geometry(scene, "cpu")
+    made = build_geometry(scene, device)
     assert made.clearance_at(np.array([0.5, -0.47, 0.0])) == pytest.approx(0.0, abs=LENGTH_TOLERANCE)
     assert made.clearance_at(np.array([0.5, -0.45, np.pi / 2])) == pytest.approx(0.0, abs=LENGTH_TOLERANCE)
     assert made.clearance_at(np.array([0.5, -0.49, 0.0])) == pytest.approx(-0.02, abs=1e-4)
@@ -143,14 +143,14 @@ def test_the_robots_base_is_an_obstacle_for_the_object(geometry):
     assert made.clearance_at(np.array([0.5, 0.0, 0.0])) == pytest.approx(FURTHEST, abs=LENGTH_TOLERANCE)
 
 
-def test_an_obstacle_above_the_object_is_none(geometry):
+def test_an_obstacle_above_the_object_is_none(geometry, device):
     high = replace(box(0.5, 0.0, (0.1, 0.1, 0.05)), transform=np.array([0.5, 0, 0.2, 0, 0, 0, 1.0]))
-    made = build_geometry(task(high, pushed=block()), "cpu")
+    made = build_geometry(task(high, pushed=block()), device)
     assert made.clearance_at(np.array([0.5, 0.0, 0.0])) == pytest.approx(FURTHEST, abs=LENGTH_TOLERANCE)
 
 
-def test_the_poses_of_frame_and_friction_centre_belong_together():
-    surface = build_geometry(shipped("task01"), "cpu").surface
+def test_the_poses_of_frame_and_friction_centre_belong_together(device: str):
+    surface = build_geometry(shipped("task01"), device).surface
     poses = np.random.default_rng(6).normal(size=(10, 3))
     np.testing.assert_allclose(from_center(surface, to_center(surface, poses)), poses, atol=1e-12)
     np.testing.assert_allclose(to_center(surface, np.array([1.0, 2.0, np.pi / 2])), [1.025, 2.0, np.pi / 2], atol=1e-9)
@@ -183,19 +183,19 @@ def cylinder_distance(point: np.ndarray, shape: Collider) -> float:
     return float(np.linalg.norm(np.maximum(q, 0.0)) + min(q.max(), 0.0))
 
 
-def test_the_distance_over_space_is_that_of_a_box():
+def test_the_distance_over_space_is_that_of_a_box(device: str):
     shape = box(0.45, 0.05, (0.10, 0.20, 0.16))
-    made = build_geometry(task(shape), "cpu")
+    made = build_geometry(task(shape), device)
     for point in np.random.default_rng(8).uniform([0.35, -0.1, 0.0], [0.55, 0.2, 0.25], size=(200, 3)):
         expected = min(box_distance(point, shape.transform[:3], np.array(shape.size)), FURTHEST)
         assert space_field(made.space, point) == pytest.approx(expected, abs=0.004)
     assert made.space_top > 0.16
 
 
-def test_the_distance_over_space_is_that_of_the_nearest_of_several_obstacles():
+def test_the_distance_over_space_is_that_of_the_nearest_of_several_obstacles(device: str):
     ball = Collider("/ball", "sphere", np.array([0.4, -0.1, 0.05, 0, 0, 0, 1.0]), (0.05,))
     shapes = [post(0.5, 0.1, 0.06, 0.12), ball, box(0.53, 0.12, (0.1, 0.1, 0.08))]
-    made = build_geometry(task(*shapes), "cpu")
+    made = build_geometry(task(*shapes), device)
     points = np.random.default_rng(9).uniform([0.33, -0.17, 0.0], [0.6, 0.2, 0.2], size=(150, 3))
     found = np.array([space_field(made.space, point) for point in points])
     half = np.array(shapes[2].size)
@@ -229,8 +229,8 @@ def test_a_colliders_mesh_is_closed_and_has_its_volume():
         assert mesh.volume == pytest.approx(volume, rel=0.05), shape.kind
 
 
-def test_nothing_is_near_in_space_without_obstacles():
-    made = build_geometry(task(), "cpu")
+def test_nothing_is_near_in_space_without_obstacles(device: str):
+    made = build_geometry(task(), device)
     for point in ((0.5, 0.0, 0.02), (0.3, 0.3, 0.5), (0.0, 0.0, 0.0)):
         assert space_field(made.space, np.array(point)) == pytest.approx(FURTHEST)
 
@@ -253,56 +253,56 @@ def fields_of(folder: Path) -> set[Path]:
     return set(folder.glob("phi2-*.npy"))
 
 
-def test_a_field_is_made_once_and_then_read(tmp_path, monkeypatch):
+def test_a_field_is_made_once_and_then_read(tmp_path, monkeypatch, device):
     monkeypatch.setenv("OIMPPI_CACHE", str(tmp_path))
     scene = task(box(0.5, 0.0, (0.1, 0.1, 0.1)), pushed=block(), table=0.3)
-    build_geometry(scene, "cpu")
+    build_geometry(scene, device)
     (file,) = fields_of(tmp_path)
     marked = np.full_like(np.load(file), 0.0123)
     np.save(file, marked)
-    assert build_geometry(scene, "cpu").clearance_at(np.array([0.1, 0.2, 0.3])) == pytest.approx(0.0123)
+    assert build_geometry(scene, device).clearance_at(np.array([0.1, 0.2, 0.3])) == pytest.approx(0.0123)
     assert fields_of(tmp_path) == {file}
     assert not list(tmp_path.glob("*.part"))
 
 
 @pytest.mark.parametrize("change", ["obstacle", "object", "table"])
-def test_a_changed_scene_has_a_field_of_its_own(change, tmp_path, monkeypatch):
+def test_a_changed_scene_has_a_field_of_its_own(change, tmp_path, monkeypatch, device):
     monkeypatch.setenv("OIMPPI_CACHE", str(tmp_path))
     scene = task(box(0.25, 0.0, (0.1, 0.1, 0.1)), pushed=block(), table=0.3)
-    build_geometry(scene, "cpu")
+    build_geometry(scene, device)
     other = {
         "obstacle": task(box(0.25, 0.001, (0.1, 0.1, 0.1)), pushed=block(), table=0.3),
         "object": task(box(0.25, 0.0, (0.1, 0.1, 0.1)), pushed=block((0.10, 0.061, 0.05)), table=0.3),
         "table": task(box(0.25, 0.0, (0.1, 0.1, 0.1)), pushed=block(), table=0.301),
     }[change]
-    build_geometry(other, "cpu")
+    build_geometry(other, device)
     assert len(fields_of(tmp_path)) == 2
 
 
-def test_what_does_not_shape_the_field_does_not_make_it_anew(tmp_path, monkeypatch):
+def test_what_does_not_shape_the_field_does_not_make_it_anew(tmp_path, monkeypatch, device):
     monkeypatch.setenv("OIMPPI_CACHE", str(tmp_path))
     scene = task(pushed=block(), table=0.3)
-    build_geometry(scene, "cpu")
-    build_geometry(replace(scene, object=replace(scene.object, mass=1.0, tool_friction=0.9)), "cpu")
+    build_geometry(scene, device)
+    build_geometry(replace(scene, object=replace(scene.object, mass=1.0, tool_friction=0.9)), device)
     assert len(fields_of(tmp_path)) == 1
 
 
 @pytest.mark.parametrize("damage", [b"", b"\x93NUMPY", None], ids=["empty", "header only", "cut short"])
-def test_a_damaged_field_is_made_anew(damage, tmp_path, monkeypatch):
+def test_a_damaged_field_is_made_anew(damage, tmp_path, monkeypatch, device):
     monkeypatch.setenv("OIMPPI_CACHE", str(tmp_path))
     scene = task(pushed=block(), table=0.3)
     pose = np.array([0.2, 0.1, 0.4])
-    expected = build_geometry(scene, "cpu").clearance_at(pose)
+    expected = build_geometry(scene, device).clearance_at(pose)
     (file,) = fields_of(tmp_path)
     whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) // 2] if damage is None else damage)
-    assert build_geometry(scene, "cpu").clearance_at(pose) == expected
+    assert build_geometry(scene, device).clearance_at(pose) == expected
     assert file.read_bytes() == whole
 
 
-def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, monkeypatch):
+def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, monkeypatch, device):
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     monkeypatch.setenv("OIMPPI_CACHE", str(blocked))
-    made = build_geometry(task(pushed=block(), table=0.3), "cpu")
+    made = build_geometry(task(pushed=block(), table=0.3), device)
     assert made.clearance_at(np.array([0.22, 0.0, 0.0])) == pytest.approx(0.03, abs=1e-4)

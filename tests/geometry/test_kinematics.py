@@ -60,9 +60,9 @@ def test_the_tips_jacobian_is_its_finite_difference():
             np.testing.assert_allclose(jacobian[:, j], [*linear, *angular], atol=1e-7)
 
 
-def test_the_packed_arm_has_the_robots_limits_and_frames():
+def test_the_packed_arm_has_the_robots_limits_and_frames(device: str):
     speed = np.linspace(0.1, 0.6, ROBOT.dof)
-    arm = pack_arm(ROBOT, speed, "cpu")
+    arm = pack_arm(ROBOT, speed, device)
     np.testing.assert_allclose(arm.speed.numpy(), speed, rtol=1e-6)
     np.testing.assert_allclose(arm.lower.numpy(), [joint.lower for joint in ROBOT.joints], rtol=1e-6)
     np.testing.assert_allclose(arm.upper.numpy(), [joint.upper for joint in ROBOT.joints], rtol=1e-6)

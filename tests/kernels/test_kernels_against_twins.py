@@ -11,6 +11,7 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 from support import probes, reference
+from support.device import DEVICE
 from support.reference import ANGLE_TOLERANCE, LENGTH_TOLERANCE, RELATIVE_TOLERANCE, Body, Grid
 from support.tasks import DT, Pushing, block, box, joints_at, object_level, post, roll_wrenches, shipped, straight, task
 
@@ -29,13 +30,13 @@ T = TypeVar("T", ObjectCost, RobotCost)
 
 def launch(kernel: Callable[..., Any], inputs: list[Any], cases: int, *types: Any) -> list[np.ndarray]:
     """Runs a probe over its cases and returns its outputs, float64."""
-    outputs = [wp.zeros(cases, dtype=kind, device="cpu") for kind in types]
-    wp.launch(kernel, dim=cases, inputs=inputs, outputs=outputs, device="cpu")
+    outputs = [wp.zeros(cases, dtype=kind, device=DEVICE) for kind in types]
+    wp.launch(kernel, dim=cases, inputs=inputs, outputs=outputs, device=DEVICE)
     return [out.numpy().astype(float) for out in outputs]
 
 
 def on_device(values: np.ndarray, kind: Any) -> wp.array:
-    return wp.array(np.asarray(values, dtype=np.float32), dtype=kind, device="cpu")
+    return wp.array(np.asarray(values, dtype=np.float32), dtype=kind, device=DEVICE)
 
 
 def random_poses(count: int, *, lower: tuple[float, float], upper: tuple[float, float]) -> np.ndarray:
@@ -143,10 +144,10 @@ def random_piece(corners: int, radius: float) -> Piece:
 
 
 @pytest.mark.parametrize(("corners_a", "corners_b"), [(4, 4), (3, 6), (1, 5), (1, 1), (5, 1)])
-def test_the_distance_of_pieces_apart_is_shapelys(corners_a, corners_b):
+def test_the_distance_of_pieces_apart_is_shapelys(corners_a, corners_b, device):
     a, b = random_piece(corners_a, 0.01), random_piece(corners_b, 0.02)
     poses_a, poses_b = (random_poses(120, lower=(-0.3, -0.3), upper=(0.3, 0.3)) for _ in range(2))
-    packed_a, packed_b = (pack_pieces([piece], "cpu") for piece in (a, b))
+    packed_a, packed_b = (pack_pieces([piece], device) for piece in (a, b))
     inputs = [packed_a, on_device(poses_a, wp.vec3), packed_b, on_device(poses_b, wp.vec3)]
     (found,) = launch(probes.piece_distance_probe, inputs, 120, float)
     pairs = zip(poses_a, poses_b, strict=True)
@@ -157,10 +158,10 @@ def test_the_distance_of_pieces_apart_is_shapelys(corners_a, corners_b):
     assert (found[~apart] < -0.03 + LENGTH_TOLERANCE).all()
 
 
-def test_overlapping_squares_are_as_deep_as_their_shortest_way_out():
+def test_overlapping_squares_are_as_deep_as_their_shortest_way_out(device: str):
     square = Piece(0.05 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]))
     shifts = np.array([[0.09, 0.01, 0.0], [0.02, -0.07, 0.0], [0.0, 0.0, 0.0]])
-    packed = pack_pieces([square], "cpu")
+    packed = pack_pieces([square], device)
     inputs = [packed, on_device(shifts, wp.vec3), packed, on_device(np.zeros((3, 3)), wp.vec3)]
     (found,) = launch(probes.piece_distance_probe, inputs, 3, float)
     np.testing.assert_allclose(found, [-0.01, -0.03, -0.10], atol=LENGTH_TOLERANCE)
@@ -186,7 +187,7 @@ def packed_cases(cases: list[dict[str, Any]], kind: Any) -> wp.array:
             vector = isinstance(value, np.ndarray)
             setattr(struct, name, wp.types.vector(len(value), float)(*value) if vector else value)
         structs.append(struct)
-    return wp.array(structs, dtype=kind, device="cpu")
+    return wp.array(structs, dtype=kind, device=DEVICE)
 
 
 def different_weights(kind: type[T]) -> T:

@@ -95,7 +95,7 @@ def slid(scene: Scene, speed: float) -> float:
 # The defect
 
 
-def test_the_plant_has_the_mass_and_the_obstacles_that_the_planner_has():
+def test_the_plant_has_the_mass_and_the_obstacles_that_the_planner_has(device: str):
     """A T of 5 kg and no obstacles, made of task 03, whose file has one of 0.5 kg and two cubes."""
     scene = tasks.shipped("task03")
     assert (scene.object.mass, len(scene.obstacles)) == (0.5, 2)
@@ -105,8 +105,8 @@ def test_the_plant_has_the_mass_and_the_obstacles_that_the_planner_has():
     assert force_on_table(SimulatedPlant(world), world) == pytest.approx(5.0 * G, rel=1e-3)
     assert "obstacle" not in roles_of(world)
     on_the_cube = np.array([*scene.obstacles[0].center[:2], 0.0])
-    assert build_geometry(scene, "cpu").clearance_at(on_the_cube) <= 0.0
-    assert build_geometry(edited, "cpu").clearance_at(on_the_cube) > 0.05
+    assert build_geometry(scene, device).clearance_at(on_the_cube) <= 0.0
+    assert build_geometry(edited, device).clearance_at(on_the_cube) > 0.05
 
     again = World(load_scene("task03"))
     assert roles_of(again).count("obstacle") == 2

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.physics import assert_shapes_agree
+from support.physics import assert_shapes_agree, link_transforms
 
 from oimppi_warp.geometry.footprint import rotation_matrix
 from oimppi_warp.geometry.kinematics import link_frames
@@ -56,7 +56,7 @@ def test_what_is_kept_does_not_depend_on_the_start(cache):
     ],
 )
 def test_flange_is_where_the_vendor_has_it(world, joints, position, quaternion):
-    flange = world.link_transforms(np.array(joints, dtype=float))[-1]
+    flange = link_transforms(world, np.array(joints, dtype=float))[-1]
     np.testing.assert_allclose(flange[:3], position, atol=FLOAT32)
     assert abs(np.dot(flange[3:], quaternion)) == pytest.approx(1.0, abs=FLOAT32)
 
@@ -64,7 +64,7 @@ def test_flange_is_where_the_vendor_has_it(world, joints, position, quaternion):
 def test_newton_and_the_planner_agree_on_every_link(world):
     for joints in np.random.default_rng(0).uniform(-1.5, 1.5, (5, 6)):
         rotations, positions = link_frames(world.scene.robot, joints)
-        transforms = world.link_transforms(joints)
+        transforms = link_transforms(world, joints)
         np.testing.assert_allclose(transforms[:, :3], positions, atol=FLOAT32)
         for transform, rotation in zip(transforms, rotations, strict=True):
             np.testing.assert_allclose(rotation_matrix(transform[3:]), rotation, atol=2 * FLOAT32)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from support import reference
+from support.device import DEVICE
 from support.reference import pose_grid
 from support.tasks import block, box, task
 
@@ -22,7 +23,7 @@ YAW_LENGTH = 0.1
 
 
 def no_plan() -> wp.array:
-    return wp.zeros(0, dtype=wp.vec3, device="cpu")
+    return wp.zeros(0, dtype=wp.vec3, device=DEVICE)
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +36,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def field_of(clearance: np.ndarray) -> PoseField:
     """A pose field with nodes a centimetre apart, the first at zero."""
     field = PoseField()
-    field.values = wp.array(clearance.astype(np.float32), dtype=float, device="cpu")
+    field.values = wp.array(clearance.astype(np.float32), dtype=float, device=DEVICE)
     field.origin, field.inv_step = wp.vec2(0.0, 0.0), 100.0
     field.inv_yaw_step = clearance.shape[0] / (2.0 * np.pi)
     return field
@@ -69,56 +70,54 @@ def cost_per_metre(gap: float, distance: float) -> float:
     ],
     ids=["goal", "way to a goal"],
 )
-def test_the_cost_to_go_is_dijkstras(way):
-    found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, push_ring=RING, device="cpu").values.numpy()
-    expected = reference.to_go(
-        walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, cost_per_metre=cost_per_metre
-    )
+def test_the_cost_to_go_is_dijkstras(way, device):
+    found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, reach=REACH, device=device).values.numpy()
+    expected = reference.to_go(walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, toll=toll)
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
-def test_the_cost_to_go_leads_around_a_wall():
+def test_the_cost_to_go_leads_around_a_wall(device: str):
     goal = np.array([0.121, 0.033, 1.0])
     pose = np.array([0.02, 0.02, 1.0])
     around, free = (
-        pose_field_at(build_to_go(field_of(clearance), goal, yaw_length=YAW_LENGTH, device="cpu"), pose)
+        pose_field_at(build_to_go(field_of(clearance), goal, yaw_length=YAW_LENGTH, device=device), pose)
         for clearance in (walled(), np.full((8, 14, 11), 0.05))
     )
     assert around > free + 0.05
 
 
-def test_a_goal_where_the_arm_pushes_badly_is_far_away():
+def test_a_goal_where_the_arm_pushes_badly_is_far_away(device: str):
     goal, pose = np.array([0.121, 0.093, 1.0]), np.array([0.05, 0.093, 1.0])
     field = field_of(np.full((8, 14, 11), 0.05))
     near, far = (
-        pose_field_at(build_to_go(field, goal, yaw_length=YAW_LENGTH, push_ring=ring, device="cpu"), pose)
-        for ring in ((0.0, np.inf), (0.0, 0.10))
+        pose_field_at(build_to_go(field, goal, yaw_length=YAW_LENGTH, reach=reach, device=device), pose)
+        for reach in ((0.0, np.inf), (0.0, 0.10))
     )
     assert far > 2.0 * near
 
 
-def test_sweeping_no_further_changes_a_cost_to_go_that_is_done():
+def test_sweeping_no_further_changes_a_cost_to_go_that_is_done(device: str):
     field = field_of(walled())
-    to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device="cpu")
-    travel = kernels.TravelCost()
-    travel.yaw_length, travel.comfort, travel.crowded, travel.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
-    travel.ring_inner, travel.ring_outer, travel.far = 0.0, 1e3, 10.0
-    change = wp.zeros(1, dtype=float, device="cpu")
+    to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device=device)
+    tolls = kernels.Tolls()
+    tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
+    tolls.reach_lower, tolls.reach_upper, tolls.far = 0.0, 1e3, 10.0
+    change = wp.zeros(1, dtype=float, device=device)
     for direction in range(8):
-        inputs = [field, travel, direction]
-        wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go.values, change], device="cpu")
+        inputs = [field, tolls, direction]
+        wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go.values, change], device=device)
         assert change.numpy()[0] < 1e-3
 
 
-def test_a_cost_to_go_belongs_to_its_goal(cache):
+def test_a_cost_to_go_belongs_to_its_goal(cache, device):
     field = field_of(walled())
     first, second = (
-        build_to_go(field, np.array([x, 0.03, 0.0]), yaw_length=YAW_LENGTH, device="cpu") for x in (0.02, 0.12)
+        build_to_go(field, np.array([x, 0.03, 0.0]), yaw_length=YAW_LENGTH, device=device) for x in (0.02, 0.12)
     )
     assert len(list(cache.glob("togo-*.npy"))) == 2
     assert pose_field_at(first, np.array([0.02, 0.03, 0.0])) < 0.005
     assert pose_field_at(second, np.array([0.02, 0.03, 0.0])) > 0.1
-    again = build_to_go(field, np.array([0.02, 0.03, 0.0]), yaw_length=YAW_LENGTH, device="cpu")
+    again = build_to_go(field, np.array([0.02, 0.03, 0.0]), yaw_length=YAW_LENGTH, device=device)
     np.testing.assert_array_equal(again.values.numpy(), first.values.numpy())
     assert len(list(cache.glob("togo-*.npy"))) == 2
 
@@ -131,18 +130,22 @@ def test_the_length_of_a_path_counts_its_turns_the_short_way():
 
 def followed(to_go: PoseField, pose: np.ndarray, goal: np.ndarray, *, step: float, steps: int) -> np.ndarray:
     """The way [steps + 1, 3] that a cost-to-go leads."""
-    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
-    way = wp.zeros((1, steps + 1), dtype=wp.vec3, device="cpu")
+    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device=DEVICE) for p in (pose, goal))
+    way = wp.zeros((1, steps + 1), dtype=wp.vec3, device=DEVICE)
     wp.launch(
-        kernels.descend, dim=1, inputs=[to_go, no_plan(), start, end, YAW_LENGTH, step], outputs=[way], device="cpu"
+        kernels.follow_down,
+        dim=1,
+        inputs=[to_go, no_plan(), start, end, YAW_LENGTH, step],
+        outputs=[way],
+        device=DEVICE,
     )
     return way.numpy()[0].astype(float)
 
 
-def test_following_the_cost_to_go_brings_the_object_around_an_obstacle_to_its_goal():
-    clearance = build_geometry(task(box(0.40, 0.0, (0.14, 0.06, 0.1)), pushed=block()), "cpu").clearance
+def test_following_the_cost_to_go_brings_the_object_around_an_obstacle_to_its_goal(device: str):
+    clearance = build_geometry(task(box(0.40, 0.0, (0.14, 0.06, 0.1)), pushed=block()), device).clearance
     goal = np.array([0.42, 0.2, 0.5])
-    to_go = build_to_go(clearance, goal, yaw_length=YAW_LENGTH, device="cpu")
+    to_go = build_to_go(clearance, goal, yaw_length=YAW_LENGTH, device=device)
     pose = np.array([0.40, -0.2, 0.0])
     way = followed(to_go, pose, goal, step=0.006, steps=150)
     np.testing.assert_allclose(way[0], pose, atol=1e-6)
@@ -155,11 +158,11 @@ def test_following_the_cost_to_go_brings_the_object_around_an_obstacle_to_its_go
     assert path_lengths(way[: arrived + 1], YAW_LENGTH).sum() < 1.1 * straight
 
 
-def test_a_way_down_stops_nowhere_on_its_way():
+def test_a_way_down_stops_nowhere_on_its_way(device: str):
     """From all over the table, corners of obstacles included: wherever it is, it gets on."""
-    clearance = build_geometry(task(box(0.40, 0.0, (0.14, 0.06, 0.1)), pushed=block()), "cpu").clearance
+    clearance = build_geometry(task(box(0.40, 0.0, (0.14, 0.06, 0.1)), pushed=block()), device).clearance
     goal = np.array([0.42, 0.2, 0.5])
-    to_go = build_to_go(clearance, goal, yaw_length=YAW_LENGTH, device="cpu")
+    to_go = build_to_go(clearance, goal, yaw_length=YAW_LENGTH, device=device)
     random = np.random.default_rng(2)
     for pose in random.uniform([0.2, -0.3, -np.pi], [0.6, 0.3, np.pi], (60, 3)):
         way = followed(to_go, pose, goal, step=0.006, steps=250)
@@ -168,7 +171,7 @@ def test_a_way_down_stops_nowhere_on_its_way():
         assert abs(reference.wrap_angle(way[-1, 2] - goal[2])) < 0.05
 
 
-def test_a_way_down_leads_through_a_gap_as_narrow_as_the_grid():
+def test_a_way_down_leads_through_a_gap_as_narrow_as_the_grid(device: str):
     """A free way one node wide that winds through the grid; beside it every node is blocked."""
     clearance = np.full((8, 30, 12), -0.01)
     free = [(2, i, 5) for i in range(3, 12)] + [(3, i, 6) for i in range(12, 18)] + [(2, i, 7) for i in range(18, 27)]
@@ -176,27 +179,29 @@ def test_a_way_down_leads_through_a_gap_as_narrow_as_the_grid():
         clearance[node] = 0.001
     field = field_of(clearance)
     goal, pose = (np.array([0.01 * i, 0.01 * j, t * np.pi / 4.0]) for t, i, j in (free[-1], free[0]))
-    to_go = build_to_go(field, goal, yaw_length=0.01, device="cpu")
-    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
-    way = wp.zeros((1, 121), dtype=wp.vec3, device="cpu")
-    wp.launch(kernels.descend, dim=1, inputs=[to_go, no_plan(), start, end, 0.01, 0.006], outputs=[way], device="cpu")
+    to_go = build_to_go(field, goal, yaw_length=0.01, device=device)
+    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device=device) for p in (pose, goal))
+    way = wp.zeros((1, 121), dtype=wp.vec3, device=device)
+    wp.launch(
+        kernels.follow_down, dim=1, inputs=[to_go, no_plan(), start, end, 0.01, 0.006], outputs=[way], device=device
+    )
     np.testing.assert_allclose(way.numpy()[0, -1], goal, atol=1e-3)
     left = np.linalg.norm(way.numpy()[0, :, :2] - goal[:2], axis=1)
     assert (left[5:] < left[:-5] + 1e-6).all(), "it does not turn around"
 
 
-def test_a_way_leads_along_a_plan_past_a_shorter_one():
+def test_a_way_leads_along_a_plan_past_a_shorter_one(device: str):
     """The plan makes a detour through free space, and crosses itself."""
     goal, pose = np.array([0.42, 0.2, 0.0]), np.array([0.39, -0.19, 0.1])
     corners = np.array([[0.40, -0.2, 0.0], [0.55, -0.05, 0.0], [0.55, 0.08, 0.0], [0.38, 0.08, 0.0], [0.42, 0.2, 0.0]])
     plan = np.vstack([np.linspace(a, b, 12)[:-1] for a, b in pairwise(corners)] + [goal])
-    clearance = build_geometry(task(pushed=block()), "cpu").clearance
-    to_go = build_to_go(clearance, plan, yaw_length=YAW_LENGTH, device="cpu")
-    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device="cpu") for p in (pose, goal))
-    packed = wp.array(plan.astype(np.float32), dtype=wp.vec3, device="cpu")
-    found = wp.zeros((1, 200), dtype=wp.vec3, device="cpu")
+    clearance = build_geometry(task(pushed=block()), device).clearance
+    to_go = build_to_go(clearance, plan, yaw_length=YAW_LENGTH, device=device)
+    start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device=device) for p in (pose, goal))
+    packed = wp.array(plan.astype(np.float32), dtype=wp.vec3, device=device)
+    found = wp.zeros((1, 200), dtype=wp.vec3, device=device)
     inputs = [to_go, packed, start, end, YAW_LENGTH, 0.006]
-    wp.launch(kernels.descend, dim=1, inputs=inputs, outputs=[found], device="cpu")
+    wp.launch(kernels.follow_down, dim=1, inputs=inputs, outputs=[found], device=device)
     way = found.numpy()[0].astype(float)
     np.testing.assert_allclose(way[-1], goal, atol=1e-3)
     off = [np.linalg.norm(plan[:, :2] - p[:2], axis=1).min() for p in way]
@@ -205,11 +210,11 @@ def test_a_way_leads_along_a_plan_past_a_shorter_one():
     assert max(passed) < 0.045, "all around the detour"
 
 
-def test_a_bound_to_start_from_changes_nothing():
+def test_a_bound_to_start_from_changes_nothing(device: str):
     way = np.array([[0.02, 0.09, 3.0], [0.05, 0.09, 3.4], [0.09, 0.085, 3.9], [0.121, 0.033, 5.0]])
-    bound = build_to_go(field_of(walled()), way[-1], yaw_length=YAW_LENGTH, push_ring=RING, device="cpu")
+    bound = build_to_go(field_of(walled()), way[-1], yaw_length=YAW_LENGTH, reach=REACH, device=device)
     found, expected = (
-        build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, push_ring=RING, bound=known, device="cpu")
+        build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, reach=REACH, bound=known, device=device)
         for known in (bound, None)
     )
     np.testing.assert_allclose(found.values.numpy(), expected.values.numpy(), atol=1e-3)

@@ -149,11 +149,11 @@ def test_shipped_engines_are_known_for_every_method_that_was_measured():
     assert all(0.0 < share <= 1.0 for share in figures)
 
 
-def test_a_planner_knows_its_engine_and_why():
+def test_a_planner_knows_its_engine_and_why(device: str):
     scene = tasks.shipped("task01")
-    asked = make_planner(scene, best("mppi"), method="mppi", engine="quasistatic", device="cpu")
+    asked = make_planner(scene, best("mppi"), method="mppi", engine="quasistatic", device=device)
     assert (asked.engine, asked.engine_reason) == ("quasistatic", "")
-    chosen = make_planner(scene, best("mppi"), method="mppi", engine="auto", device="cpu")
+    chosen = make_planner(scene, best("mppi"), method="mppi", engine="auto", device=device)
     assert chosen.engine in ("quasistatic", "newton")
     assert "ms" in chosen.engine_reason
 

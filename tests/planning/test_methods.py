@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support import reference
+from support.device import DEVICE, to_the_bit
 from support.tasks import (
     DT,
     Pushing,
@@ -44,7 +45,7 @@ SMALL = Config(
 
 
 def make(scene: Scene, method: str = "cloi", config: Config = SMALL, *, seed: int = 0) -> Planner:
-    return make_planner(scene, config, method=method, device="cpu", seed=seed)
+    return make_planner(scene, config, method=method, device=DEVICE, seed=seed)
 
 
 def on_its_own_model(planner: Planner, scene: Scene, steps: int) -> tuple[list[Plan], Observation]:
@@ -129,6 +130,7 @@ def test_a_planner_brings_its_own_model_of_the_object_to_the_goal(method):
 # Determinism
 
 
+@to_the_bit
 @pytest.mark.parametrize("method", METHODS)
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others(method):
     scene = shipped("task01")
@@ -268,14 +270,14 @@ def test_mppi_tracks_the_goal():
     np.testing.assert_allclose(plan.reference, np.tile(scene.goal, (len(plan.reference), 1)), atol=1e-9)
 
 
-def test_mppi_can_be_given_the_cost_to_go():
+def test_mppi_can_be_given_the_cost_to_go(device: str):
     scene = shipped("task02")
     cost = replace(SMALL.cost, w_d=0.0, w_to_go=2.0)
     planner = make(scene, "mppi", replace(SMALL, cost=cost))
     plan = on_its_own_model(planner, scene, 1)[0][0]
     clearance = planner.geometry.clearance
-    level, ring = planner.config.object, planner.config.object_cost.push_ring
-    to_go = build_to_go(clearance, planner.goal, yaw_length=level.yaw_length, push_ring=ring, device="cpu")
+    level, reach = planner.config.object, planner.config.object_cost.reach
+    to_go = build_to_go(clearance, planner.goal, yaw_length=level.yaw_length, reach=reach, device=device)
     poses = to_center(planner.geometry.surface, plan.object_poses[1:])
     expected = 2.0 * sum(pose_field_at(to_go, pose) for pose in poses)
     assert plan.terms[planner.dynamics.terms.index("goal")] == pytest.approx(expected, rel=1e-3)
@@ -404,18 +406,18 @@ def test_a_reference_is_held_at_its_end():
     planner.start(seen)
     planner.plan(seen)
     held = planner.dynamics.reference.host
-    assert len(held) == len(planner.dynamics.reference.host)
+    assert len(held) == planner.config.robot.optimizer.horizon + 1 + planner.config.cost.align_ahead
     np.testing.assert_allclose(held, np.tile(planner.goal, (len(held), 1)), atol=1e-6)
 
 
 # Bad input
 
 
-def test_an_unknown_method_or_engine_is_named_with_what_is_allowed():
+def test_an_unknown_method_or_engine_is_named_with_what_is_allowed(device: str):
     with pytest.raises(ConfigError, match=r"ppo.*\n.*mppi, soi, cloi"):
-        make_planner(shipped("task01"), SMALL, method="ppo", device="cpu")  # type: ignore[arg-type]
+        make_planner(shipped("task01"), SMALL, method="ppo", device=device)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"bullet.*\n.*quasistatic"):
-        make_planner(shipped("task01"), SMALL, engine="bullet", device="cpu")
+        make_planner(shipped("task01"), SMALL, engine="bullet", device=device)
 
 
 def test_a_device_that_is_not_there_is_named_with_those_that_are():
@@ -423,7 +425,7 @@ def test_a_device_that_is_not_there_is_named_with_those_that_are():
         make_planner(shipped("task01"), SMALL, device="cuda:17")
 
 
-def test_settings_that_contradict_each_other_make_no_planner():
+def test_settings_that_contradict_each_other_make_no_planner(device: str):
     bad = replace(SMALL, robot=replace(SMALL.robot, optimizer=MppiSettings(horizon=4, knots=9)))
     with pytest.raises(ConfigError, match="knots"):
-        make_planner(shipped("task01"), bad, device="cpu")
+        make_planner(shipped("task01"), bad, device=device)

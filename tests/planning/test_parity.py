@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from support import tasks
+from support.device import run
 from support.pushes import SPEED, tip_before
 
 from oimppi_warp.config.settings import RobotLevel
@@ -31,10 +32,10 @@ TRAVEL_RATIO = (0.95, 1.05)
 
 
 @pytest.fixture(scope="module")
-def pushes() -> np.ndarray:
+def pushes(device: str) -> np.ndarray:
     """Random pushes: friction centre at first, at last in the plant, and at last in the engine; shape [n, 3, 3]."""
     scene = tasks.shipped("task01")
-    geometry = build_geometry(scene, "cpu")
+    geometry = build_geometry(scene, device)
     level = RobotLevel(optimizer=replace(RobotLevel().optimizer, horizon=STEPS))
     engine = QuasistaticDynamics(tasks.rollout_task(scene, level=level, geometry=geometry))
     world = World(scene)
@@ -57,8 +58,8 @@ def pushes() -> np.ndarray:
         for control in controls:
             plant.apply(control)
         engine.set_state(tasks.observe(scene, joints=joints, pose=pose), center)
-        nominal = wp.array(controls.astype(np.float32), dtype=control_type(6), device="cpu")
-        engine.trace(nominal, wp.zeros(1, dtype=float, device="cpu"))()
+        nominal = wp.array(controls.astype(np.float32), dtype=control_type(6), device=device)
+        run(engine.compute, engine.trace(nominal, wp.zeros(1, dtype=float, device=device)))
         trace = engine.traced()
         # The plant's object compared at its friction centre, where the limit surface has it.
         last = plant.observe().object_pose

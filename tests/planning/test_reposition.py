@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.device import DEVICE
 from support.tasks import DT, block, box, task
 
 from oimppi_warp.config.settings import Reposition
@@ -20,8 +21,8 @@ LONG = (0.16, 0.04, 0.05)
 """A block, long in x."""
 
 
-def watch(scene: Scene, settings: Reposition = SETTINGS, *, turn: bool = True) -> Repositioner:
-    return Repositioner(scene, build_geometry(scene, "cpu"), settings, turn=turn, height=HEIGHT, period=DT)
+def watch(scene: Scene, settings: Regrasp = SETTINGS, *, turn: bool = True) -> Regrasping:
+    return Regrasping(scene, build_geometry(scene, DEVICE), settings, turn=turn, height=HEIGHT, period=DT)
 
 
 def led(*move: float) -> np.ndarray:
@@ -115,9 +116,9 @@ def test_the_side_that_did_not_work_is_not_tried_again():
     assert np.linalg.norm(last_stop(watching)[:2] - first[:2]) > 0.04
 
 
-def test_the_tip_goes_over_an_object_that_is_in_its_way_and_straight_where_none_is():
+def test_the_tip_goes_over_an_object_that_is_in_its_way_and_straight_where_none_is(device: str):
     scene = task(pushed=block(LONG))
-    top = build_geometry(scene, "cpu").top
+    top = build_geometry(scene, device).top
     watching = watch(scene)
     tip = np.array([POSE[0], 0.09, 0.012])
     waypoint = stalled(watching, tip, led(0.0, 0.05, 0.0))

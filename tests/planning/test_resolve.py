@@ -33,12 +33,12 @@ def few(preset: str):
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("name", SCENES)
-def test_the_settings_that_are_recorded_are_those_that_the_kernels_get(name: str, preset: str):
+def test_the_settings_that_are_recorded_are_those_that_the_kernels_get(name: str, preset: str, device: str):
     scene = tasks.shipped(name)
     resolved = resolve(few(preset), scene)
     recorded = from_record(to_json(asdict(resolved.config)))
     assert recorded == resolved.config
-    planner = make_planner(scene, resolved.config, method="cloi", engine="quasistatic", device="cpu", threads=1)
+    planner = make_planner(scene, resolved.config, method="cloi", engine="quasistatic", device=device, threads=1)
     assert isinstance(planner, ClosedLoopPlanner)
     assert planner.config == recorded
     for weights, cost in (

@@ -2,46 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from support import tasks
 
-from oimppi_warp.plants.camera import Camera, arm_capsules, segment_distances
+from oimppi_warp.physics.world import World
+from oimppi_warp.plants.camera import Camera
 from oimppi_warp.scene import Collider, Link
 
 
-def test_lines_of_sight_that_cross_touch_pass_and_end_early():
-    eye = np.array([0.0, 0.0, 1.0])
-    points = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 1.0]])
-    begins = np.array([[-1.0, 0.0, 0.5], [0.3, -1.0, 0.5], [-1.0, 0.0, -0.4], [0.0, 0.2, 0.2]])
-    ends = np.array([[1.0, 0.0, 0.5], [0.3, 1.0, 0.5], [1.0, 0.0, -0.4], [0.0, 0.2, 0.2]])
-    found = segment_distances(eye, points, begins, ends)
-    np.testing.assert_allclose(found[0], [0.0, 0.3, 0.4, 0.2], atol=1e-9)
-    np.testing.assert_allclose(found[1], [0.5, 0.5, 1.4, math.hypot(0.2, 0.8)], atol=1e-9)
-
-
-def test_distances_are_those_of_points_sampled_along_both():
-    random = np.random.default_rng(2)
-    eye, points, begins, ends = (random.uniform(-1, 1, size) for size in (3, (6, 3), (7, 3), (7, 3)))
-    along = np.linspace(0.0, 1.0, 301)[:, None]
-    found = segment_distances(eye, points, begins, ends)
-    for i, point in enumerate(points):
-        for j, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-            sight, axis = eye + along * (point - eye), begin + along * (end - begin)
-            sampled = np.linalg.norm(sight[:, None] - axis[None], axis=-1).min()
-            assert found[i, j] == pytest.approx(sampled, abs=5e-3)
-            assert found[i, j] < sampled + 1e-9
-
-
 def with_one_ball(center: tuple[float, float, float], radius: float):
-    """Lab 01 with the whole arm one ball on its fixed base [m]."""
+    """The world of lab 01 with the whole arm one ball on its fixed base [m]."""
     scene = tasks.shipped("lab01")
     ball = Collider("/ball", "sphere", np.array([*center, 0.0, 0.0, 0.0, 1.0]), (radius,))
     links = tuple(replace(link, colliders=()) for link in scene.robot.links)
-    return replace(scene, robot=replace(scene.robot, base=Link("/base", 1.0, (ball,)), links=links))
+    return World(replace(scene, robot=replace(scene.robot, base=Link("/base", 1.0, (ball,)), links=links)))
 
 
 def test_a_ball_in_the_line_of_sight_hides_the_object_and_beside_it_does_not():
@@ -66,17 +42,8 @@ def test_half_a_can_behind_a_wide_ball_is_half_seen():
 def test_the_arm_hides_the_can_when_it_stands_before_it_and_not_from_its_start():
     scene = tasks.shipped("lab01")
     can = np.array([0.40, 0.0, 0.0])
-    camera = Camera(scene, (0.9, 0.0, 0.9))
+    camera = Camera(World(scene), (0.9, 0.0, 0.9))
     assert camera.sees(scene.robot.start, np.array(scene.start))
     before, beside = (tasks.joints_at(scene.robot, (0.40 + x, y, 0.015)) for x, y in ((0.05, 0.0), (0.0, 0.05)))
     assert not camera.sees(before, can)
     assert camera.sees(beside, np.array([0.40, 0.0, 0.0]))
-
-
-def test_capsules_keep_their_ends_and_other_shapes_are_covered():
-    turned = np.array([0.1, 0.2, 0.3, math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])  # a quarter about x: z goes to -y
-    ends, radii = arm_capsules((Collider("/c", "capsule", turned, (0.04, 0.1)), tasks.post(0.0, 0.0, 0.05, 0.4)))
-    np.testing.assert_allclose(ends[0], [[0.1, 0.3, 0.3], [0.1, 0.1, 0.3]], atol=1e-9)
-    assert radii[0] == 0.04
-    assert (radii[1:] >= 0.05).all()
-    assert ends[1:, 0, 2].min() - radii[1] <= 0.01 and ends[1:, 0, 2].max() + radii[1] >= 0.39

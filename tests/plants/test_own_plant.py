@@ -50,11 +50,11 @@ def small(method: str = "mppi", *changes: str) -> Config:
     return config
 
 
-def test_a_plant_with_a_period_a_report_and_a_command_is_enough():
+def test_a_plant_with_a_period_a_report_and_a_command_is_enough(device: str):
     scene = shipped("task01")
     plant = Kinematic(scene)
     assert not isinstance(plant, TruthfulPlant | ContactPlant | MovablePlant)
-    episode = Episode(scene, small(), plant=plant, method="mppi", engine="quasistatic", device="cpu")
+    episode = Episode(scene, small(), plant=plant, method="mppi", engine="quasistatic", device=device)
     log = episode.run()
     assert log.header["plant"] == "Kinematic"
     # It is planned in the plant's steps, and the record says so.
@@ -72,7 +72,7 @@ def test_a_plant_with_a_period_a_report_and_a_command_is_enough():
     assert away[-1] < begin - 0.05
 
 
-def test_a_plant_is_registered_by_name_and_removed_again():
+def test_a_plant_is_registered_by_name_and_removed_again(device: str):
     def kinematic(scene: Scene, config: Config, *, seed: int) -> Kinematic:
         made.append(seed)
         return Kinematic(scene)
@@ -83,7 +83,7 @@ def test_a_plant_is_registered_by_name_and_removed_again():
         Episode(scene, config, plant="kinematic")
     PLANTS.register("kinematic", kinematic)
     try:
-        log = Episode(scene, config, plant="kinematic", engine="quasistatic", device="cpu", seed=7).run()
+        log = Episode(scene, config, plant="kinematic", engine="quasistatic", device=device, seed=7).run()
         assert log.header["plant"] == "kinematic" and made == [7] and len(log) == 2
         with pytest.raises(ConfigError, match="registered already"):
             PLANTS.register("kinematic", Kinematic)
@@ -101,8 +101,8 @@ def test_the_simulated_plant_takes_part_in_every_protocol():
 
 
 @pytest.fixture(scope="module")
-def planner() -> Planner:
-    made = make_planner(shipped("task01"), small("cloi"), method="cloi", engine="quasistatic", device="cpu")
+def planner(device: str) -> Planner:
+    made = make_planner(shipped("task01"), small("cloi"), method="cloi", engine="quasistatic", device=device)
     made.start(Kinematic(shipped("task01")).observe())
     return made
 
@@ -159,7 +159,7 @@ def test_joints_far_beyond_their_limits_are_an_error_of_the_sensor(planner: Plan
     assert not planner.plan(replace(good, joint_position=joints)).problem
 
 
-def test_an_episode_goes_on_after_a_report_that_cannot_be_true_and_its_record_says_where():
+def test_an_episode_goes_on_after_a_report_that_cannot_be_true_and_its_record_says_where(device: str):
     scene = shipped("task01")
 
     class Flickering(Kinematic):
@@ -167,7 +167,7 @@ def test_an_episode_goes_on_after_a_report_that_cannot_be_true_and_its_record_sa
             seen = super().observe()
             return replace(seen, object_pose=np.full(3, np.nan)) if 0.25 < self.time < 0.45 else seen
 
-    log = Episode(scene, small(), plant=Flickering(scene), method="mppi", engine="quasistatic", device="cpu").run()
+    log = Episode(scene, small(), plant=Flickering(scene), method="mppi", engine="quasistatic", device=device).run()
     assert len(log) == 20
     ((step, reason),) = log.header["problems"]
     assert step == 3 and "the object's pose not finite" in reason
@@ -176,7 +176,7 @@ def test_an_episode_goes_on_after_a_report_that_cannot_be_true_and_its_record_sa
     assert np.abs(log["command"][5:]).max() > 0.0
 
 
-def test_joints_that_are_not_known_stop_an_arm_whose_object_is_estimated():
+def test_joints_that_are_not_known_stop_an_arm_whose_object_is_estimated(device: str):
     scene = shipped("task01")
 
     class Dated(Kinematic):
@@ -184,7 +184,7 @@ def test_joints_that_are_not_known_stop_an_arm_whose_object_is_estimated():
             joints = np.full(6, np.nan) if 0.25 < self.time < 0.45 else self.joints
             return replace(super().observe(), joint_position=joints, object_time=self.time)
 
-    made = make_planner(scene, small(), method="mppi", engine="quasistatic", device="cpu")
+    made = make_planner(scene, small(), method="mppi", engine="quasistatic", device=device)
     loop = lock_step(Dated(scene), made, Estimator(scene, Config()), dof=6)
     beats = [next(loop) for _ in range(8)]
     assert [beat.plan is not None for beat in beats] == [False, True, True, False, False, True, True, True]
@@ -216,11 +216,11 @@ class Watched(Kinematic):
         super().apply(joint_velocity)
 
 
-def test_however_an_episode_ends_the_arm_is_told_to_stop():
+def test_however_an_episode_ends_the_arm_is_told_to_stop(device: str):
     scene = shipped("task01")
     for fails, steps in ((0.35, None), (np.inf, 3), (np.inf, None)):
         plant = Watched(scene, fails)
-        episode = Episode(scene, small(), plant=plant, method="mppi", engine="quasistatic", device="cpu")
+        episode = Episode(scene, small(), plant=plant, method="mppi", engine="quasistatic", device=device)
         if fails < np.inf:
             with pytest.raises(ObservationError, match="joint_position"):
                 episode.run()
@@ -235,18 +235,18 @@ def test_however_an_episode_ends_the_arm_is_told_to_stop():
         np.testing.assert_array_equal(plant.told[-1], np.zeros(6))
 
 
-def test_settings_are_checked_before_a_plant_is_made_of_them_and_a_plants_own_values_after():
+def test_settings_are_checked_before_a_plant_is_made_of_them_and_a_plants_own_values_after(device: str):
     scene = shipped("task01")
     with pytest.raises(ConfigError, match="control_period = 0 cannot be used"):
-        Episode(scene, replace(small(), control_period=0.0), method="mppi", device="cpu")
+        Episode(scene, replace(small(), control_period=0.0), method="mppi", device=device)
     plant = Kinematic(scene)
     plant.control_period = 7.0
     with pytest.raises(ConfigError, match="control_period = 7 cannot be used"):
-        Episode(scene, small(), plant=plant, method="mppi", device="cpu")
+        Episode(scene, small(), plant=plant, method="mppi", device=device)
     late = Kinematic(scene)
     late.latency = 3.0  # type: ignore[attr-defined]
     with pytest.raises(ConfigError, match=r"latency of 3 s\n  allowed: 0 to 1 s"):
-        Episode(scene, small(), plant=late, method="mppi", engine="quasistatic", device="cpu")
+        Episode(scene, small(), plant=late, method="mppi", engine="quasistatic", device=device)
 
 
 def test_joints_that_cannot_be_true_do_not_move_what_is_believed():

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support import tasks
+from support.device import DEVICE, to_the_bit
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
@@ -178,7 +179,7 @@ def lab_episode(*options: str, seed: int = 0, mode: Any = "lockstep") -> Episode
         config = set_option(config, option)
     scene = scene.with_goal((0.38, 0.12, 0.0))
     return Episode(
-        scene, config, method="cloi", engine="quasistatic", device="cpu", threads=1, seed=seed, plant="lab", mode=mode
+        scene, config, method="cloi", engine="quasistatic", device=DEVICE, threads=1, seed=seed, plant="lab", mode=mode
     )
 
 
@@ -204,6 +205,7 @@ def test_an_episode_in_the_lab_reaches_its_goal_without_the_planner_knowing_the_
     assert 1e-4 < metrics.mean_estimate_error_m < 0.1
 
 
+@to_the_bit
 def test_the_same_seed_gives_the_same_lab_episode_to_the_bit():
     first, second = (lab_episode("episode.max_sim_seconds=2.5", seed=5).run() for _ in range(2))
     for name in ("command", "object_pose", "estimated_pose", "detection"):
@@ -213,12 +215,12 @@ def test_the_same_seed_gives_the_same_lab_episode_to_the_bit():
 
 
 @pytest.mark.parametrize("plant", ["ideal", "lab"])
-def test_real_time_keeps_to_the_wall_clock(plant: Any):
+def test_real_time_keeps_to_the_wall_clock(plant: Any, device: str):
     config = best("cloi")
     for option in ("robot.optimizer.samples=64", "object.optimizer.samples=64", "episode.max_sim_seconds=2.5"):
         config = set_option(config, option)
     episode = Episode(
-        load_scene("lab01"), config, engine="quasistatic", device="cpu", threads=1, plant=plant, mode="realtime"
+        load_scene("lab01"), config, engine="quasistatic", device=device, threads=1, plant=plant, mode="realtime"
     )
     log = episode.run()
     assert len(log) == 50

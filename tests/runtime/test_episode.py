@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.device import to_the_bit
 from support.episodes import episode
 
 from oimppi_warp.config.overrides import set_option
@@ -35,11 +36,11 @@ def test_the_object_is_brought_to_its_goal(name: str, method: str):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", SCENES)
-def test_every_scene_plans_and_runs_with_every_method(name: str, method: str):
+def test_every_scene_plans_and_runs_with_every_method(name: str, method: str, device: str):
     scene = load_scene(name)
     config = set_option(set_option(best(method), "robot.optimizer.samples=128"), "object.plan_steps=20")
     config = set_option(config, "episode.max_sim_seconds=0.5")
-    log = Episode(scene, config, method=method, device="cpu").run()
+    log = Episode(scene, config, method=method, device=device).run()
     assert len(log) == 10
     assert np.isfinite(log["command"]).all()
     assert np.abs(log["command"]).max() > 0.0
@@ -47,15 +48,16 @@ def test_every_scene_plans_and_runs_with_every_method(name: str, method: str):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_preset_paper_runs_as_printed(method: str):
+def test_the_preset_paper_runs_as_printed(method: str, device: str):
     scene = load_scene("task02")
     config = set_option(paper(method), "episode.max_sim_seconds=0.25")
     config = set_option(config, "object.plan_steps=20")
-    log = Episode(scene, config, method=method, device="cpu").run()
+    log = Episode(scene, config, method=method, device=device).run()
     assert len(log) == 5
     assert np.abs(log["command"]).max() <= 0.2 + 1e-6
 
 
+@to_the_bit
 def test_the_same_seed_gives_the_same_episode_to_the_bit():
     first, second = (episode("task02", "cloi", seed=3, options=("episode.max_sim_seconds=1",)).run() for _ in range(2))
     np.testing.assert_array_equal(first["command"], second["command"])

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import warp as wp
 from support import tasks
+from support.device import DEVICE, run
 
 from oimppi_warp.config.settings import RobotLevel
 from oimppi_warp.geometry.fields import from_center, to_center
@@ -15,6 +16,7 @@ from oimppi_warp.observation import Observation
 from oimppi_warp.physics.world import World
 from oimppi_warp.planning.engines.dynamics import control_type
 from oimppi_warp.planning.engines.newton import NewtonDynamics
+from oimppi_warp.planning.engines.newton_threads import NewtonThreads
 from oimppi_warp.planning.engines.uncertainty import CERTAIN, Draws
 from oimppi_warp.plants.plant import SimulatedPlant
 from oimppi_warp.scene import Scene
@@ -33,21 +35,28 @@ def make(
     draws: Draws = CERTAIN,
     **more: int,
 ) -> NewtonDynamics:
-    """An engine on a scene."""
+    """An engine on a scene; MuJoCo's C threads are on the CPU whatever device is tested."""
     mppi = replace(RobotLevel().optimizer, samples=samples, horizon=steps)
     level = RobotLevel(optimizer=mppi, substeps=substeps)
-    return engine(tasks.rollout_task(scene, level=level, threads=threads, draws=draws), **more)
+    device = device_of(engine)
+    return engine(tasks.rollout_task(scene, level=level, device=device, threads=threads, draws=draws), **more)
+
+
+def device_of(engine: type) -> str:
+    """Where an engine is tested."""
+    return "cpu" if engine is NewtonThreads else DEVICE
 
 
 def roll(engine: NewtonDynamics, seen: Observation, controls: np.ndarray) -> np.ndarray:
     """Costs [sample] of joint velocities [sample, horizon, dof]; the rest is left in the engine."""
-    costs = wp.zeros(len(controls), dtype=float, device="cpu")
-    packed = wp.array(controls.astype(np.float32), dtype=control_type(controls.shape[2]), device="cpu")
-    run = engine.rollout(packed, costs)
+    device = engine.compute.device
+    costs = wp.zeros(len(controls), dtype=float, device=device)
+    packed = wp.array(controls.astype(np.float32), dtype=control_type(controls.shape[2]), device=device)
+    rollout = engine.rollout(packed, costs)
     goal = to_center(engine.task.geometry.surface, np.array(engine.task.scene.goal))
     engine.set_state(seen, goal)
     engine.reference.host[:] = goal
-    run()
+    run(engine.compute, rollout)
     return costs.numpy()
 
 

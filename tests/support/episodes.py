@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from support.device import DEVICE
+
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
 from oimppi_warp.geometry.feasibility import draw_start
@@ -14,4 +16,4 @@ def episode(name: str, method: str, *, seed: int, options: tuple[str, ...] = ())
     config = best(method)
     for option in options:
         config = set_option(config, option)
-    return Episode(scene.with_start(draw_start(scene, seed)), config, method=method, device="cpu", seed=seed)
+    return Episode(scene.with_start(draw_start(scene, seed)), config, method=method, device=DEVICE, seed=seed)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import shapely
 import trimesh
-from shapely.geometry.polygon import orient
 
 L_SHAPE = shapely.Polygon([(0, 0), (0.12, 0), (0.12, 0.03), (0.03, 0.03), (0.03, 0.10), (0, 0.10)])
 """An L of 0.12 x 0.10 m, its legs 0.03 m wide."""
@@ -15,18 +14,9 @@ L_SHAPE = shapely.Polygon([(0, 0), (0.12, 0), (0.12, 0.03), (0.03, 0.03), (0.03,
 
 def prism(outline: shapely.Polygon, height: float) -> trimesh.Trimesh:
     """An outline with a thickness [m], closed."""
-    corners, faces = [], []
-    for triangle in shapely.constrained_delaunay_triangles(outline).geoms:
-        ring = np.asarray(orient(triangle).exterior.coords)[:3]
-        for z, order in ((0.0, (2, 1, 0)), (height, (0, 1, 2))):
-            faces.append([len(corners) + i for i in order])
-            corners += [(x, y, z) for x, y in ring]
-    ring = np.asarray(orient(outline).exterior.coords)[:-1]
-    for (ax, ay), (bx, by) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-        n = len(corners)
-        corners += [(ax, ay, 0.0), (bx, by, 0.0), (bx, by, height), (ax, ay, height)]
-        faces += [[n, n + 1, n + 2], [n, n + 2, n + 3]]
-    return trimesh.Trimesh(corners, faces)
+    triangles = shapely.get_coordinates(shapely.constrained_delaunay_triangles(outline)).reshape(-1, 4, 2)[:, :3]
+    corners, faces = np.unique(triangles.reshape(-1, 2), axis=0, return_inverse=True)
+    return trimesh.creation.extrude_triangulation(corners, faces.reshape(-1, 3), height)
 
 
 def bracket(height: float = 0.04) -> trimesh.Trimesh:

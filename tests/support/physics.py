@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import mujoco
+import newton
 import numpy as np
 import pytest
+import warp as wp
 
 from oimppi_warp.geometry.footprint import rotation_matrix, transform_points
 from oimppi_warp.geometry.kinematics import link_frames
@@ -32,6 +34,16 @@ def assert_shapes_agree(scene: Scene) -> None:
         actual = _geom_support(model, geom, collider) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
         for axis in np.vstack([np.eye(3), -np.eye(3), np.ones(3)]):
             assert np.max(actual @ axis) == pytest.approx(np.max(expected @ axis), abs=1e-5)
+
+
+def link_transforms(world: World, joint_position: np.ndarray) -> np.ndarray:
+    """Position and quaternion xyzw [dof, 7] of the arm's moving links by Newton's forward kinematics (float32)."""
+    model = world.newton.model
+    coords = model.joint_q.numpy().copy()
+    coords[world.newton.joint_coords] = joint_position
+    state, still = model.state(), wp.zeros(model.joint_dof_count, dtype=float, device="cpu")
+    newton.eval_fk(model, wp.array(coords, dtype=float, device="cpu"), still, state)
+    return state.body_q.numpy()[world.newton.link_bodies]
 
 
 def _placed(scene: Scene):

@@ -11,6 +11,7 @@ import shapely
 import warp as wp
 from scipy.spatial.transform import Rotation
 from support import reference
+from support.device import DEVICE, run
 
 from oimppi_warp.compute.step import Compute
 from oimppi_warp.config.settings import Config, ObjectCost, ObjectLevel, RobotCost, RobotLevel
@@ -38,17 +39,18 @@ def rollout_task(
     level: RobotLevel | None = None,
     cost: RobotCost | None = None,
     geometry: Geometry | None = None,
+    device: str = DEVICE,
     threads: int | None = None,
     draws: Draws = CERTAIN,
 ) -> RolloutTask:
-    """What an engine is made for, on the CPU."""
+    """What an engine is made for."""
     return RolloutTask(
         scene=scene,
-        geometry=geometry or build_geometry(scene, "cpu"),
+        geometry=geometry or build_geometry(scene, device),
         level=level or RobotLevel(),
         cost=cost or effective_cost(scene),
         dt=DT,
-        compute=Compute("cpu", threads=threads),
+        compute=Compute(device, threads=threads),
         draws=draws,
     )
 
@@ -174,7 +176,7 @@ class Pushing:
     def on(cls, scene: Scene, config: Config | None = None, **cost: Any) -> Pushing:
         config = config or Config()
         config = resolve(replace(config, cost=replace(config.cost, **cost)), scene).config
-        geometry = build_geometry(scene, "cpu")
+        geometry = build_geometry(scene, DEVICE)
         dynamics = QuasistaticDynamics(rollout_task(scene, level=config.robot, cost=config.cost, geometry=geometry))
         return cls(scene, geometry, config, dynamics)
 
@@ -204,11 +206,12 @@ class Pushing:
         self.dynamics.set_state(observe(self.scene, joints=joints, pose=seen), goal)
         self.dynamics.reference.host[:] = reference
         samples, horizon, dof = controls.shape
-        costs = wp.zeros(samples, dtype=float, device="cpu")
-        terms = wp.zeros(samples, dtype=terms_vector(), device="cpu")
-        tips, poses = (wp.zeros((samples, horizon + 1), dtype=wp.vec3, device="cpu") for _ in range(2))
-        packed = wp.array(controls.astype(np.float32), dtype=control_type(dof), device="cpu")
-        self.dynamics.launch(packed, costs, terms, tips, poses, self.dynamics._worlds)()
+        costs = wp.zeros(samples, dtype=float, device=DEVICE)
+        terms = wp.zeros(samples, dtype=terms_vector(), device=DEVICE)
+        tips, poses = (wp.zeros((samples, horizon + 1), dtype=wp.vec3, device=DEVICE) for _ in range(2))
+        packed = wp.array(controls.astype(np.float32), dtype=control_type(dof), device=DEVICE)
+        roll = self.dynamics.launch(packed, costs, terms, tips, poses, self.dynamics._worlds)
+        run(self.dynamics.compute, roll)
         return Rollouts(costs.numpy(), terms.numpy(), tips.numpy().astype(float), poses.numpy().astype(float))
 
     def gaps(self, rolled: Rollouts) -> np.ndarray:
@@ -235,18 +238,19 @@ def object_level(
 ) -> tuple[ObjectDynamics, ObjectCost, Geometry]:
     """The object level on a scene, its weights and the scene's shapes."""
     weights = replace(Config().object_cost, **cost)
-    geometry = build_geometry(scene, "cpu")
+    geometry = build_geometry(scene, DEVICE)
     goal = np.array(scene.goal) if goal is None else goal
-    dynamics = ObjectDynamics(geometry, level or ObjectLevel(), weights, goal=goal, dt=DT, compute=Compute("cpu"))
+    dynamics = ObjectDynamics(geometry, level or ObjectLevel(), weights, goal=goal, dt=DT, compute=Compute(DEVICE))
     return dynamics, weights, geometry
 
 
 def roll_wrenches(dynamics: ObjectDynamics, pose: np.ndarray, wrenches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Costs [K] and poses [K, horizon + 1, 3] of wrench sequences [K, horizon, 3]."""
     dynamics.set_state(pose)
-    costs = wp.zeros(len(wrenches), dtype=float, device="cpu")
-    poses = wp.zeros((wrenches.shape[0], wrenches.shape[1] + 1), dtype=wp.vec3, device="cpu")
-    dynamics.launch(wp.array(wrenches.astype(np.float32), dtype=wp.vec3, device="cpu"), costs, poses)()
+    costs = wp.zeros(len(wrenches), dtype=float, device=DEVICE)
+    poses = wp.zeros((wrenches.shape[0], wrenches.shape[1] + 1), dtype=wp.vec3, device=DEVICE)
+    packed = wp.array(wrenches.astype(np.float32), dtype=wp.vec3, device=DEVICE)
+    run(dynamics.compute, dynamics.launch(packed, costs, poses))
     return costs.numpy(), poses.numpy().astype(float)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
+from support.device import DEVICE
 
 from oimppi_warp.compute.step import Compute, Launch
 
@@ -29,7 +30,7 @@ class Valley:
     spoil: float = float("nan")
     offset: float = 0.0
     size: int = 2
-    compute: Compute = field(default_factory=lambda: Compute("cpu"))
+    compute: Compute = field(default_factory=lambda: Compute(DEVICE))
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         def roll() -> None:

@@ -28,7 +28,7 @@ def test_the_quick_benchmark_measures_everything(tmp_path):
     assert "Newton engine" in done.stdout
 
 
-def test_a_planner_that_plans_nothing_does_not_count(monkeypatch):
+def test_a_planner_that_plans_nothing_does_not_count(monkeypatch, device):
     monkeypatch.syspath_prepend(str(TOOL.parent))
     from bench_loops import PlannerLoop, race
 
@@ -37,7 +37,7 @@ def test_a_planner_that_plans_nothing_does_not_count(monkeypatch):
     from oimppi_warp.usd import load_scene
 
     config = set_option(best("mppi"), "robot.optimizer.samples=32")
-    loop = PlannerLoop(load_scene("task01"), config, method="mppi", engine="quasistatic", device="cpu", threads=1)
+    loop = PlannerLoop(load_scene("task01"), config, method="mppi", engine="quasistatic", device=device, threads=1)
     assert race({"sane": loop}, 2)["sane"].problems == []
     loop.seen.joint_position[:] = float("nan")
     assert any("joint positions not finite" in problem for problem in race({"mad": loop}, 2)["mad"].problems)

@@ -10,7 +10,7 @@ import shapely
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils
 from support.edits import TURNS, Y_TO_Z, box_mesh, corner_mesh, frames_turned, odd_obstacles, scaled_cube
 from support.elsewhere import differences, flat, measured_in, reframed, with_y_up, written
-from support.physics import assert_shapes_agree
+from support.physics import assert_shapes_agree, link_transforms
 
 from oimppi_warp.authoring.checks.check import check_scene
 from oimppi_warp.errors import SceneError
@@ -155,7 +155,7 @@ def test_a_robot_and_an_object_drawn_with_y_up_on_a_stage_with_y_up_are_the_same
     scene = load_scene(written(stage, tmp_path / "task02.usda"))
     assert differences(load_scene("task02"), scene, tolerance=1e-6) == []
     joints = np.array([0.3, -0.4, -0.2, 0.1, 0.5, -0.3])
-    links = (World(each).link_transforms(joints) for each in (scene, load_scene("task02")))
+    links = (link_transforms(World(each), joints) for each in (scene, load_scene("task02")))
     np.testing.assert_allclose(*(np.abs(each) for each in links), atol=1e-5)
 
 

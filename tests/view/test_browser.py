@@ -92,8 +92,8 @@ class Served:
 
 
 @pytest.fixture
-def live():
-    setup = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device="cpu", threads=1))
+def live(device: str):
+    setup = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device=device, threads=1))
     session = Session(setup)
     viewer = open_viewer(port=8470)
     served = Served(viewer, LiveView(viewer, session))
@@ -104,10 +104,10 @@ def live():
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory):
+def record(tmp_path_factory, device):
     folder = tmp_path_factory.mktemp("record")
     config = replace(small(), episode=replace(small().episode, max_sim_seconds=2.0))
-    Episode(load_scene("task02"), config, engine="quasistatic", device="cpu").run().save(folder)
+    Episode(load_scene("task02"), config, engine="quasistatic", device=device).run().save(folder)
     return folder
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from newton.viewer import ViewerNull
 from pxr import Usd, UsdGeom
+from support.device import DEVICE, to_the_bit
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
@@ -33,7 +34,7 @@ def small(samples: int = 64) -> Config:
 
 
 def setup(**fields) -> Setup:
-    given = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device="cpu", threads=1))
+    given = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device=DEVICE, threads=1))
     return given.changed(**fields)
 
 
@@ -137,6 +138,7 @@ def test_a_lab_is_looked_at_too():
         made.close()
 
 
+@to_the_bit
 def test_in_lock_step_an_episode_is_the_same_whether_it_is_looked_at_or_not():
     config = replace(small(), episode=replace(small().episode, max_sim_seconds=1.0))
     alone = setup(config=config).episode().run()
@@ -193,11 +195,11 @@ def test_a_line_shows_the_clearance_of_the_object(x, gap):
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory):
+def record(tmp_path_factory, device):
     folder = tmp_path_factory.mktemp("record")
     config = replace(small(), episode=replace(small().episode, max_sim_seconds=1.0))
     scene = load_scene("task02")
-    log = Episode(scene, config, method="cloi", engine="quasistatic", device="cpu").run()
+    log = Episode(scene, config, method="cloi", engine="quasistatic", device=device).run()
     log.save(folder)
     return folder
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import viser
 
-from oimppi_warp.config.overrides import descriptions, options, set_option
+from oimppi_warp.config.overrides import options, set_option, settings_of
 from oimppi_warp.config.presets import best, lab
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
@@ -41,8 +41,8 @@ def buttons(panel: SettingsPanel) -> set[str]:
 
 def test_every_setting_has_a_control_with_its_help_and_unit(panel):
     assert panel._controls.keys() == options(best("cloi")).keys()
-    for name, text in descriptions(best("cloi")).items():
-        assert panel._controls[name].hint == text
+    for name, setting in settings_of(best("cloi")).items():
+        assert panel._controls[name].hint == setting.help
     assert panel._controls["robot.joint_velocity_limit"].hint.endswith("[rad/s]")
     assert panel._controls["robot.optimizer"].options == ("mppi", "cem")
 

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 import warp as wp
 from support import outside_terms, tasks
+from support.device import DEVICE, run
+from support.engines import device_of
 from support.reference import RELATIVE_TOLERANCE
 
 from oimppi_warp.config.presets import best
@@ -54,16 +56,17 @@ def rolled(engine: type, samples: int = 6) -> tuple[np.ndarray, np.ndarray, np.n
     scene = tasks.shipped("task01")
     level = best("mppi").robot
     level = replace(level, optimizer=replace(level.optimizer, samples=samples, horizon=STEPS))
-    dynamics = engine(tasks.rollout_task(scene, level=level, threads=1))
+    device = device_of(engine)
+    dynamics = engine(tasks.rollout_task(scene, level=level, device=device, threads=1))
     controls = np.random.default_rng(2).uniform(-0.6, 0.6, (samples, STEPS, 6)).astype(np.float32)
-    packed = wp.array(controls, dtype=control_type(6), device="cpu")
-    costs = wp.zeros(samples, dtype=float, device="cpu")
-    run = dynamics.rollout(packed, costs)
+    packed = wp.array(controls, dtype=control_type(6), device=device)
+    costs = wp.zeros(samples, dtype=float, device=device)
+    rollout = dynamics.rollout(packed, costs)
     dynamics.set_state(
         tasks.observe(scene, joints=tasks.joints_at(scene.robot, (0.4, 0.1, 0.05))), np.array(scene.goal)
     )
     dynamics.reference.host[:] = np.array(scene.goal)
-    run()
+    run(dynamics.compute, rollout)
     tips, terms = dynamics.paths(packed, np.arange(samples))
     return costs.numpy(), terms, tips[:, -STEPS:], dynamics.terms
 
@@ -94,7 +97,7 @@ def nominal(weight: float) -> tuple[np.ndarray, dict[str, float]]:
     COST_TERMS.register("off_line", CostTerm(outside_terms.off_line, weight))
     try:
         scene = tasks.shipped("task01")
-        planner = make_planner(scene, best("mppi"), method="mppi", engine="quasistatic", device="cpu", seed=1)
+        planner = make_planner(scene, best("mppi"), method="mppi", engine="quasistatic", device=DEVICE, seed=1)
         seen = tasks.observe(scene)
         planner.start(seen)
         plans = [planner.plan(seen) for _ in range(6)]

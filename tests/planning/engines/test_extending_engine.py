@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from support import tasks
+from support.device import assert_same
 
 from oimppi_warp.compute.step import Launch
 from oimppi_warp.config.presets import best
@@ -44,9 +45,9 @@ def reaching() -> Iterator[None]:
     ENGINES.unregister("reaching")
 
 
-def test_an_engine_in_numpy_is_planned_with(reaching):
+def test_an_engine_in_numpy_is_planned_with(reaching, device):
     scene = tasks.shipped("task01")
-    planner = make_planner(scene, best("mppi"), method="mppi", engine="reaching", device="cpu", threads=1)
+    planner = make_planner(scene, best("mppi"), method="mppi", engine="reaching", device=device, threads=1)
     joints = scene.robot.start
     planner.start(tasks.observe(scene))
     off = [np.linalg.norm(tip_frame(scene.robot, joints)[1] - TARGET)]
@@ -57,9 +58,9 @@ def test_an_engine_in_numpy_is_planned_with(reaching):
     assert off[0] > 0.15 and off[-1] < 0.03, off
 
 
-def test_what_an_engine_leaves_out_has_a_default(reaching):
+def test_what_an_engine_leaves_out_has_a_default(reaching, device):
     scene = tasks.shipped("task01")
-    planner = make_planner(scene, best("cloi"), method="cloi", engine="reaching", device="cpu", threads=1)
+    planner = make_planner(scene, best("cloi"), method="cloi", engine="reaching", device=device, threads=1)
     seen = tasks.observe(scene)
     planner.start(seen)
     plan = planner.plan(seen)
@@ -73,7 +74,7 @@ def test_what_an_engine_leaves_out_has_a_default(reaching):
     assert samples.terms["cost"] == pytest.approx(plan.update.min_cost, rel=1e-6)
 
 
-def test_any_callable_that_makes_an_engine_is_one():
+def test_any_callable_that_makes_an_engine_is_one(device: str):
     made = []
 
     def engine(task):
@@ -85,17 +86,17 @@ def test_any_callable_that_makes_an_engine_is_one():
         scene = tasks.shipped("task01")
         commands = []
         for name in ("mine", "quasistatic"):
-            planner = make_planner(scene, best("mppi"), method="mppi", engine=name, device="cpu", seed=4)
+            planner = make_planner(scene, best("mppi"), method="mppi", engine=name, device=device, seed=4)
             planner.start(tasks.observe(scene))
             commands.append(planner.plan(tasks.observe(scene)).command)
         assert [task.scene.name for task in made] == ["task01"]
-        np.testing.assert_array_equal(commands[0], commands[1])
+        assert_same(commands[0], commands[1], cuda=1e-4)
     finally:
         ENGINES.unregister("mine")
 
 
-def test_an_engine_that_was_taken_out_is_unknown(reaching):
+def test_an_engine_that_was_taken_out_is_unknown(reaching, device):
     ENGINES.unregister("reaching")
     scene = tasks.shipped("task01")
     with pytest.raises(ConfigError, match=r"engine 'reaching' does not exist\n.*quasistatic, newton"):
-        make_planner(scene, best("mppi"), method="mppi", engine="reaching", device="cpu")
+        make_planner(scene, best("mppi"), method="mppi", engine="reaching", device=device)

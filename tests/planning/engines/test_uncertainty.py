@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from support import tasks
+from support.device import DEVICE
 
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Uncertainty
@@ -19,9 +20,9 @@ from oimppi_warp.planning.factory import make_planner
 def combined(costs: np.ndarray, worst: int) -> np.ndarray:
     """What the costs [sample, draw] become."""
     samples, draws = costs.shape
-    out = wp.zeros(samples, dtype=float, device="cpu")
-    rolled = wp.array(costs.ravel().astype(np.float32), dtype=float, device="cpu")
-    wp.launch(combine_costs, dim=samples, inputs=[0, rolled, draws, worst], outputs=[out], device="cpu")
+    out = wp.zeros(samples, dtype=float, device=DEVICE)
+    rolled = wp.array(costs.ravel().astype(np.float32), dtype=float, device=DEVICE)
+    wp.launch(combine_costs, dim=samples, inputs=[0, rolled, draws, worst], outputs=[out], device=DEVICE)
     return out.numpy()
 
 
@@ -66,7 +67,7 @@ def test_shared_draws_are_as_many_as_each_sample_meets():
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_a_robust_plan_heeds_the_worst_draw(shared):
+def test_a_robust_plan_heeds_the_worst_draw(shared, device):
     """The same samples cost at least as much in the worst draw as on the average, and more for some."""
     scene = tasks.shipped("task02")
     found = {}
@@ -79,7 +80,7 @@ def test_a_robust_plan_heeds_the_worst_draw(shared):
             replace(config, robot=replace(config.robot, optimizer=mppi, uncertainty=asked)),
             method="mppi",
             engine="quasistatic",
-            device="cpu",
+            device=device,
         )
         planner.plan(tasks.observe(scene))
         found[measure] = planner.optimizer.costs.numpy()

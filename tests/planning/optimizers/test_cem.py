@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from support import reference
+from support.device import BLOCK, DEVICE, ON_CPU, run, to_the_bit
 from support.valley import FAR, ROOT, ROUND, TARGET, Valley, within_five_sigma
 
 from oimppi_warp.config.settings import Cem as Settings
@@ -18,7 +19,7 @@ from oimppi_warp.planning.optimizers.cem import Cem
 
 STATS: Any = WeightStats
 COSTS = np.random.default_rng(2).gamma(2.0, 3.0, 300) + 40.0
-BLOCKS = (1, 64, 256)
+BLOCKS = (1, 64, 256) if ON_CPU else (64, 256)
 
 
 def make(settings: Settings, valley: Valley | None = None, *, seed: int = 3) -> Cem:
@@ -28,30 +29,29 @@ def make(settings: Settings, valley: Valley | None = None, *, seed: int = 3) -> 
 
 
 def improve(cem: Cem) -> None:
-    for launch in cem.improve:
-        launch()
+    run(cem.compute, *cem.improve)
 
 
-def select(costs: np.ndarray, elites: int, *, block: int = 1) -> tuple[np.ndarray, dict[str, float]]:
+def select(costs: np.ndarray, elites: int, *, block: int = BLOCK) -> tuple[np.ndarray, dict[str, float]]:
     """Weights of the costs, and what was found."""
-    weights = wp.zeros(len(costs), dtype=float, device="cpu")
-    stats = wp.zeros(1, dtype=STATS, device="cpu")
-    inputs = [wp.array(costs.astype(np.float32), dtype=float, device="cpu"), elites]
-    wp.launch(select_elites, dim=block, inputs=inputs, outputs=[weights, stats], device="cpu", block_dim=block)
+    weights = wp.zeros(len(costs), dtype=float, device=DEVICE)
+    stats = wp.zeros(1, dtype=STATS, device=DEVICE)
+    inputs = [wp.array(costs.astype(np.float32), dtype=float, device=DEVICE), elites]
+    wp.launch(select_elites, dim=block, inputs=inputs, outputs=[weights, stats], device=DEVICE, block_dim=block)
     found = stats.numpy()[0]
     return weights.numpy().astype(float), {name: found[name].item() for name in found.dtype.names}
 
 
 def refit(
-    controls: np.ndarray, perturbations: np.ndarray, weights: np.ndarray, old: np.ndarray, *, block: int = 1
+    controls: np.ndarray, perturbations: np.ndarray, weights: np.ndarray, old: np.ndarray, *, block: int = BLOCK
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nominal and deviation [horizon, 2] after a fit with smoothing 0.25 and a least deviation of 0.1."""
     vec = control_type(2)
-    nominal, deviation = (wp.array(rows.astype(np.float32), dtype=vec, device="cpu") for rows in old)
-    inputs = [wp.array(rows.astype(np.float32), dtype=vec, device="cpu") for rows in (controls, perturbations)]
-    inputs += [wp.array(weights.astype(np.float32), dtype=float, device="cpu"), 0.25, 0.1]
+    nominal, deviation = (wp.array(rows.astype(np.float32), dtype=vec, device=DEVICE) for rows in old)
+    inputs = [wp.array(rows.astype(np.float32), dtype=vec, device=DEVICE) for rows in (controls, perturbations)]
+    inputs += [wp.array(weights.astype(np.float32), dtype=float, device=DEVICE), 0.25, 0.1]
     dim = (controls.shape[1], block)
-    wp.launch(make_refit(2), dim=dim, inputs=inputs, outputs=[nominal, deviation], device="cpu", block_dim=block)
+    wp.launch(make_refit(2), dim=dim, inputs=inputs, outputs=[nominal, deviation], device=DEVICE, block_dim=block)
     return nominal.numpy(), deviation.numpy()
 
 
@@ -129,8 +129,7 @@ def test_samples_have_the_deviations_of_their_steps():
     cem = make(Settings(samples=20000, horizon=4, knots=0, special_samples=False))
     deviation = np.array([[1.0, 1.0], [0.5, 1.0], [1.0, 0.2], [0.3, 0.3]])
     cem.deviation.assign(deviation.astype(np.float32))
-    for launch in cem.sample(3):
-        launch()
+    run(cem.compute, *cem.sample(3))
     noise = cem.controls.numpy().astype(float)
     for h in range(4):
         root = ROOT * deviation[h]
@@ -140,8 +139,7 @@ def test_samples_have_the_deviations_of_their_steps():
 def test_samples_are_clipped_and_the_special_ones_are_the_nominal_and_zero():
     cem = make(Settings(samples=500, horizon=8, knots=4), Valley(np.array([0.2, 0.05])))
     cem.nominal.assign(np.full((8, 2), 0.04, dtype=np.float32))
-    for launch in cem.sample(3):
-        launch()
+    run(cem.compute, *cem.sample(3))
     controls = cem.controls.numpy()
     np.testing.assert_array_equal(controls[0], np.full((8, 2), np.float32(0.04)))
     np.testing.assert_array_equal(controls[1], 0.0)
@@ -149,10 +147,10 @@ def test_samples_are_clipped_and_the_special_ones_are_the_nominal_and_zero():
 
 
 @pytest.mark.parametrize("recovery", [0.0, 0.25, 1.0])
-def test_deviations_move_on_with_the_horizon_and_recover(recovery: float):
+def test_deviations_move_on_with_the_horizon_and_recover(recovery: float, device: str):
     before = np.arange(1.0, 11.0).reshape(5, 2) / 10.0
-    deviation = wp.array(before.astype(np.float32), dtype=control_type(2), device="cpu")
-    wp.launch(make_shift_deviation(2), dim=1, inputs=[recovery], outputs=[deviation], device="cpu")
+    deviation = wp.array(before.astype(np.float32), dtype=control_type(2), device=device)
+    wp.launch(make_shift_deviation(2), dim=1, inputs=[recovery], outputs=[deviation], device=device)
     expected = np.vstack([before[1:] + recovery * (1.0 - before[1:]), np.ones((1, 2))])
     np.testing.assert_allclose(deviation.numpy(), expected, rtol=1e-6)
 
@@ -162,7 +160,7 @@ def test_a_shift_takes_the_command_out_and_moves_the_deviations_on():
     improve(cem)
     nominal, deviation = cem.nominal.numpy().copy(), cem.deviation.numpy().copy()
     assert (deviation < 1.0).any()
-    cem.shift()
+    run(cem.compute, cem.shift)
     np.testing.assert_array_equal(cem.command.host[0], nominal[0])
     np.testing.assert_array_equal(cem.nominal.numpy()[:-1], nominal[1:])
     np.testing.assert_array_equal(cem.deviation.numpy()[:-1], deviation[1:])
@@ -180,13 +178,14 @@ def test_updates_find_the_bottom_of_a_valley_and_narrow_down():
     np.testing.assert_allclose(cem.deviation.numpy(), 0.05, atol=0.02)
 
 
+@to_the_bit
 def test_the_same_seed_gives_the_same_bits_also_after_a_reset():
     plans = []
     for cem, seed in ((make(Settings(samples=100, horizon=8), seed=s), s) for s in (5, 5, 6)):
         for again in (False, True):
             for _ in range(3):
                 improve(cem)
-                cem.shift()
+                run(cem.compute, cem.shift)
             plans.append((seed, again, cem.nominal.numpy().copy()))
             cem.reset()
     np.testing.assert_array_equal(plans[0][2], plans[1][2])

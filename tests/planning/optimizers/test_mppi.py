@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.interpolate import CubicSpline
+from support.device import BLOCK, DEVICE, assert_same, run, to_the_bit
 from support.reference import WEIGHT_TOLERANCE
 from support.valley import FAR, ROOT, ROUND, TARGET, Valley, within_five_sigma
 
@@ -31,8 +32,7 @@ def make(settings: Settings, valley: Valley | None = None, *, seed: int = 3, roo
 
 def improve(mppi: Mppi) -> Update:
     """One update."""
-    for launch in mppi.improve:
-        launch()
+    run(mppi.compute, *mppi.improve)
     return mppi.found()
 
 
@@ -83,7 +83,7 @@ def test_the_special_samples_are_the_nominal_and_zero():
     np.testing.assert_array_equal(special[1], 0.0)
     plain = drawn(Settings(samples=50, horizon=8, knots=4, special_samples=False), nominal=nominal)
     assert np.abs(plain[:2] - nominal).max() > 0.01
-    np.testing.assert_array_equal(plain[2:], special[2:])
+    assert_same(plain[2:], special[2:], cuda=1e-6)
 
 
 def test_each_plan_draws_noise_of_its_own():
@@ -93,7 +93,7 @@ def test_each_plan_draws_noise_of_its_own():
         before = mppi.nominal.numpy().copy()
         improve(mppi)
         noise.append(mppi.controls.numpy() - before)
-        mppi.shift()
+        run(mppi.compute, mppi.shift)
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.2
 
 
@@ -128,11 +128,11 @@ def weigh(
     costs: np.ndarray, *, temperature: float = 0.5, fewest: float = 0.0, most: float = 0.0, calls: int = 1
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Weights of the costs, and what was found, after some calls with the same costs."""
-    weights = wp.zeros(len(costs), dtype=float, device="cpu")
-    stats = wp.zeros(1, dtype=STATS, device="cpu")
-    inputs = [wp.array(np.asarray(costs, dtype=np.float32), dtype=float, device="cpu"), temperature, fewest, most]
+    weights = wp.zeros(len(costs), dtype=float, device=DEVICE)
+    stats = wp.zeros(1, dtype=STATS, device=DEVICE)
+    inputs = [wp.array(np.asarray(costs, dtype=np.float32), dtype=float, device=DEVICE), temperature, fewest, most]
     for _ in range(calls):
-        wp.launch(weigh_samples, dim=1, inputs=inputs, outputs=[weights, stats], device="cpu", block_dim=1)
+        wp.launch(weigh_samples, dim=BLOCK, inputs=inputs, outputs=[weights, stats], device=DEVICE, block_dim=BLOCK)
     found = stats.numpy()[0]
     return weights.numpy().astype(float), {name: found[name].item() for name in found.dtype.names}
 
@@ -167,7 +167,7 @@ def test_weights_sum_to_one(temperature):
 
 def test_a_uniform_shift_of_all_costs_changes_nothing():
     exact = np.round(COSTS * 128.0) / 128.0  # so that float32 holds the shifted costs too
-    np.testing.assert_array_equal(weigh(exact)[0], weigh(exact + 1024.0)[0])
+    assert_same(weigh(exact)[0], weigh(exact + 1024.0)[0], cuda=1e-6)
     plain, shifted = (make(Settings(samples=200, horizon=8), Valley(np.full(2, FAR), offset=x)) for x in (0.0, 100.0))
     for mppi in (plain, shifted):
         improve(mppi)
@@ -217,13 +217,13 @@ def test_a_temperature_within_its_bounds_is_left_alone():
     assert held["temperature"] == pytest.approx(2.0)
 
 
-def test_an_adaptive_temperature_outlives_a_plan_that_lost_all_samples():
-    weights = wp.zeros(300, dtype=float, device="cpu")
-    stats = wp.zeros(1, dtype=STATS, device="cpu")
+def test_an_adaptive_temperature_outlives_a_plan_that_lost_all_samples(device: str):
+    weights = wp.zeros(300, dtype=float, device=device)
+    stats = wp.zeros(1, dtype=STATS, device=device)
     found = []
     for costs in (COSTS, np.full(300, np.nan), np.full(300, np.nan)):
-        inputs = [wp.array(costs.astype(np.float32), dtype=float, device="cpu"), 1.0, 15.0, 30.0]
-        wp.launch(weigh_samples, dim=1, inputs=inputs, outputs=[weights, stats], device="cpu", block_dim=1)
+        inputs = [wp.array(costs.astype(np.float32), dtype=float, device=device), 1.0, 15.0, 30.0]
+        wp.launch(weigh_samples, dim=BLOCK, inputs=inputs, outputs=[weights, stats], device=device, block_dim=BLOCK)
         found.append(stats.numpy()[0]["temperature"].item())
     assert found[1:] == pytest.approx([found[0], found[0]])
 
@@ -231,24 +231,24 @@ def test_an_adaptive_temperature_outlives_a_plan_that_lost_all_samples():
 # Update and shift (equation 11)
 
 
-def test_the_update_is_the_nominal_plus_the_weighted_perturbations():
+def test_the_update_is_the_nominal_plus_the_weighted_perturbations(device: str):
     random = np.random.default_rng(4)
     nominal, noise = random.normal(size=(6, 2)), random.normal(size=(50, 6, 2))
     weights = random.dirichlet(np.ones(50))
-    out = wp.zeros(6, dtype=control_type(2), device="cpu")
-    controls = wp.array((nominal + noise).astype(np.float32), dtype=control_type(2), device="cpu")
-    inputs = [controls, wp.array(weights.astype(np.float32), dtype=float, device="cpu")]
-    wp.launch(make_update_nominal(2), dim=(6, 1), inputs=inputs, outputs=[out], device="cpu", block_dim=1)
+    out = wp.zeros(6, dtype=control_type(2), device=device)
+    controls = wp.array((nominal + noise).astype(np.float32), dtype=control_type(2), device=device)
+    inputs = [controls, wp.array(weights.astype(np.float32), dtype=float, device=device)]
+    wp.launch(make_update_nominal(2), dim=(6, BLOCK), inputs=inputs, outputs=[out], device=device, block_dim=BLOCK)
     np.testing.assert_allclose(out.numpy(), nominal + np.einsum("k,khi->hi", weights, noise), atol=1e-5)
 
 
 @pytest.mark.parametrize("repeat_last", [0, 1])
-def test_a_shift_drops_the_first_control(repeat_last):
+def test_a_shift_drops_the_first_control(repeat_last, device):
     before = np.arange(10.0).reshape(5, 2) + 1.0
-    nominal = wp.array(before.astype(np.float32), dtype=control_type(2), device="cpu")
-    counter = wp.zeros(1, dtype=int, device="cpu")
-    taken = wp.zeros(1, dtype=control_type(2), device="cpu")
-    wp.launch(make_shift_nominal(2), dim=1, inputs=[repeat_last], outputs=[nominal, counter, taken], device="cpu")
+    nominal = wp.array(before.astype(np.float32), dtype=control_type(2), device=device)
+    counter = wp.zeros(1, dtype=int, device=device)
+    taken = wp.zeros(1, dtype=control_type(2), device=device)
+    wp.launch(make_shift_nominal(2), dim=1, inputs=[repeat_last], outputs=[nominal, counter, taken], device=device)
     np.testing.assert_array_equal(taken.numpy(), before[:1])
     np.testing.assert_array_equal(nominal.numpy(), [*before[1:], repeat_last * before[-1]])
     assert counter.numpy()[0] == 1
@@ -258,7 +258,7 @@ def test_a_horizon_of_one_step_can_be_shifted():
     mppi = make(Settings(samples=20, horizon=1, knots=0))
     improve(mppi)
     before = mppi.nominal.numpy().copy()
-    mppi.shift()
+    run(mppi.compute, mppi.shift)
     np.testing.assert_array_equal(mppi.nominal.numpy(), before)
 
 
@@ -290,6 +290,7 @@ def test_a_plan_goes_on_without_its_lost_samples():
     np.testing.assert_allclose(mppi.nominal.numpy(), np.tile(TARGET, (8, 1)), atol=0.1)
 
 
+@to_the_bit
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others():
     settings = Settings(samples=100, horizon=8)
     plans = {}
@@ -297,18 +298,19 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others():
         mppi = make(settings, seed=seed)
         for _ in range(5):
             improve(mppi)
-            mppi.shift()
+            run(mppi.compute, mppi.shift)
         plans[name] = mppi.nominal.numpy().copy()
     np.testing.assert_array_equal(plans["one"], plans["same"])
     assert np.abs(plans["one"] - plans["other"]).max() > 1e-3
 
 
+@to_the_bit
 def test_after_a_reset_the_same_plans_are_made_again():
     mppi = make(Settings(samples=100, horizon=8))
     plans = []
     for _ in range(2):
         improve(mppi)
-        mppi.shift()
+        run(mppi.compute, mppi.shift)
         improve(mppi)
         plans.append(mppi.nominal.numpy().copy())
         mppi.reset()
@@ -319,27 +321,27 @@ def test_after_a_reset_the_same_plans_are_made_again():
 # Blocks
 
 
-def test_threads_in_blocks_find_what_one_thread_finds(monkeypatch):
+def test_threads_in_blocks_find_what_one_thread_finds(monkeypatch, device):
     monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
     random = np.random.default_rng(8)
-    costs = wp.array(random.gamma(2.0, 3.0, 300).astype(np.float32), dtype=float, device="cpu")
-    controls = wp.array(random.normal(size=(300, 5, 2)).astype(np.float32), dtype=control_type(2), device="cpu")
-    tips = wp.array(random.normal(size=(300, 5, 3)).astype(np.float32), dtype=wp.vec3, device="cpu")
-    terms = wp.array(random.normal(size=(300, len(TERMS))).astype(np.float32), dtype=terms_vector(), device="cpu")
+    costs = wp.array(random.gamma(2.0, 3.0, 300).astype(np.float32), dtype=float, device=device)
+    controls = wp.array(random.normal(size=(300, 5, 2)).astype(np.float32), dtype=control_type(2), device=device)
+    tips = wp.array(random.normal(size=(300, 5, 3)).astype(np.float32), dtype=wp.vec3, device=device)
+    terms = wp.array(random.normal(size=(300, len(TERMS))).astype(np.float32), dtype=terms_vector(), device=device)
     for few, many in ((0.0, 0.0), (5.0, 10.0)):
         found = []
-        for block in (1, 64):
-            weights = wp.zeros(300, dtype=float, device="cpu")
-            stats = wp.zeros(1, dtype=STATS, device="cpu")
-            nominal = wp.zeros(5, dtype=control_type(2), device="cpu")
+        for block in (BLOCK, 64):
+            weights = wp.zeros(300, dtype=float, device=device)
+            stats = wp.zeros(1, dtype=STATS, device=device)
+            nominal = wp.zeros(5, dtype=control_type(2), device=device)
             outputs = ((1, terms_vector()), (5, wp.vec3), (5, wp.vec3))
-            best = [wp.zeros(n, dtype=kind, device="cpu") for n, kind in outputs]
+            best = [wp.zeros(n, dtype=kind, device=device) for n, kind in outputs]
             for kernel, dim, inputs, outputs in (
                 (weigh_samples, block, [costs, 0.5, few, many], [weights, stats]),
                 (make_update_nominal(2), (5, block), [controls, weights], [nominal]),
                 (make_pick_trace(len(TERMS)), block, [costs, 1, terms, tips, tips], best),
             ):
-                wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device="cpu", block_dim=block)
+                wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=block)
             numbers = stats.numpy()[0]
             found.append([weights.numpy(), nominal.numpy(), [numbers[name] for name in numbers.dtype.names]])
             cheapest = int(np.argmin(costs.numpy()))

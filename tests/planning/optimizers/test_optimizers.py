@@ -85,16 +85,16 @@ def test_an_optimizer_refuses_settings_of_another():
 
 
 @pytest.mark.parametrize("scene", ["task01", "point01"])
-def test_cem_pushes_the_object_nearer_to_its_goal_than_an_arm_that_stands_still(scene: str):
+def test_cem_pushes_the_object_nearer_to_its_goal_than_an_arm_that_stands_still(scene: str, device: str):
     loaded = tasks.shipped(scene)
     config = best("cloi")
     for option in ("robot.optimizer=cem", "object.optimizer=cem", "episode.max_sim_seconds=9", "episode.tight=false"):
         config = set_option(config, option)
     for level in ("robot", "object"):
         config = set_option(config, f"{level}.optimizer.samples=400")
-    episode = Episode(loaded, config, method="cloi", engine="quasistatic", device="cpu", seed=1)
-    assert isinstance(episode.planner.optimizer, Cem)
-    assert isinstance(episode.planner, ClosedLoopPlanner) and isinstance(episode.planner._object.optimizer, Cem)
+    episode = Episode(loaded, config, method="cloi", engine="quasistatic", device=device, seed=1)
+    assert isinstance(episode.planner.mppi, Cem)
+    assert isinstance(episode.planner, ClosedLoopPlanner) and isinstance(episode.planner._object.mppi, Cem)
     log = episode.run()
     still = pose_error(np.array(loaded.start), loaded.goal)
     assert log["position_error"][-1] < still[0] - 0.05
@@ -148,7 +148,7 @@ def search() -> Iterator[str]:
     OPTIMIZERS.unregister("search")
 
 
-def test_an_optimizer_from_outside_is_chosen_set_and_plans(search: str):
+def test_an_optimizer_from_outside_is_chosen_set_and_plans(search: str, device: str):
     config = SettingsRequest(
         "best",
         (
@@ -170,7 +170,7 @@ def test_an_optimizer_from_outside_is_chosen_set_and_plans(search: str):
     for level in ("robot", "object"):
         config = set_option(config, f"{level}.optimizer.samples=200")
     scene = tasks.shipped("task01")
-    planner = make_planner(scene, config, method="cloi", engine="quasistatic", device="cpu", seed=1)
+    planner = make_planner(scene, config, method="cloi", engine="quasistatic", device=device, seed=1)
     seen = tasks.observe(scene)
     planner.start(seen)
     plan = planner.plan(seen)

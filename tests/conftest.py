@@ -1,0 +1,29 @@
+"""What all tests share: the device that they compute on."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+
+def pytest_configure() -> None:
+    """Ends the run at once where there is no such device as was asked for."""
+    if os.environ.get("OIMPPI_TEST_DEVICE"):
+        from oimppi_warp.errors import DeviceError
+
+        try:
+            import support.device  # noqa: F401
+        except DeviceError as error:
+            raise pytest.UsageError(str(error).replace("--device ", "OIMPPI_TEST_DEVICE=")) from None
+
+
+@pytest.fixture(scope="session")
+def device() -> str:
+    """Warp device to compute on: the environment variable ``OIMPPI_TEST_DEVICE`` names it, ``cpu`` by default.
+
+    Tests about the CPU itself (threads, MuJoCo's C engine, bits of a CPU plan, other processes) do not ask for it.
+    """
+    from support.device import DEVICE
+
+    return DEVICE
