@@ -45,7 +45,7 @@ test: $(EXTRAS_ENV) ## the tests, under ten minutes on two cores
 nightly: $(EXTRAS_ENV) ## the tests that take longer: whole episodes over many seeds, kernels for a GPU that is not here
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
 
-lint: $(EXTRAS_ENV) ## ruff
+lint: $(EXTRAS_ENV) ## ruff, and which package may import which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports

@@ -71,7 +71,7 @@ def cost_per_metre(gap: float, distance: float) -> float:
     ids=["goal", "way to a goal"],
 )
 def test_the_cost_to_go_is_dijkstras(way, device):
-    found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, reach=REACH, device=device).values.numpy()
+    found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, push_ring=RING, device=device).values.numpy()
     expected = reference.to_go(walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, toll=toll)
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
@@ -212,9 +212,9 @@ def test_a_way_leads_along_a_plan_past_a_shorter_one(device: str):
 
 def test_a_bound_to_start_from_changes_nothing(device: str):
     way = np.array([[0.02, 0.09, 3.0], [0.05, 0.09, 3.4], [0.09, 0.085, 3.9], [0.121, 0.033, 5.0]])
-    bound = build_to_go(field_of(walled()), way[-1], yaw_length=YAW_LENGTH, reach=REACH, device=device)
+    bound = build_to_go(field_of(walled()), way[-1], yaw_length=YAW_LENGTH, push_ring=RING, device=device)
     found, expected = (
-        build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, reach=REACH, bound=known, device=device)
+        build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, push_ring=RING, bound=known, device=device)
         for known in (bound, None)
     )
     np.testing.assert_allclose(found.values.numpy(), expected.values.numpy(), atol=1e-3)

@@ -276,8 +276,8 @@ def test_mppi_can_be_given_the_cost_to_go(device: str):
     planner = make(scene, "mppi", replace(SMALL, cost=cost))
     plan = on_its_own_model(planner, scene, 1)[0][0]
     clearance = planner.geometry.clearance
-    level, reach = planner.config.object, planner.config.object_cost.reach
-    to_go = build_to_go(clearance, planner.goal, yaw_length=level.yaw_length, reach=reach, device=device)
+    level, ring = planner.config.object, planner.config.object_cost.push_ring
+    to_go = build_to_go(clearance, planner.goal, yaw_length=level.yaw_length, push_ring=ring, device=device)
     poses = to_center(planner.geometry.surface, plan.object_poses[1:])
     expected = 2.0 * sum(pose_field_at(to_go, pose) for pose in poses)
     assert plan.terms[planner.dynamics.terms.index("goal")] == pytest.approx(expected, rel=1e-3)

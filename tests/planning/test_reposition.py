@@ -21,8 +21,8 @@ LONG = (0.16, 0.04, 0.05)
 """A block, long in x."""
 
 
-def watch(scene: Scene, settings: Regrasp = SETTINGS, *, turn: bool = True) -> Regrasping:
-    return Regrasping(scene, build_geometry(scene, DEVICE), settings, turn=turn, height=HEIGHT, period=DT)
+def watch(scene: Scene, settings: Reposition = SETTINGS, *, turn: bool = True) -> Repositioner:
+    return Repositioner(scene, build_geometry(scene, DEVICE), settings, turn=turn, height=HEIGHT, period=DT)
 
 
 def led(*move: float) -> np.ndarray:

@@ -93,7 +93,7 @@ def test_the_doctor_lists_what_installed_packages_add_and_what_of_it_is_broken(t
     installed.mkdir()
     (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: oimppi-extra\nVersion: 1.0\n")
     (installed / "entry_points.txt").write_text(
-        "[oimppi_warp.planning.methods]\nrrt = extra:Rrt\n\n[oimppi_warp.engines]\nrigid = extra_engine:Rigid\n"
+        "[oimppi_warp.methods]\nrrt = extra:Rrt\n\n[oimppi_warp.engines]\nrigid = extra_engine:Rigid\n"
     )
     (tmp_path / "extra.py").write_text("Rrt = object()\n")
     paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])

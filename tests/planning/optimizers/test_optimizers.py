@@ -93,8 +93,8 @@ def test_cem_pushes_the_object_nearer_to_its_goal_than_an_arm_that_stands_still(
     for level in ("robot", "object"):
         config = set_option(config, f"{level}.optimizer.samples=400")
     episode = Episode(loaded, config, method="cloi", engine="quasistatic", device=device, seed=1)
-    assert isinstance(episode.planner.mppi, Cem)
-    assert isinstance(episode.planner, ClosedLoopPlanner) and isinstance(episode.planner._object.mppi, Cem)
+    assert isinstance(episode.planner.optimizer, Cem)
+    assert isinstance(episode.planner, ClosedLoopPlanner) and isinstance(episode.planner._object.optimizer, Cem)
     log = episode.run()
     still = pose_error(np.array(loaded.start), loaded.goal)
     assert log["position_error"][-1] < still[0] - 0.05
