@@ -16,7 +16,7 @@ from oimppi_warp.geometry.reach import reach_of
 from oimppi_warp.scene import Collider, Scene
 
 
-def place_of(scene: Scene) -> dict[str, Any]:
+def scene_footprints(scene: Scene) -> dict[str, Any]:
     """Everything about a scene that pictures show, for JSON."""
     return {
         "title": scene.title,

@@ -20,7 +20,7 @@ import numpy as np
 from oimppi_warp.bench.causes import RAISED, Cause, likely_cause
 from oimppi_warp.bench.trial import Trial
 from oimppi_warp.config.run_spec import RunSpec
-from oimppi_warp.record.log import EpisodeLog, LogError, flat, to_json, write_whole
+from oimppi_warp.record.log import EpisodeLog, LogError, flat, to_json, write_atomically
 from oimppi_warp.record.metrics import first_hold, hold_steps, summarize, within
 
 FORMAT = 1
@@ -153,7 +153,7 @@ class ResultSet:
         head = {"format": FORMAT} | to_json(facts)
         rows = ",\n".join("  " + json.dumps(result_row(result), allow_nan=False) for result in self.results)
         text = json.dumps(head, indent=1, allow_nan=False).removesuffix("\n}")
-        write_whole(path, f'{text},\n "results": [\n{rows}\n ]\n}}\n'.encode())
+        write_atomically(path, f'{text},\n "results": [\n{rows}\n ]\n}}\n'.encode())
 
 
 def load_results(path: str | Path) -> ResultSet:

@@ -23,7 +23,7 @@ from oimppi_warp.bench.trial import Trial, make_trials
 from oimppi_warp.bench.worker import Outcome, run_trial
 from oimppi_warp.errors import OimppiError
 from oimppi_warp.planning.resolve import entries_used
-from oimppi_warp.record.log import to_json, versions, write_whole
+from oimppi_warp.record.log import to_json, versions, write_atomically
 
 SAVE_EVERY = 10.0
 """``results.json`` is written no more often than that while trials run [s]."""
@@ -60,10 +60,10 @@ class SuiteRun:
     places: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
-        from oimppi_warp.bench.footprints import place_of
+        from oimppi_warp.bench.footprints import scene_footprints
 
         self.trials, scenes = make_trials(self.suite)
-        self.places = {name: place_of(scene) for name, scene in scenes.items()}
+        self.places = {name: scene_footprints(scene) for name, scene in scenes.items()}
         self._read_kept()
         if self.retry:
             self.finished = {key: result for key, result in self.finished.items() if not result.error}
@@ -135,7 +135,7 @@ class SuiteRun:
         if outcome.log is not None:
             outcome.log.save(folder)
         facts = {"trial": trial.row(), "result": result_row(result), "versions": versions()}
-        write_whole(folder / _TRIAL, (json.dumps(to_json(facts), indent=1, allow_nan=False) + "\n").encode())
+        write_atomically(folder / _TRIAL, (json.dumps(to_json(facts), indent=1, allow_nan=False) + "\n").encode())
         self.finished[trial.key] = result
         return result
 

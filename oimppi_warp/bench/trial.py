@@ -17,7 +17,7 @@ from oimppi_warp.config.run_spec import LARGEST_SEED, RunSpec
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.record.log import flat, to_json
-from oimppi_warp.runtime.request import SettingsRequest, make_task
+from oimppi_warp.runtime.request import SettingsRequest, prepare_scene
 
 if TYPE_CHECKING:
     from oimppi_warp.runtime.episode import Episode
@@ -111,7 +111,7 @@ def make_episode(trial: Trial) -> Episode:
     from oimppi_warp.runtime.episode import Episode
 
     run = replace(trial.run, device=pick_device(trial.run.device))
-    return Episode(make_task(trial.scene, start=trial.start), trial.config, run)
+    return Episode(prepare_scene(trial.scene, start=trial.start), trial.config, run)
 
 
 def trial_seed(seed: int, number: int) -> int:
@@ -177,9 +177,9 @@ def _scene_path(suite: Suite, task: str) -> str:
 
 
 def _start(scene: Scene, number: int, seed: int) -> PlanarPose:
-    from oimppi_warp.geometry.feasibility import draw_start
+    from oimppi_warp.geometry.feasibility import sample_start
 
     if number < len(scene.starts):
         x, y, yaw = map(float, scene.starts[number])
         return x, y, yaw
-    return draw_start(scene, seed)
+    return sample_start(scene, seed)

@@ -172,14 +172,14 @@ class Compare:
         from oimppi_warp.bench.report.markdown import write_comparison
         from oimppi_warp.bench.report.tables import comparison_table, differing
         from oimppi_warp.bench.results import load_results
-        from oimppi_warp.record.log import write_whole
+        from oimppi_warp.record.log import write_atomically
 
         found = compare_sets(load_results(self.first), load_results(self.second))
         table = comparison_table(found, title=f"A: {self.first}, B: {self.second}", sides=("A", "B"))
         pairs = differing(found[0])
         if self.out is not None:
             self.out.absolute().parent.mkdir(parents=True, exist_ok=True)
-            write_whole(self.out, write_comparison(table, pairs).encode())
+            write_atomically(self.out, write_comparison(table, pairs).encode())
         _print_table(table)
         _print_table(pairs)
         return 0

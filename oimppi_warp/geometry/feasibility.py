@@ -75,7 +75,7 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
     yield from _reach_mistakes(scene, name, place, pose)
 
 
-def draw_start(scene: Scene, seed: int) -> PlanarPose:
+def sample_start(scene: Scene, seed: int) -> PlanarPose:
     """A start drawn from the scene's spread around its start; the same for the same seed.
 
     It leaves :data:`CLEAR` around the object, and the arm reaches behind all of it.

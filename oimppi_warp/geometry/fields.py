@@ -30,7 +30,7 @@ from oimppi_warp.geometry.footprint import (
     limit_surface,
     outline,
 )
-from oimppi_warp.geometry.reach import area_of, stretched_length
+from oimppi_warp.geometry.reach import object_bounds, stretched_length
 from oimppi_warp.kernels.fields import distance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.scene import Collider, Scene
@@ -166,7 +166,7 @@ def _clearance_field(
     reach = stretched_length(scene.robot)
     first = np.maximum(lower, -reach)
     count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
-    lower, upper = area_of(scene) if edge else (lower - 10.0, upper + 10.0)
+    lower, upper = object_bounds(scene) if edge else (lower - 10.0, upper + 10.0)
 
     def compute() -> np.ndarray:
         values = wp.zeros((YAW_NODES, *count), dtype=float, device="cpu")

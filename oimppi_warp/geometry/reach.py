@@ -77,7 +77,7 @@ def reach_of(robot: Robot) -> Reach:
     return _region((_corners(robot, first)[:, None] + offset + disc).reshape(-1, 2))
 
 
-def area_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def object_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the rectangle within which the object is to stay [m]: the table's, or what of it the robot reaches.
 
     An arm that turns about its base is kept to its reach by a cost instead, as that is no rectangle.
@@ -111,7 +111,7 @@ def can_lift(robot: Robot) -> bool:
     return bool(np.linalg.matrix_rank(both, tol=1e-6) > np.linalg.matrix_rank(tilting, tol=1e-6))
 
 
-def joints_for(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
+def inverse_kinematics(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
     """Joint positions with the tip at a point [3] [m] and the tool pointing down; ``None`` where none are found.
 
     Args:

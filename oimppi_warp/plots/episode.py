@@ -17,7 +17,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from oimppi_warp.geometry.footprint import Piece, footprint, outline
 from oimppi_warp.plots.style import FAINT, GOAL, INK, START, STYLE, WALL, add_rings, rendered
-from oimppi_warp.record.log import EpisodeLog, write_whole
+from oimppi_warp.record.log import EpisodeLog, write_atomically
 from oimppi_warp.record.metrics import hold_steps, within
 from oimppi_warp.scene import Scene
 
@@ -40,7 +40,7 @@ def draw(log: EpisodeLog, scene: Scene, folder: str | Path) -> tuple[Path, ...]:
     files = []
     with matplotlib.rc_context(STYLE):
         for name, figure in (("way", way(log, scene)), ("errors", errors(log)), ("plan_times", plan_times(log))):
-            write_whole(Path(folder) / f"{name}.png", rendered(figure))
+            write_atomically(Path(folder) / f"{name}.png", rendered(figure))
             files.append(Path(folder) / f"{name}.png")
     return tuple(files)
 

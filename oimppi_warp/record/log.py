@@ -196,8 +196,8 @@ class EpisodeLog:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / _JSON).unlink(missing_ok=True)
-            write_whole(folder / _NPZ, packed.getvalue())
-            write_whole(folder / _JSON, text.encode())
+            write_atomically(folder / _NPZ, packed.getvalue())
+            write_atomically(folder / _JSON, text.encode())
         except OSError as error:
             raise LogError(f"{folder}: the record cannot be written ({error.strerror or error})") from error
         return folder
@@ -225,7 +225,7 @@ class EpisodeLog:
         return log
 
 
-def write_whole(path: str | Path, content: bytes) -> None:
+def write_atomically(path: str | Path, content: bytes) -> None:
     """Write a whole file or nothing: into a temporary name first, then renamed."""
     path = Path(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}")

@@ -17,7 +17,7 @@ from oimppi_warp.usd.stage import SCENES, SceneStage, schema_attributes
 _OURS = "oimppi"
 
 
-def stage_doubts(stage: SceneStage) -> Iterator[Problem]:
+def lint_stage(stage: SceneStage) -> Iterator[Problem]:
     """Warnings about a file, whether or not it can be read as a task."""
     for prim in stage.prims():
         yield from _misspelt_schemas(stage, prim)

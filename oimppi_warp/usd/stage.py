@@ -13,7 +13,7 @@ from pxr import Ar, Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUt
 from oimppi_warp.errors import Problem, SceneError
 from oimppi_warp.usd.conversion.property_types import unsound_properties, usd_reason
 from oimppi_warp.usd.conversion.units import to_si, to_z_up
-from oimppi_warp.usd.conversion.upright import stand_upright
+from oimppi_warp.usd.conversion.upright import align_upright
 from oimppi_warp.usd.frames import is_rigid, readable, scales, single
 from oimppi_warp.usd.meshes import simplify_meshes
 
@@ -92,7 +92,7 @@ class SceneStage:
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         to_si(self.stage)
         to_z_up(self.stage)
-        stand_upright(self.stage)
+        align_upright(self.stage)
         simplify_meshes(self.stage)
 
     def _give_up_on(self, mistakes: list[SceneError]) -> None:

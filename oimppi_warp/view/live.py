@@ -12,7 +12,7 @@ import warp as wp
 from oimppi_warp.config.presets import PRESETS
 from oimppi_warp.config.run_spec import LARGEST_SEED
 from oimppi_warp.errors import OimppiError
-from oimppi_warp.geometry.feasibility import draw_start, object_outline
+from oimppi_warp.geometry.feasibility import object_outline, sample_start
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
 from oimppi_warp.scene import PlanarPose
@@ -129,7 +129,7 @@ class LiveView:
         wanted = self._session.wanted
         seed = (wanted.spec.seed + 1) % (LARGEST_SEED + 1)
         try:
-            start = draw_start(wanted.scene, seed)
+            start = sample_start(wanted.scene, seed)
         except OimppiError as error:
             self._session.problem = str(error)
             return

@@ -21,7 +21,7 @@ from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.geometry.fields import build_geometry, from_center
 from oimppi_warp.geometry.kinematics import link_frames, tip_frame, tip_jacobian
-from oimppi_warp.geometry.reach import area_of, can_lift, joints_for, reach_of
+from oimppi_warp.geometry.reach import can_lift, inverse_kinematics, object_bounds, reach_of
 from oimppi_warp.kernels.costs.stage_costs import TERMS
 from oimppi_warp.physics.world import World
 from oimppi_warp.planning.engines.newton_threads import NewtonThreads
@@ -113,13 +113,13 @@ def test_a_point_reaches_a_rectangle():
 
 def test_the_object_of_a_point_is_kept_to_where_the_stick_gets_behind_it():
     scene = shipped("point01")
-    lower, upper = area_of(scene)
+    lower, upper = object_bounds(scene)
     np.testing.assert_allclose([lower, upper], [[-0.204, -0.754], [0.954, 0.754]], atol=1e-9)
     geometry = build_geometry(scene, "cpu")
     assert geometry.clearance_at(np.array([0.954 - geometry.size - 0.02, 0.0, 0.3])) > 0.0
     assert geometry.clearance_at(np.array([0.954, 0.0, 0.3])) < 0.0
     table = shipped("task01")
-    np.testing.assert_array_equal(area_of(table), [table.table.lower, table.table.upper])
+    np.testing.assert_array_equal(object_bounds(table), [table.table.lower, table.table.upper])
 
 
 def test_an_arm_reaches_a_disc_and_can_lift():
@@ -146,12 +146,12 @@ def test_an_arm_on_a_rail_reaches_further_along_it():
 def test_joint_positions_are_found_that_put_the_tip_somewhere(name):
     robot = scene_of(name).robot
     for point in ((0.4, 0.2, 0.05), (0.3, -0.3, 0.02)):
-        joints = joints_for(robot, robot.start, np.array(point))
+        joints = inverse_kinematics(robot, robot.start, np.array(point))
         assert joints is not None
         rotation, tip = tip_frame(robot, joints)
         np.testing.assert_allclose(tip, point, atol=2e-5)
         np.testing.assert_allclose(rotation[:, 2], [0, 0, -1], atol=2e-5)
-    assert joints_for(robot, robot.start, np.array([1.5, 0.0, 0.05])) is None
+    assert inverse_kinematics(robot, robot.start, np.array([1.5, 0.0, 0.05])) is None
 
 
 @pytest.mark.parametrize(

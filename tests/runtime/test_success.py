@@ -6,7 +6,7 @@ import pytest
 from support.episodes import episode
 
 from oimppi_warp.config.presets import lab
-from oimppi_warp.geometry.feasibility import draw_start
+from oimppi_warp.geometry.feasibility import sample_start
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.runtime.episode import Episode
 from oimppi_warp.usd import load_scene
@@ -29,6 +29,6 @@ def test_the_can_reaches_its_goal_in_the_lab(name: str, method: str):
     found = []
     for seed in SEEDS:
         scene = load_scene(name)
-        scene = scene.with_start(draw_start(scene, seed))
+        scene = scene.with_start(sample_start(scene, seed))
         found.append(summarize(Episode(scene, lab(method), method=method, device="cpu", seed=seed, plant="lab").run()))
     assert sum(metrics.success for metrics in found) >= 9, [m.run.seed for m in found if not m.success]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
-from oimppi_warp.geometry.feasibility import draw_start
+from oimppi_warp.geometry.feasibility import sample_start
 from oimppi_warp.runtime.episode import Episode
 from oimppi_warp.usd import load_scene
 
@@ -14,4 +14,4 @@ def episode(name: str, method: str, *, seed: int, options: tuple[str, ...] = ())
     config = best(method)
     for option in options:
         config = set_option(config, option)
-    return Episode(scene.with_start(draw_start(scene, seed)), config, method=method, device="cpu", seed=seed)
+    return Episode(scene.with_start(sample_start(scene, seed)), config, method=method, device="cpu", seed=seed)

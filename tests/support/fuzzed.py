@@ -185,14 +185,14 @@ def read(file: Path, *, whole: bool) -> str:
     from oimppi_warp.authoring.checks.check import check_scene
     from oimppi_warp.geometry.feasibility import task_mistakes
     from oimppi_warp.usd import inspect_scene
-    from oimppi_warp.usd.lint import stage_doubts
+    from oimppi_warp.usd.lint import lint_stage
 
     if whole:
         problems = check_scene(file)
         return "refused" if any(problem.severity == "error" for problem in problems) else "scene"
     found = inspect_scene(file)
     if found.stage is not None:
-        list(stage_doubts(found.stage))
+        list(lint_stage(found.stage))
     if found.scene is None:
         assert found.mistakes
         return "refused"

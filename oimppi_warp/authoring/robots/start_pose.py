@@ -9,7 +9,7 @@ import numpy as np
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.kinematics import collider_spheres, link_frames, tip_frame, turning
-from oimppi_warp.geometry.reach import joints_for
+from oimppi_warp.geometry.reach import inverse_kinematics
 from oimppi_warp.scene import Robot
 
 HEIGHT = 0.05
@@ -47,10 +47,10 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
     for distance in _DISTANCES:
         target = np.array([distance * np.cos(_AZIMUTH), distance * np.sin(_AZIMUTH), height])
         for guess in guesses:
-            joints = joints_for(robot, guess, target)
+            joints = inverse_kinematics(robot, guess, target)
             if joints is not None:
-                joints = _readable(robot, joints)
-                best = max(best, (_worth(robot, joints), tuple(joints.tolist())))
+                joints = _rounded(robot, joints)
+                best = max(best, (_score(robot, joints), tuple(joints.tolist())))
         if best[0] > 0.0:
             return replace(arm, start=best[1])
     raise SceneError(
@@ -79,10 +79,10 @@ def _guesses(robot: Robot, random: np.random.Generator) -> list[np.ndarray]:
     return [middle, *guesses]
 
 
-def _worth(robot: Robot, joints: np.ndarray) -> float:
+def _score(robot: Robot, joints: np.ndarray) -> float:
     """How good a start is: room over the table, spare way to the limits, no needless twists; not above 0: none."""
     lower, upper = _limits(robot)
-    room = table_room(robot, joints)
+    room = table_clearance(robot, joints)
     spare = float(np.min(np.minimum(joints - lower, upper - joints) / (upper - lower)))
     if (room < ROOM and not is_flat(robot)) or spare < _SPARE:
         return -np.inf
@@ -90,7 +90,7 @@ def _worth(robot: Robot, joints: np.ndarray) -> float:
     return 1.0 + min(room, 0.1) + 0.2 * min(spare, 0.2) - 0.02 * twisted
 
 
-def _readable(robot: Robot, joints: np.ndarray) -> np.ndarray:
+def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
     """The same joint positions without whole turns, where the limits allow that, in a few digits."""
     wrapped = np.mod(joints + np.pi, 2.0 * np.pi) - np.pi
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
@@ -105,7 +105,7 @@ def is_flat(robot: Robot) -> bool:
     return bool(np.where(turning(robot), upright > 1.0 - 1e-6, upright < 1e-6).all())
 
 
-def table_room(robot: Robot, joints: np.ndarray) -> float:
+def table_clearance(robot: Robot, joints: np.ndarray) -> float:
     """Height of the lowest point of the moving links, the stick left out [m]."""
     rotations, positions = link_frames(robot, joints)
     lowest = [1.0]
