@@ -59,7 +59,7 @@ def inverse_kinematics_from_start(robot: Robot, tip: np.ndarray) -> np.ndarray |
 def _tip_positions(tip: np.ndarray, reach: Reach) -> list[np.ndarray]:
     """Places for the tip at its height within reach, the nearest first [m]."""
     grid = np.array([(r * np.cos(a), r * np.sin(a), tip[2]) for r in _RADII for a in _ANGLES])
-    within = grid[reach.room(grid[:, :2]) > 0.0]
+    within = grid[reach.margin(grid[:, :2]) > 0.0]
     return list(within[np.argsort(np.linalg.norm(within - tip, axis=1), kind="stable")])
 
 

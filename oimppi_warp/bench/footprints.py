@@ -30,7 +30,7 @@ def scene_footprints(scene: Scene) -> dict[str, Any]:
     }
 
 
-def moved(rings: Iterable[Any], pose: Any) -> list[np.ndarray]:
+def transformed(rings: Iterable[Any], pose: Any) -> list[np.ndarray]:
     """Rings in an object's frame, carried to its planar pose; each of shape [n, 2]."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[c, s], [-s, c]])

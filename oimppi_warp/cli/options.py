@@ -80,8 +80,8 @@ class TaskOptions:
         where = device.pick_device(self.run.device)
         with console.status("reading the scene"):
             scene = prepare_scene(self.scene, start=start, goal=goal, seed=self.run.seed)
-            if (doubts := _doubts(self.scene)) > 0:
-                warnings = f"{doubts} warning{'s' if doubts > 1 else ''}"
+            if (count := _warning_count(self.scene)) > 0:
+                warnings = f"{count} warning{'s' if count > 1 else ''}"
                 console.print(
                     f"{self.scene}: {warnings}, which `oimppi scene check {self.scene}` tells", soft_wrap=True
                 )
@@ -108,7 +108,7 @@ def notices() -> Console:
     return console
 
 
-def _doubts(scene: str) -> int:
+def _warning_count(scene: str) -> int:
     """How many things in a file of one's own may not be meant as they stand, a misspelt attribute for one."""
     if not Path(scene).is_file():
         return 0

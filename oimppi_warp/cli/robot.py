@@ -83,7 +83,7 @@ class AddRobot:
                 drawn = arm_usd.write_visuals(made, Path(folder) / "robots" / skin)
                 arm_usd.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
                 scene = write_sample_task(robot, name, Path(folder), destination=self.out)
-                self._keep(Path(folder))
+                self._install(Path(folder))
         bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
         if bare:
             links = ", ".join(link.rpartition("/")[2] for link in bare)
@@ -111,7 +111,7 @@ class AddRobot:
             if file.exists() and not self.force:
                 raise ConfigError(f"{file} is already there\n  to do:   another --name, or --force to write over it")
 
-    def _keep(self, folder: Path) -> None:
+    def _install(self, folder: Path) -> None:
         """Copy what was written to where it belongs."""
         for file in folder.rglob("*.usd*"):
             target = self.out / file.relative_to(folder)

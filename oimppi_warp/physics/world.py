@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from oimppi_warp.physics.mujoco_model import MujocoModel, translated
+from oimppi_warp.physics.mujoco_model import MujocoModel, translate_scene
 from oimppi_warp.physics.newton_model import NewtonModel, build_model
 from oimppi_warp.scene import Scene
 
@@ -29,12 +29,12 @@ class World:
     @cached_property
     def mujoco(self) -> MujocoModel:
         """The same for MuJoCo's C engine, as Newton's SolverMuJoCo translates it."""
-        return translated(self.scene, sensing=False)
+        return translate_scene(self.scene, sensing=False)
 
     @cached_property
     def mujoco_sensing(self) -> MujocoModel:
         """:attr:`mujoco` with sensors of the contact forces, for rollouts."""
-        return translated(self.scene, sensing=True)
+        return translate_scene(self.scene, sensing=True)
 
     def link_transforms(self, joint_position: np.ndarray) -> np.ndarray:
         """Poses of the arm's moving links from Newton's forward kinematics (float32).

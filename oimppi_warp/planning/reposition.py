@@ -191,7 +191,7 @@ class Regrasping:
         """Whether the tool cannot stand at places [n, 2]."""
         points = shapely.points(places)
         near = shapely.distance(points, self._blocks) < self._radius + 0.004 if self._blocks else False
-        return near | (self._reach.room(places) < 0.01)
+        return near | (self._reach.margin(places) < 0.01)
 
 
 def _boundary(shape: shapely.Geometry) -> tuple[np.ndarray, np.ndarray]:

@@ -236,12 +236,12 @@ def write_atomically(path: str | Path, content: bytes) -> None:
         partial.unlink(missing_ok=True)
 
 
-def flat(value: Any) -> dict[str, Any]:
+def flatten(value: Any) -> dict[str, Any]:
     """The fields of a dataclass by name; those of dataclasses among them stand in their place, as in all JSON files."""
     found: dict[str, Any] = {}
     for item in fields(value):
         inner = getattr(value, item.name)
-        found |= flat(inner) if is_dataclass(inner) else {item.name: inner}
+        found |= flatten(inner) if is_dataclass(inner) else {item.name: inner}
     return found
 
 

@@ -66,7 +66,7 @@ def export_usd(replay: Replay, file: Path) -> None:
 
 def export_mp4(replay: Replay, file: Path) -> None:
     """Writes a video from above, without a display."""
-    av = _needed("av", "mp4")
+    av = _import_optional("av", "mp4")
     from oimppi_warp.plots.film import frames
 
     packed = io.BytesIO()
@@ -84,7 +84,7 @@ def export_mp4(replay: Replay, file: Path) -> None:
 
 def export_mcap(replay: Replay, file: Path) -> None:
     """Writes an MCAP file with the scene, its transforms and the figures, in Foxglove's schemas."""
-    _needed("foxglove", "mcap")
+    _import_optional("foxglove", "mcap")
     from oimppi_warp.view.mcap import write_mcap
 
     with tempfile.TemporaryDirectory() as folder:
@@ -132,7 +132,7 @@ def export(folder: Path, to: str, output: Path | None = None) -> Path:
     return file
 
 
-def _needed(module: str, to: str) -> Any:
+def _import_optional(module: str, to: str) -> Any:
     """Import what an export needs."""
     import importlib
 

@@ -74,7 +74,7 @@ def test_the_manual_has_the_table_of_shapes():
         ("wedge:0.1", "allowed: t-block, lab-t"),
     ],
 )  # fmt: skip
-def test_a_word_that_makes_nothing_is_refused_with_what_would(word, said):
+def test_a_spec_that_makes_nothing_is_refused_with_what_would(word, said):
     with pytest.raises(ConfigError) as error:
         parse_object(word)
     assert said in str(error.value)

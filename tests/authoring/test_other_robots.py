@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from support import reference
 from support.engines import ends, make, plant_at, roll
 from support.reference import ANGLE_TOLERANCE, LENGTH_TOLERANCE
-from support.tasks import DT, Pushing, block, box, joints_at, observe, shipped, straight
+from support.small_tasks import DT, Pushing, block, box, joints_at, observe, shipped, straight
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best, lab
@@ -106,7 +106,7 @@ def test_a_point_reaches_a_rectangle():
     robot = shipped("point01").robot
     reach = reach_of(robot)
     np.testing.assert_allclose(reach.bounds, [[-0.22, -0.77], [0.97, 0.77]], atol=1e-6)
-    room = reach.room(np.array([[0.3, 0.0], [0.9, 0.7], [1.0, 0.0], [-0.3, -0.8]]))
+    room = reach.margin(np.array([[0.3, 0.0], [0.9, 0.7], [1.0, 0.0], [-0.3, -0.8]]))
     np.testing.assert_allclose(room, [0.52, 0.07, -0.03, -np.hypot(0.08, 0.03)], atol=1e-6)
     assert not can_lift(robot)
 
@@ -137,7 +137,7 @@ def test_an_arm_on_a_rail_reaches_further_along_it():
     # A disc is carried along, drawn as a polygon around it.
     np.testing.assert_allclose(upper, [far, far + 0.3], atol=0.005)
     np.testing.assert_allclose(lower, [-far, -far - 0.3], atol=0.005)
-    assert reach_of(robot).room(np.array([[0.0, 0.95], [0.6, 0.5], [0.6, 0.9]])) == pytest.approx(
+    assert reach_of(robot).margin(np.array([[0.0, 0.95], [0.6, 0.5], [0.6, 0.9]])) == pytest.approx(
         [far + 0.3 - 0.95, far - np.hypot(0.6, 0.2), far - np.hypot(0.6, 0.6)], abs=0.006
     )
 

@@ -13,7 +13,7 @@ import pytest
 import shapely
 from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
-from oimppi_warp.geometry.feasibility import CLEAR, check_task, object_outline, sample_start
+from oimppi_warp.geometry.feasibility import START_CLEARANCE, check_task, object_outline, sample_start
 from oimppi_warp.geometry.footprint import core_points, footprint, height_range, outline, rotation_matrix
 from oimppi_warp.geometry.kinematics import link_frames, tip_frame
 from oimppi_warp.geometry.reach import can_lift, reach_of
@@ -110,7 +110,7 @@ def test_a_drawn_start_leaves_room_to_the_tool(scenes):
     tip = tip_frame(scene.robot, scene.robot.start)[1]
     for seed in range(20):
         shape = object_outline(scene, sample_start(scene, seed))
-        assert shapely.distance(shape, shapely.Point(tip[:2])) >= CLEAR
+        assert shapely.distance(shape, shapely.Point(tip[:2])) >= START_CLEARANCE
 
 
 def obstacle_boxes(scene):

@@ -280,10 +280,10 @@ def test_where_no_centre_of_mass_is_given_it_is_that_of_the_shapes(tmp_path):
     assert (tmp_path / "objects" / "thing.png").is_file()
 
 
-def test_what_a_scene_refers_to_in_other_units_is_doubted(tmp_path):
+def test_what_a_scene_refers_to_in_other_units_is_warned_of(tmp_path):
     scene = pushed(object_file(tmp_path / "thing.usda"), tmp_path / "out")
     object_file(tmp_path / "out" / "objects" / "thing.usda", metres=1.0, kilograms=0.001, up="Y")
-    said = {doubt.what.partition(" in ")[0] for doubt in lint_stage(SceneStage(scene.file))}
+    said = {warning.what.partition(" in ")[0] for warning in lint_stage(SceneStage(scene.file))}
     assert {"kilogramsPerUnit is 0.001", "upAxis is Y"} <= said
 
 

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from pxr import Usd, UsdGeom
 from scipy.spatial import ConvexHull
-from support.made_urdf import arm_parts, joint, link, shape, write_urdf
+from support.sample_urdfs import arm_parts, joint, link, shape, write_urdf
 
 from oimppi_warp.authoring import box, write_object
 from oimppi_warp.authoring.robots.arm import Arm

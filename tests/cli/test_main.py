@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from support.synthetic import make_log, make_scene
+from support.synthetic_episode import make_log, make_scene
 
 from oimppi_warp.cli.main import main
 from oimppi_warp.compute.device import CompileNotice, pick_device

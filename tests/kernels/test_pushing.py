@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 from support import probes, reference
 from support.reference import ANGLE_TOLERANCE, LENGTH_TOLERANCE
-from support.tasks import (
+from support.small_tasks import (
     DT,
     Pushing,
     block,

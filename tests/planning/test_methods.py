@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support import reference
-from support.tasks import (
+from support.small_tasks import (
     DT,
     Pushing,
     block,

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 from support.pushes import SPEED, tip_before
 
 from oimppi_warp.config.settings import RobotLevel
@@ -33,10 +33,10 @@ TRAVEL_RATIO = (0.95, 1.05)
 @pytest.fixture(scope="module")
 def pushes() -> np.ndarray:
     """Random pushes: friction centre at first, at last in the plant, and at last in the engine; shape [n, 3, 3]."""
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     geometry = build_geometry(scene, "cpu")
     level = RobotLevel(optimizer=replace(RobotLevel().optimizer, horizon=STEPS))
-    engine = QuasistaticDynamics(tasks.rollout_task(scene, level=level, geometry=geometry))
+    engine = QuasistaticDynamics(small_tasks.rollout_task(scene, level=level, geometry=geometry))
     world = World(scene)
     rng = np.random.default_rng(5)
     found = []
@@ -47,8 +47,8 @@ def pushes() -> np.ndarray:
         tip = tip_before(scene, pose, center, way, aside=rng.uniform(-0.06, 0.06))
         if not 0.25 < np.hypot(*tip) < 0.6:
             continue
-        joints = tasks.joints_at(scene.robot, (tip[0], tip[1], 0.02))
-        controls = tasks.straight(scene.robot, joints, (SPEED * np.cos(way), SPEED * np.sin(way), 0.0), STEPS)
+        joints = small_tasks.joints_at(scene.robot, (tip[0], tip[1], 0.02))
+        controls = small_tasks.straight(scene.robot, joints, (SPEED * np.cos(way), SPEED * np.sin(way), 0.0), STEPS)
         if np.abs(controls).max() > 1.0:
             continue
         plant = SimulatedPlant(world, start=tuple(pose))
@@ -56,7 +56,7 @@ def pushes() -> np.ndarray:
         mujoco.mj_forward(plant.model, plant.data)
         for control in controls:
             plant.apply(control)
-        engine.set_state(tasks.observe(scene, joints=joints, pose=pose), center)
+        engine.set_state(small_tasks.observe(scene, joints=joints, pose=pose), center)
         nominal = wp.array(controls.astype(np.float32), dtype=control_type(6), device="cpu")
         engine.trace(nominal, wp.zeros(1, dtype=float, device="cpu"))()
         trace = engine.traced()

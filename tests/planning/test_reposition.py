@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.tasks import DT, block, box, task
+from support.small_tasks import DT, block, box, task
 
 from oimppi_warp.config.settings import Regrasp
 from oimppi_warp.geometry.fields import build_geometry

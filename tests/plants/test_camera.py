@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.plants.camera import Camera, arm_capsules, segment_distances
 from oimppi_warp.scene import Collider, Link
@@ -38,7 +38,7 @@ def test_distances_are_those_of_points_sampled_along_both():
 
 def with_one_ball(center: tuple[float, float, float], radius: float):
     """Lab 01 with the whole arm one ball on its fixed base [m]."""
-    scene = tasks.shipped("lab01")
+    scene = small_tasks.shipped("lab01")
     ball = Collider("/ball", "sphere", np.array([*center, 0.0, 0.0, 0.0, 1.0]), (radius,))
     links = tuple(replace(link, colliders=()) for link in scene.robot.links)
     return replace(scene, robot=replace(scene.robot, base=Link("/base", 1.0, (ball,)), links=links))
@@ -64,18 +64,18 @@ def test_half_a_can_behind_a_wide_ball_is_half_seen():
 
 
 def test_the_arm_hides_the_can_when_it_stands_before_it_and_not_from_its_start():
-    scene = tasks.shipped("lab01")
+    scene = small_tasks.shipped("lab01")
     can = np.array([0.40, 0.0, 0.0])
     camera = Camera(scene, (0.9, 0.0, 0.9))
     assert camera.sees(scene.robot.start, np.array(scene.start))
-    before, beside = (tasks.joints_at(scene.robot, (0.40 + x, y, 0.015)) for x, y in ((0.05, 0.0), (0.0, 0.05)))
+    before, beside = (small_tasks.joints_at(scene.robot, (0.40 + x, y, 0.015)) for x, y in ((0.05, 0.0), (0.0, 0.05)))
     assert not camera.sees(before, can)
     assert camera.sees(beside, np.array([0.40, 0.0, 0.0]))
 
 
 def test_capsules_keep_their_ends_and_other_shapes_are_covered():
     turned = np.array([0.1, 0.2, 0.3, math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])  # a quarter about x: z goes to -y
-    ends, radii = arm_capsules((Collider("/c", "capsule", turned, (0.04, 0.1)), tasks.post(0.0, 0.0, 0.05, 0.4)))
+    ends, radii = arm_capsules((Collider("/c", "capsule", turned, (0.04, 0.1)), small_tasks.post(0.0, 0.0, 0.05, 0.4)))
     np.testing.assert_allclose(ends[0], [[0.1, 0.3, 0.3], [0.1, 0.1, 0.3]], atol=1e-9)
     assert radii[0] == 0.04
     assert (radii[1:] >= 0.05).all()

@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import warp as wp
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.config.settings import RobotLevel
 from oimppi_warp.geometry.fields import from_center, to_center
@@ -36,7 +36,7 @@ def make(
     """An engine on a scene."""
     mppi = replace(RobotLevel().optimizer, samples=samples, horizon=steps)
     level = RobotLevel(optimizer=mppi, substeps=substeps)
-    return engine(tasks.rollout_task(scene, level=level, threads=threads, draws=draws), **more)
+    return engine(small_tasks.rollout_task(scene, level=level, threads=threads, draws=draws), **more)
 
 
 def roll(engine: NewtonDynamics, seen: Observation, controls: np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ def _task_prim(found: Inspection) -> str:
     """The prim that goal and starts stand at, if the scene can be read."""
     if found.scene is None or found.stage is None:
         return ""
-    return str(found.stage.role("OimppiTaskAPI")[0].GetPath())
+    return str(found.stage.prims_with("OimppiTaskAPI")[0].GetPath())
 
 
 def _task_errors(scene: Scene) -> Iterator[SceneError]:

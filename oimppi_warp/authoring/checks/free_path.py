@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from oimppi_warp.geometry.feasibility import object_outline, surroundings
+from oimppi_warp.geometry.feasibility import fixed_outlines, object_outline
 from oimppi_warp.geometry.fields import Geometry, from_center, to_center
 from oimppi_warp.geometry.reach import reach_of
 from oimppi_warp.scene import PlanarPose, Scene
@@ -62,7 +62,7 @@ class FreePaths:
         self._step = 1.0 / np.array([field.inv_yaw_step, field.inv_step, field.inv_step])
         x, y = (self._origin[i] + self._step[i] * np.arange(values.shape[i]) for i in (1, 2))
         at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        within = reach_of(scene.robot).room(at.reshape(-1, 2)).reshape(at.shape[:2]) >= 0.0
+        within = reach_of(scene.robot).margin(at.reshape(-1, 2)).reshape(at.shape[:2]) >= 0.0
         self._values = np.where(within, values, -np.inf)
         self._free = _components(self._values > 0.0)
         self._goals = self._nodes(scene.goal)
@@ -133,7 +133,7 @@ class FreePaths:
         """The one or two things next to the object at a pose, and how far they are apart."""
         shape = object_outline(self._scene, pose)
         table = shapely.box(*self._scene.table.lower, *self._scene.table.upper)
-        outlines = [(f"{noun} <{path}>", outline) for noun, path, outline in surroundings(self._scene)]
+        outlines = [(f"{noun} <{path}>", outline) for noun, path, outline in fixed_outlines(self._scene)]
         outlines.append(("the table's edge", table.exterior))
 
         def distance(entry: tuple[str, shapely.Geometry]) -> tuple[float, float]:

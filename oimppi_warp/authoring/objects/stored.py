@@ -161,7 +161,7 @@ def _open(file: Path) -> SceneStage:
     if not root:
         fix = 'name the object\'s root in the file: defaultPrim = "..."'
         raise stage.error("a file without a default prim cannot be referred to", fix=fix)
-    if stage.role("OimppiTaskAPI"):
+    if stage.prims_with("OimppiTaskAPI"):
         allowed = "an object: a default prim with PhysicsMassAPI and colliders, as `oimppi scene import` writes them"
         raise stage.error("a whole scene, not an object", root, allowed=allowed)
     apply_api(root, "OimppiObjectAPI")

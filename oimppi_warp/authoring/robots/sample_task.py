@@ -65,7 +65,7 @@ def _start_and_goal(reach: Reach) -> tuple[Pose, Pose]:
     """Start and goal: those of the first shipped task, as far out as the robot reaches; else across its region."""
     scale = min(reach.radius / _REACH, 1.1) if reach.border is None else 1.0
     start, goal = scale * _START, scale * _GOAL
-    if reach.room(np.array([start, goal])).min() < 0.1:
+    if reach.margin(np.array([start, goal])).min() < 0.1:
         lower, upper = reach.bounds
         middle, size = (lower + upper) / 2, upper - lower
         start, goal = middle - 0.25 * size, middle + 0.25 * size

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from support import outside_terms, tasks
+from support import outside_terms, small_tasks
 from support.reference import RELATIVE_TOLERANCE
 
 from oimppi_warp.config.presets import best
@@ -51,16 +51,16 @@ def twins(tips: np.ndarray) -> np.ndarray:
 
 def rolled(engine: type, samples: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
     """Costs [sample], terms [sample, term], tips after each step [sample, horizon, 3], and the terms' names."""
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     level = best("mppi").robot
     level = replace(level, optimizer=replace(level.optimizer, samples=samples, horizon=STEPS))
-    dynamics = engine(tasks.rollout_task(scene, level=level, threads=1))
+    dynamics = engine(small_tasks.rollout_task(scene, level=level, threads=1))
     controls = np.random.default_rng(2).uniform(-0.6, 0.6, (samples, STEPS, 6)).astype(np.float32)
     packed = wp.array(controls, dtype=control_type(6), device="cpu")
     costs = wp.zeros(samples, dtype=float, device="cpu")
     run = dynamics.rollout(packed, costs)
     dynamics.set_state(
-        tasks.observe(scene, joints=tasks.joints_at(scene.robot, (0.4, 0.1, 0.05))), np.array(scene.goal)
+        small_tasks.observe(scene, joints=small_tasks.joints_at(scene.robot, (0.4, 0.1, 0.05))), np.array(scene.goal)
     )
     dynamics.reference.host[:] = np.array(scene.goal)
     run()
@@ -93,9 +93,9 @@ def nominal(weight: float) -> tuple[np.ndarray, dict[str, float]]:
     """Tool tips [horizon + 1, 3] of the plan after some updates, and the terms of its cheapest sample."""
     COST_TERMS.register("off_line", CostTerm(outside_terms.off_line, weight))
     try:
-        scene = tasks.shipped("task01")
+        scene = small_tasks.shipped("task01")
         planner = make_planner(scene, best("mppi"), method="mppi", engine="quasistatic", device="cpu", seed=1)
-        seen = tasks.observe(scene)
+        seen = small_tasks.observe(scene)
         planner.start(seen)
         plans = [planner.plan(seen) for _ in range(6)]
         assert plans[-1].terms.shape == (len(planner.dynamics.terms),)
@@ -117,8 +117,8 @@ def test_a_term_that_is_taken_out_leaves_nothing_behind(added):
     COST_TERMS.unregister("high")
     COST_TERMS.unregister("off_line")
     assert list(COST_TERMS) == []
-    scene = tasks.shipped("task01")
-    dynamics = QuasistaticDynamics(tasks.rollout_task(scene))
+    scene = small_tasks.shipped("task01")
+    dynamics = QuasistaticDynamics(small_tasks.rollout_task(scene))
     assert dynamics.terms == TERMS
     assert dynamics._kernel is make_robot_rollout(scene.robot.chain, ())
 

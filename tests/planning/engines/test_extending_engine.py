@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.compute.step import Launch
 from oimppi_warp.config.presets import best
@@ -45,22 +45,22 @@ def reaching() -> Iterator[None]:
 
 
 def test_an_engine_in_numpy_is_planned_with(reaching):
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     planner = make_planner(scene, best("mppi"), method="mppi", engine="reaching", device="cpu", threads=1)
     joints = scene.robot.start
-    planner.start(tasks.observe(scene))
+    planner.start(small_tasks.observe(scene))
     off = [np.linalg.norm(tip_frame(scene.robot, joints)[1] - TARGET)]
     for _ in range(40):
-        plan = planner.plan(tasks.observe(scene, joints=joints))
-        joints = joints + tasks.DT * plan.command
+        plan = planner.plan(small_tasks.observe(scene, joints=joints))
+        joints = joints + small_tasks.DT * plan.command
         off.append(np.linalg.norm(tip_frame(scene.robot, joints)[1] - TARGET))
     assert off[0] > 0.15 and off[-1] < 0.03, off
 
 
 def test_what_an_engine_leaves_out_has_a_default(reaching):
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     planner = make_planner(scene, best("cloi"), method="cloi", engine="reaching", device="cpu", threads=1)
-    seen = tasks.observe(scene)
+    seen = small_tasks.observe(scene)
     planner.start(seen)
     plan = planner.plan(seen)
     horizon = planner.config.robot.optimizer.horizon
@@ -82,12 +82,12 @@ def test_any_callable_that_makes_an_engine_is_one():
 
     ENGINES.register("mine", engine)
     try:
-        scene = tasks.shipped("task01")
+        scene = small_tasks.shipped("task01")
         commands = []
         for name in ("mine", "quasistatic"):
             planner = make_planner(scene, best("mppi"), method="mppi", engine=name, device="cpu", seed=4)
-            planner.start(tasks.observe(scene))
-            commands.append(planner.plan(tasks.observe(scene)).command)
+            planner.start(small_tasks.observe(scene))
+            commands.append(planner.plan(small_tasks.observe(scene)).command)
         assert [task.scene.name for task in made] == ["task01"]
         np.testing.assert_array_equal(commands[0], commands[1])
     finally:
@@ -96,6 +96,6 @@ def test_any_callable_that_makes_an_engine_is_one():
 
 def test_an_engine_that_was_taken_out_is_unknown(reaching):
     ENGINES.unregister("reaching")
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     with pytest.raises(ConfigError, match=r"engine 'reaching' does not exist\n.*quasistatic, newton"):
         make_planner(scene, best("mppi"), method="mppi", engine="reaching", device="cpu")

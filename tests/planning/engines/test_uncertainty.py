@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Uncertainty
@@ -68,7 +68,7 @@ def test_shared_draws_are_as_many_as_each_sample_meets():
 @pytest.mark.parametrize("shared", [True, False])
 def test_a_robust_plan_heeds_the_worst_draw(shared):
     """The same samples cost at least as much in the worst draw as on the average, and more for some."""
-    scene = tasks.shipped("task02")
+    scene = small_tasks.shipped("task02")
     found = {}
     for measure in ("mean", "worst"):
         config = best("mppi")
@@ -81,7 +81,7 @@ def test_a_robust_plan_heeds_the_worst_draw(shared):
             engine="quasistatic",
             device="cpu",
         )
-        planner.plan(tasks.observe(scene))
+        planner.plan(small_tasks.observe(scene))
         found[measure] = planner.mppi.costs.numpy()
     assert (found["worst"] >= found["mean"] - 1e-3).all()
     assert (found["worst"] > found["mean"] + 1e-3).any()

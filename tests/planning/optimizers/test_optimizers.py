@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.compute.step import Launch
 from oimppi_warp.config.fields import ExtraWeights, setting
@@ -75,7 +75,7 @@ def test_a_setting_of_another_optimizer_says_which_one_is_chosen():
 
 
 def test_an_optimizer_refuses_settings_of_another():
-    dynamics, _, _ = tasks.object_level(tasks.shipped("task01"))
+    dynamics, _, _ = small_tasks.object_level(small_tasks.shipped("task01"))
     with pytest.raises(ConfigError, match="optimizer 'cem': its settings are Mppi"):
         make_optimizer(dynamics, Mppi(kind="cem"), seed=0)
 
@@ -85,7 +85,7 @@ def test_an_optimizer_refuses_settings_of_another():
 
 @pytest.mark.parametrize("scene", ["task01", "point01"])
 def test_cem_pushes_the_object_nearer_to_its_goal_than_an_arm_that_stands_still(scene: str):
-    loaded = tasks.shipped(scene)
+    loaded = small_tasks.shipped(scene)
     config = best("cloi")
     for option in ("robot.optimizer=cem", "object.optimizer=cem", "episode.max_sim_seconds=9", "episode.tight=false"):
         config = set_option(config, option)
@@ -168,9 +168,9 @@ def test_an_optimizer_from_outside_is_chosen_set_and_plans(search: str):
         set_option(config, "robot.optimizer.spread=9")
     for level in ("robot", "object"):
         config = set_option(config, f"{level}.optimizer.samples=200")
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     planner = make_planner(scene, config, method="cloi", engine="quasistatic", device="cpu", seed=1)
-    seen = tasks.observe(scene)
+    seen = small_tasks.observe(scene)
     planner.start(seen)
     plan = planner.plan(seen)
     assert isinstance(planner.mppi, RandomSearch)

@@ -1,4 +1,4 @@
-"""Trials and results that need no planner, made from the episodes of ``synthetic``."""
+"""Trials and results that need no planner, made from the episodes of ``synthetic_episode``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 from functools import cache
 from typing import Any
 
-from support.synthetic import make_log
+from support.synthetic_episode import make_log
 
 from oimppi_warp.bench.footprints import scene_footprints
 from oimppi_warp.bench.results import Result, ResultSet, make_result
