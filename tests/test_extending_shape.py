@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from oimppi_warp.authoring import Block, Number, Shape, Thing, flat
+from oimppi_warp.authoring import Block, FlatObject, Parameter, Shape, extrusion
 from oimppi_warp.authoring.named_shapes import objects
 from oimppi_warp.cli.main import main
 from oimppi_warp.errors import ConfigError
@@ -17,10 +17,10 @@ from oimppi_warp.registries import SHAPES
 from oimppi_warp.usd import load_scene
 
 
-def angle(length: float, width: float, *, height: float = 0.05, **weight: float) -> Thing:
+def angle(length: float, width: float, *, height: float = 0.05, **weight: float) -> FlatObject:
     """An L of two legs of one length."""
     legs = shapely.union(shapely.box(0.0, 0.0, length, width), shapely.box(0.0, 0.0, width, length))
-    return flat("angle", "Angle", "An angle", legs, height, **weight)
+    return extrusion("angle", "Angle", "An angle", legs, height, **weight)
 
 
 def fence(name: str, pose: tuple[float, float, float], length: float, width: float) -> Block:
@@ -36,9 +36,9 @@ def shape() -> Iterator[str]:
             about="an angle of two legs",
             make=angle,
             example="0.12x0.04",
-            numbers=(Number("leg"), Number("width")),
+            parameters=(Parameter("leg"), Parameter("width")),
             options=("height",),
-            called="angles",
+            noun="angles",
         ),
     )
     yield "steel-angle"
@@ -58,8 +58,10 @@ def test_a_registered_shape_is_pushed_and_stands_in_the_way(shape, tmp_path):
 
 
 def test_a_registered_shape_may_be_an_obstacle_of_its_own_kind(tmp_path):
-    numbers = (Number("length"), Number("width"))
-    SHAPES.register("fence", Shape(about="a fence", make=angle, example="0.3x0.02", numbers=numbers, stand=fence))
+    numbers = (Parameter("length"), Parameter("width"))
+    SHAPES.register(
+        "fence", Shape(about="a fence", make=angle, example="0.3x0.02", parameters=numbers, make_obstacle=fence)
+    )
     try:
         options = ["--obstacle", "fence:0.3x0.02@0.5,-0.1,0.5"]
         assert main(["scene", "new", "mine", "--out", str(tmp_path), *options]) == 0

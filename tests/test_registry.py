@@ -6,7 +6,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 from support.outside_terms import high
-from support.tasks import shipped
+from support.small_tasks import shipped
 
 from oimppi_warp.bench.runner import BenchError, _check_known_elsewhere
 from oimppi_warp.bench.suite import load_suite

@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-TRIAL = """
+SMOKE_TEST = """
 from pathlib import Path
 
 import warp
@@ -84,7 +84,7 @@ def main() -> None:
         (site / "locked.pth").write_text(sysconfig.get_path("purelib") + "\n")
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
         environment["OIMPPI_CACHE"] = str(folder / "cache")  # an empty one: the kernel is launched, not looked up
-        print(run(python, "-c", TRIAL.format(prefix=str(site)), cwd=folder, env=environment), end="")
+        print(run(python, "-c", SMOKE_TEST.format(prefix=str(site)), cwd=folder, env=environment), end="")
         print(run(python, "-m", "oimppi_warp", "scenes", cwd=folder, env=environment), end="")
 
 

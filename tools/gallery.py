@@ -21,7 +21,7 @@ from PIL import Image
 
 from oimppi_warp.config.presets import best
 from oimppi_warp.runtime.episode import Setup
-from oimppi_warp.runtime.request import make_task
+from oimppi_warp.runtime.request import prepare_scene
 from oimppi_warp.usd import shipped_scenes
 from oimppi_warp.view.browser import open_viewer
 from oimppi_warp.view.canvas import Canvas
@@ -45,7 +45,7 @@ class Stage:
 
     def __init__(self, page: Any, scene: str) -> None:
         self._page = page
-        self.session = Session(Setup(make_task(scene, start=1), best("cloi")), speed=float("inf"))
+        self.session = Session(Setup(prepare_scene(scene, start=1), best("cloi")), speed=float("inf"))
         self.session.paused = self.session.watched = True
         self.session.start()
         self._viewer = open_viewer(port=8500)

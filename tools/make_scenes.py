@@ -33,8 +33,8 @@ def write_all(folder: Path) -> None:
     scene_robot.write(scenes / "robots")
     scene_arm7.write(scenes / "robots")
     scene_point.write(scenes / "robots")
-    for thing in catalog.THINGS:
-        thing.write(scenes / "objects" / f"{thing.name}.usda", note=NOTE)
+    for obj in catalog.OBJECTS:
+        obj.write(scenes / "objects" / f"{obj.name}.usda", note=NOTE)
     for each in scene_tasks.TASKS:
         task.write(each, scenes, note=NOTE)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from oimppi_warp.authoring.objects.catalog import LETTER_I, LETTER_O, LETTER_R, LETTER_S, SOUP_CAN, T_BLOCK
-from oimppi_warp.authoring.task import Block, Standing, Task
+from oimppi_warp.authoring.task import Block, StaticObject, Task
 
 YELLOW, CREAM, NAVY = (0.75, 0.55, 0.08), (0.72, 0.66, 0.5), (0.08, 0.12, 0.3)
 NO_YAW = math.inf
@@ -52,8 +52,8 @@ TASKS = (
         (0.30, -0.40, 0.0),
         (0.50, 0.15, -math.pi / 2),
         tuple(
-            Standing(f"Letter{letter}", thing, (0.50, y, -math.pi / 2))
-            for letter, thing, y in (("I", LETTER_I, 0.60), ("R", LETTER_R, 0.45), ("O", LETTER_O, 0.30))
+            StaticObject(f"Letter{letter}", obj, (0.50, y, -math.pi / 2))
+            for letter, obj, y in (("I", LETTER_I, 0.60), ("R", LETTER_R, 0.45), ("O", LETTER_O, 0.30))
         ),
     ),
     Task("arm7_01", "Push the T across an open table with an arm of seven joints", *_T, robot="arm7"),

@@ -12,30 +12,30 @@ from oimppi_warp.lazy import names_on_first_use
 if TYPE_CHECKING:
     from oimppi_warp.authoring.checks.check import check_scene
     from oimppi_warp.authoring.letters.letters import letter, word
-    from oimppi_warp.authoring.meshes.solid import Solid, import_mesh
-    from oimppi_warp.authoring.named_shapes import Number, Shape
-    from oimppi_warp.authoring.objects.flat_object import Box, Disc, Thing
-    from oimppi_warp.authoring.objects.outlines import box, cylinder, flat
+    from oimppi_warp.authoring.meshes.solid import MeshObject, import_mesh
+    from oimppi_warp.authoring.named_shapes import Parameter, Shape
+    from oimppi_warp.authoring.objects.flat_object import Box, Disc, FlatObject
+    from oimppi_warp.authoring.objects.outlines import box, cylinder, extrusion
     from oimppi_warp.authoring.objects.stored import read_object
-    from oimppi_warp.authoring.project import Written, write_object, write_task
-    from oimppi_warp.authoring.task import Block, Pillar, Standing, Task
+    from oimppi_warp.authoring.project import WrittenTask, write_object, write_task
+    from oimppi_warp.authoring.task import Block, Pillar, StaticObject, Task
 
 _MODULES = {
     "Block": "task",
     "Box": "objects.flat_object",
     "Disc": "objects.flat_object",
-    "Number": "named_shapes",
+    "FlatObject": "objects.flat_object",
+    "MeshObject": "meshes.solid",
+    "Parameter": "named_shapes",
     "Pillar": "task",
     "Shape": "named_shapes",
-    "Solid": "meshes.solid",
-    "Standing": "task",
+    "StaticObject": "task",
     "Task": "task",
-    "Thing": "objects.flat_object",
-    "Written": "project",
+    "WrittenTask": "project",
     "box": "objects.outlines",
     "check_scene": "checks.check",
     "cylinder": "objects.outlines",
-    "flat": "objects.outlines",
+    "extrusion": "objects.outlines",
     "import_mesh": "meshes.solid",
     "letter": "letters.letters",
     "read_object": "objects.stored",
@@ -48,18 +48,18 @@ __all__ = [
     "Block",
     "Box",
     "Disc",
-    "Number",
+    "FlatObject",
+    "MeshObject",
+    "Parameter",
     "Pillar",
     "Shape",
-    "Solid",
-    "Standing",
+    "StaticObject",
     "Task",
-    "Thing",
-    "Written",
+    "WrittenTask",
     "box",
     "check_scene",
     "cylinder",
-    "flat",
+    "extrusion",
     "import_mesh",
     "letter",
     "read_object",

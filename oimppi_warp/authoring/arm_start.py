@@ -10,10 +10,10 @@ import shapely
 from oimppi_warp.geometry.feasibility import object_outline
 from oimppi_warp.geometry.footprint import core_points, footprint, height_range, outline
 from oimppi_warp.geometry.kinematics import link_frames, tip_frame
-from oimppi_warp.geometry.reach import Reach, joints_for, reach_of
+from oimppi_warp.geometry.reach import Reach, inverse_kinematics, reach_of
 from oimppi_warp.scene import Collider, Robot, Scene
 
-ROOM = 0.02
+MARGIN = 0.02
 """Around the stick at the start [m], beyond its radius."""
 
 _RADII = np.arange(0.25, 0.60, 0.05)
@@ -33,17 +33,17 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
     Where no such start is found, the robot's own is kept, and ``feasibility.check_task`` reports what is wrong.
     """
     robot = scene.robot
-    if _clear(scene, robot.start):
+    if _is_clear(scene, robot.start):
         return None
     tip = tip_frame(robot, robot.start)[1]
-    for place in _places(tip, reach_of(robot)):
-        joints = joints_at(robot, place)
-        if joints is not None and _clear(scene, joints):
+    for position in _tip_positions(tip, reach_of(robot)):
+        joints = inverse_kinematics_from_start(robot, position)
+        if joints is not None and _is_clear(scene, joints):
             return tuple(round(float(q), 5) for q in joints)
     return None
 
 
-def joints_at(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
+def inverse_kinematics_from_start(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
     """Joint positions with the tip at a place [3] [m] and the tool pointing down; ``None`` where none are found.
 
     They are sought from the robot's start, its first joint turned towards the place.
@@ -53,35 +53,35 @@ def joints_at(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
         own = tip_frame(robot, joints)[1]
         turn = np.arctan2(tip[1], tip[0]) - np.arctan2(own[1], own[0])
         joints[0] = np.clip(joints[0] + math.remainder(turn, 2.0 * np.pi), robot.joints[0].lower, robot.joints[0].upper)
-    return joints_for(robot, joints, tip)
+    return inverse_kinematics(robot, joints, tip)
 
 
-def _places(tip: np.ndarray, reach: Reach) -> list[np.ndarray]:
+def _tip_positions(tip: np.ndarray, reach: Reach) -> list[np.ndarray]:
     """Places for the tip at its height within reach, the nearest first [m]."""
     grid = np.array([(r * np.cos(a), r * np.sin(a), tip[2]) for r in _RADII for a in _ANGLES])
-    within = grid[reach.room(grid[:, :2]) > 0.0]
+    within = grid[reach.margin(grid[:, :2]) > 0.0]
     return list(within[np.argsort(np.linalg.norm(within - tip, axis=1), kind="stable")])
 
 
-def _clear(scene: Scene, joints: np.ndarray) -> bool:
+def _is_clear(scene: Scene, joints: np.ndarray) -> bool:
     """Whether the arm, so posed, is clear of the object at its start and of the obstacles."""
     rotations, positions = link_frames(scene.robot, joints)
     tip = tip_frame(scene.robot, joints)[1]
-    stick = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius + ROOM)
+    stick = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius + MARGIN)
     if shapely.intersects(stick, object_outline(scene, scene.start)):
         return False
-    around = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
-    if any(shapely.intersects(stick, outline(footprint([c], lower=tip[2]))) for c in around):
+    obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
+    if any(shapely.intersects(stick, outline(footprint([c], lower=tip[2]))) for c in obstacles):
         return False
     links = [
         (collider, rotation, position)
         for link, rotation, position in zip(scene.robot.links, rotations, positions, strict=True)
         for collider in link.colliders
     ]
-    return not any(_meet(link, collider) for link in links for collider in around)
+    return not any(_overlap(link, collider) for link in links for collider in obstacles)
 
 
-def _meet(link: tuple[Collider, np.ndarray, np.ndarray], other: Collider) -> bool:
+def _overlap(link: tuple[Collider, np.ndarray, np.ndarray], other: Collider) -> bool:
     """Whether a link's shape and an obstacle overlap from above and in height: no less than they do in space."""
     collider, rotation, position = link
     points, radius = core_points(collider)

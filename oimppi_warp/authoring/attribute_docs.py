@@ -38,7 +38,7 @@ _PLACES = {
 }
 
 
-def explain(stage: Usd.Stage) -> None:
+def write_attribute_docs(stage: Usd.Stage) -> None:
     """Write into a stage's root layer what its prims and attributes are; units in square brackets.
 
     Prims that stand for a part of another file, as the links of a posed arm do, are left as they are.

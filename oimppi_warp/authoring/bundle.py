@@ -16,7 +16,7 @@ from oimppi_warp.usd.stage import file_of
 _ASSETS = "textures"
 
 
-def parts_of(file: Path) -> list[Path]:
+def dependencies_of(file: Path) -> list[Path]:
     """A USD file and every layer, texture and mesh that it needs.
 
     Raises:
@@ -36,21 +36,21 @@ def copy_bundle(file: Path, folder: Path) -> Path:
         SceneError: It needs something that is missing, or that lies outside its folder.
     """
     file = file.resolve()
-    for part in parts_of(file):
-        if not part.is_relative_to(file.parent):
+    for dependency in dependencies_of(file):
+        if not dependency.is_relative_to(file.parent):
             raise SceneError(
-                f"it needs {os.path.relpath(part, file.parent)}",
+                f"it needs {os.path.relpath(dependency, file.parent)}",
                 file=file,
                 allowed="files in its own folder or below it, which can be copied with it",
                 fix="move them there, or make it one file: usdcat --flatten",
             )
-        target = folder / part.relative_to(file.parent)
+        target = folder / dependency.relative_to(file.parent)
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(part, target)
+        shutil.copyfile(dependency, target)
     return folder / file.name
 
 
-def write_flat(layer: Sdf.Layer, file: Path, source: Path) -> None:
+def write_flattened(layer: Sdf.Layer, file: Path, source: Path) -> None:
     """Write a flattened stage, with its textures in a folder beside it.
 
     Their names there tell by a part of their hash what they hold, so that no two files' textures are mixed up.
@@ -64,7 +64,7 @@ def write_flat(layer: Sdf.Layer, file: Path, source: Path) -> None:
         SceneError: A texture is missing.
     """
 
-    def copied(path: str) -> str:
+    def copy_asset(path: str) -> str:
         asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
         if asset is None:
             raise _missing(os.path.relpath(path, source.parent), source)
@@ -76,7 +76,7 @@ def write_flat(layer: Sdf.Layer, file: Path, source: Path) -> None:
         (file.parent / _ASSETS / name).write_bytes(content)
         return f"./{_ASSETS}/{name}"
 
-    UsdUtils.ModifyAssetPaths(layer, copied)
+    UsdUtils.ModifyAssetPaths(layer, copy_asset)
     layer.Export(str(file))
 
 

@@ -1,4 +1,4 @@
-"""Named shapes: what a word like ``box:0.1x0.06x0.05`` or ``letter:S`` stands for, as an object and as an obstacle.
+"""Named shapes: what a spec like ``box:0.1x0.06x0.05`` or ``letter:S`` stands for, as an object and as an obstacle.
 
 A shape is an entry of :data:`oimppi_warp.registries.SHAPES`; the command line, its help and its messages, and the table
 in `docs/authoring.md` are made from the entries. The shipped ones are below. Importing this module is light: what makes
@@ -19,19 +19,19 @@ from oimppi_warp.authoring.meshes.formats import MESHES
 from oimppi_warp.errors import ConfigError
 
 if TYPE_CHECKING:
-    from oimppi_warp.authoring.objects.flat_object import Pushable, Thing
+    from oimppi_warp.authoring.objects.flat_object import FlatObject, Pushable
     from oimppi_warp.authoring.task import Block, Obstacle, Pillar, Pose
 
-Given = tuple[float, ...] | tuple[str] | tuple[()]
-"""The part of a word after its colon: numbers, a text, or nothing."""
+Arguments = tuple[float, ...] | tuple[str] | tuple[()]
+"""The part of a spec after its colon: numbers, a text, or nothing."""
 
-WEIGHT = ("mass", "friction")
+COMMON_OPTIONS = ("mass", "friction")
 """Options that every shape takes."""
 
 
 @dataclass(frozen=True)
-class Number:
-    """A number in a word.
+class Parameter:
+    """A number in a spec, as the radius in ``cylinder:0.033x0.101``.
 
     Attributes:
         name: What it is: ``"radius"``.
@@ -46,42 +46,42 @@ class Number:
 class Shape:
     """A kind of object that has a name.
 
-    A word is the name alone, or the name with numbers or a text after a colon.
+    A spec is the name alone, or the name with numbers or a text after a colon.
 
     Attributes:
         about: What it is, as a row in a table says it.
-        make: Makes the object: ``make(*given, mass=..., friction=..., ...)``, with the numbers or the text of the word.
-            Of :data:`WEIGHT` and ``options``, those that were given are passed by name. It raises ConfigError or
-            SceneError where it cannot be made.
+        make: Makes the object: ``make(*given, mass=..., friction=..., ...)``, with the numbers or the text of the spec.
+            Of :data:`COMMON_OPTIONS` and ``options``, those that were given are passed by name. It raises ConfigError
+            or SceneError where it cannot be made.
         example: What may stand after the colon; empty: the name stands alone.
-        numbers: What the numbers are; empty: a text stands there, or nothing.
-        files: Endings of files, where the text is one. Such a file's path alone is a word too.
+        parameters: What the numbers are; empty: a text stands there, or nothing.
+        files: Endings of files, where the text is one. Such a file's path alone is a spec too.
         options: Which options it takes beside mass and friction: those of the command line, by their names
             (``"height"``, ``"size"``, ``"font"``, ``"scale"``, ``"lay"``).
-        called: What it is called where an option is refused for want of it: ``"letters"``.
-        stand: Makes it an obstacle with a prim of its own: ``stand(name, pose, *given)``; ``None``: the object stands
-            fast.
+        noun: What it is called where an option is refused for want of it: ``"letters"``.
+        make_obstacle: Makes it an obstacle with a prim of its own: ``make_obstacle(name, pose, *given)``; ``None``: the
+            object stands fast.
     """
 
     about: str
     make: Callable[..., Pushable]
     example: str = ""
-    numbers: tuple[Number, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
     files: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
-    called: str = ""
-    stand: Callable[..., Obstacle] | None = None
+    noun: str = ""
+    make_obstacle: Callable[..., Obstacle] | None = None
 
-    def word(self, name: str) -> str:
-        """A word for it, with what its numbers are: ``cylinder:0.033x0.101 (radius x height)``."""
-        numbers = f" ({' x '.join(number.name for number in self.numbers)})" if self.numbers else ""
-        return (f"{name}:{self.example}" if self.example else name) + numbers
+    def usage(self, name: str) -> str:
+        """A spec of it, with what its numbers are: ``cylinder:0.033x0.101 (radius x height)``."""
+        parameters = f" ({' x '.join(parameter.name for parameter in self.parameters)})" if self.parameters else ""
+        return (f"{name}:{self.example}" if self.example else name) + parameters
 
-    def read(self, word: str, name: str, text: str) -> Given:
+    def parse(self, spec: str, name: str, text: str) -> Arguments:
         """What stands after the colon.
 
         Args:
-            word: The whole word, for messages.
+            spec: All of it, for messages.
             name: The shape's name.
             text: What stands there.
 
@@ -90,25 +90,27 @@ class Shape:
         """
         if not self.example:
             return ()
-        if not self.numbers:
+        if not self.parameters:
             return (text,)
         try:
             found = tuple(float(part) for part in re.split(r"[x,]", text))
         except ValueError:
             found = ()
-        count = len(self.numbers)
+        count = len(self.parameters)
         if len(found) != count or not all(math.isfinite(value) and value > 0.0 for value in found):
-            lengths = all(number.unit == "m" for number in self.numbers)
-            units = "".join(f", {number.name} in {number.unit}" for number in self.numbers if number.unit)
+            lengths = all(parameter.unit == "m" for parameter in self.parameters)
+            units = "".join(
+                f", {parameter.name} in {parameter.unit}" for parameter in self.parameters if parameter.unit
+            )
             raise ConfigError(
-                f"{word}: {count} {'lengths' if lengths else 'numbers'} above zero are needed\n"
-                f"  allowed: {self.word(name)}{', in metres' if lengths else units}"
+                f"{spec}: {count} {'lengths' if lengths else 'numbers'} above zero are needed\n"
+                f"  allowed: {self.usage(name)}{', in metres' if lengths else units}"
             )
         return found
 
     def prim(self, name: str, text: str) -> str:
         """Name of an obstacle's prim, which says what it is: Box, LetterO, SoupCan, Bracket."""
-        said = name if self.numbers else Path(text).stem if self.files else f"{name} {text}"
+        said = name if self.parameters else Path(text).stem if self.files else f"{name} {text}"
         return prim_name(said)
 
 
@@ -118,7 +120,7 @@ def prim_name(text: str) -> str:
     return name if name[:1].isalpha() else f"Obstacle{name}"
 
 
-def later(target: str) -> Callable[..., Any]:
+def deferred(target: str) -> Callable[..., Any]:
     """A function that is imported when it is first called: ``"module:function"``."""
 
     def call(*given: Any, **options: Any) -> Any:
@@ -146,26 +148,26 @@ def _pillar(name: str, pose: Pose, radius: float, height: float) -> Pillar:
 
 
 def _mesh(file: str, *, lay: str = "stable", **options: Any) -> Pushable:
-    return later(f"{_AUTHORING}.meshes.solid:import_mesh")(file, lying=lay, **options)
+    return deferred(f"{_AUTHORING}.meshes.solid:import_mesh")(file, lay=lay, **options)
 
 
-def _catalogued(name: str) -> Callable[..., Thing]:
+def _from_catalog(name: str) -> Callable[..., FlatObject]:
     """Makes an object of the shipped scenes, with the mass and the friction asked for."""
 
-    def make(*, mass: float | None = None, friction: float | None = None) -> Thing:
+    def make(*, mass: float | None = None, friction: float | None = None) -> FlatObject:
         from oimppi_warp.authoring.objects import catalog
         from oimppi_warp.authoring.objects.outlines import checked_friction, checked_mass
 
-        thing: Thing = getattr(catalog, name)
+        obj: FlatObject = getattr(catalog, name)
         if mass is not None:
-            thing = replace(thing, mass=checked_mass(mass, 0.0))
-        return thing if friction is None else replace(thing, friction=checked_friction(friction))
+            obj = replace(obj, mass=checked_mass(mass, 0.0))
+        return obj if friction is None else replace(obj, friction=checked_friction(friction))
 
     return make
 
 
 def _shipped(name: str) -> Shape:
-    return Shape(about="an object of the shipped scenes", make=_catalogued(name))
+    return Shape(about="an object of the shipped scenes", make=_from_catalog(name))
 
 
 T_BLOCK, LAB_T, SOUP_CAN = _shipped("T_BLOCK"), _shipped("LAB_T"), _shipped("SOUP_CAN")
@@ -173,37 +175,37 @@ LETTER_I, LETTER_R, LETTER_O, LETTER_S = (_shipped(f"LETTER_{letter}") for lette
 
 LETTER = Shape(
     about="a capital letter, of an alphabet of our own or, with `--font`, of an installed font",
-    make=later(f"{_AUTHORING}.letters.letters:letter"),
+    make=deferred(f"{_AUTHORING}.letters.letters:letter"),
     example="S",
     options=("height", "size", "font"),
-    called="letters",
+    noun="letters",
 )
 TEXT = Shape(
     about="a word as one body: letters that stand on a bar",
-    make=later(f"{_AUTHORING}.letters.letters:word"),
+    make=deferred(f"{_AUTHORING}.letters.letters:word"),
     example="WARP",
     options=("height", "size", "font"),
-    called="words",
+    noun="words",
 )
 BOX = Shape(
     about="a box",
-    make=later(f"{_AUTHORING}.objects.outlines:box"),
+    make=deferred(f"{_AUTHORING}.objects.outlines:box"),
     example="0.1x0.06x0.05",
-    numbers=(Number("length"), Number("width"), Number("height")),
-    stand=_block,
+    parameters=(Parameter("length"), Parameter("width"), Parameter("height")),
+    make_obstacle=_block,
 )
 CYLINDER = Shape(
     about="an upright cylinder",
-    make=later(f"{_AUTHORING}.objects.outlines:cylinder"),
+    make=deferred(f"{_AUTHORING}.objects.outlines:cylinder"),
     example="0.033x0.101",
-    numbers=(Number("radius"), Number("height")),
-    stand=_pillar,
+    parameters=(Parameter("radius"), Parameter("height")),
+    make_obstacle=_pillar,
 )
 PRISM = Shape(
     about="an upright prism over a regular polygon, the radius that of its corners",
-    make=later(f"{_AUTHORING}.objects.outlines:regular_prism"),
+    make=deferred(f"{_AUTHORING}.objects.outlines:regular_prism"),
     example="6x0.05x0.04",
-    numbers=(Number("sides", unit=""), Number("radius"), Number("height")),
+    parameters=(Parameter("sides", unit=""), Parameter("radius"), Parameter("height")),
 )
 MESH = Shape(
     about="a part of your own, made an object on the spot ([below](#a-part-of-your-own))",
@@ -211,23 +213,23 @@ MESH = Shape(
     example="part.stl",
     files=MESHES,
     options=("scale", "lay"),
-    called="a mesh",
+    noun="a mesh",
 )
 
 
 # In words ----------------------------------------------------------------------------------------------------------
 
 
-def words() -> Iterator[str]:
-    """A word for each shape, with what its numbers are."""
+def usages() -> Iterator[str]:
+    """A spec for each shape, with what its numbers are."""
     from oimppi_warp.registries import SHAPES
 
-    return (shape.word(name) for name, shape in SHAPES.loadable())
+    return (shape.usage(name) for name, shape in SHAPES.loadable())
 
 
 def objects() -> str:
     """Lists the shapes that an object can be, for help and messages."""
-    return f"{', '.join(words())}, or a USD file of an object"
+    return f"{', '.join(usages())}, or a USD file of an object"
 
 
 def obstacles() -> str:
@@ -235,7 +237,7 @@ def obstacles() -> str:
     return f"OBJECT@X,Y[,YAW], as box:0.1x0.1x0.1@0.5,0.05, with one of these: {objects()}"
 
 
-def takers(option: str, by: Callable[[str, Shape], str] = lambda name, shape: shape.called or name) -> list[str]:
+def shapes_taking(option: str, by: Callable[[str, Shape], str] = lambda name, shape: shape.noun or name) -> list[str]:
     """Which shapes take an option, by what they are called."""
     from oimppi_warp.registries import SHAPES
 
@@ -243,11 +245,13 @@ def takers(option: str, by: Callable[[str, Shape], str] = lambda name, shape: sh
 
 
 def table() -> str:
-    """The shapes as rows of a Markdown table: words, and what they are."""
+    """The shapes as rows of a Markdown table: specs, and what they are."""
     from oimppi_warp.registries import SHAPES
 
     rows: dict[str, list[str]] = {}
     for name, shape in SHAPES.loadable():
-        numbers = f" ({', '.join(number.name for number in shape.numbers)})" if shape.numbers else ""
-        rows.setdefault(shape.about + numbers, []).append(f"`{name}:{shape.example}`" if shape.example else f"`{name}`")
+        parameters = f" ({', '.join(parameter.name for parameter in shape.parameters)})" if shape.parameters else ""
+        rows.setdefault(shape.about + parameters, []).append(
+            f"`{name}:{shape.example}`" if shape.example else f"`{name}`"
+        )
     return "".join(f"| {', '.join(found)} | {about} |\n" for about, found in rows.items())

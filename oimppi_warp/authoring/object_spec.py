@@ -1,4 +1,4 @@
-"""Objects and obstacles from words, as the command line takes them: ``letter:S``, ``box:0.1x0.06x0.05@0.5,0.1``."""
+"""Objects and obstacles from specs, as the command line takes them: ``letter:S``, ``box:0.1x0.06x0.05@0.5,0.1``."""
 
 from __future__ import annotations
 
@@ -11,18 +11,26 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from oimppi_warp.authoring.meshes.pose import Lay
-from oimppi_warp.authoring.named_shapes import WEIGHT, Given, Shape, objects, obstacles, prim_name, takers
+from oimppi_warp.authoring.named_shapes import (
+    COMMON_OPTIONS,
+    Arguments,
+    Shape,
+    objects,
+    obstacles,
+    prim_name,
+    shapes_taking,
+)
 from oimppi_warp.authoring.objects.flat_object import Pushable
 from oimppi_warp.authoring.objects.stored import ENDINGS, is_object_file, read_object
-from oimppi_warp.authoring.task import Obstacle, Pose, Standing
+from oimppi_warp.authoring.task import Obstacle, Pose, StaticObject
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import SHAPES
 from oimppi_warp.runtime.request import parse_pose
 
 
 @dataclass(frozen=True)
-class Manner:
-    """How an object is made, as far as its word does not say.
+class ShapeOptions:
+    """How an object is made, as far as its spec does not say.
 
     Attributes:
         mass: [kg]; ``None``: a shipped object's own, else what wood of its volume weighs.
@@ -47,54 +55,54 @@ class Manner:
         return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) != each.default}
 
 
-class _Named(NamedTuple):
-    """A word taken apart: the shape, its name, and the text after the colon."""
+class _NamedShape(NamedTuple):
+    """A spec taken apart: the shape, its name, and the text after the colon."""
 
     name: str
     shape: Shape
     text: str
 
 
-def parse_object(word: str, manner: Manner = Manner(), *, folder: Path = Path()) -> Pushable:
-    """An object from a word.
+def parse_object(spec: str, options: ShapeOptions = ShapeOptions(), *, folder: Path = Path()) -> Pushable:
+    """An object from its spec.
 
     Args:
-        word: A shape's (:data:`oimppi_warp.registries.SHAPES`), the name of an object in the folder, or a file.
-        manner: How it is made, beyond the word.
+        spec: A shape's (:data:`oimppi_warp.registries.SHAPES`), the name of an object in the folder, or a file.
+        options: How it is made, beyond the spec.
         folder: Where the scene goes: the objects in ``objects/`` there are known by their names.
 
     Raises:
         ConfigError: There is no such object, or it cannot be made so.
         SceneError: A mesh or a USD file cannot be an object.
     """
-    named = _named(word)
+    named = _find_shape(spec)
     if named is not None and named.shape.example:
-        return _make(named.shape, named.shape.read(word, named.name, named.text), manner)
-    name, file = word.replace("-", "_"), Path(word).expanduser()
-    places = (folder / "objects" / f"{name}{ending}" for ending in ENDINGS)
-    own = next((read_object(place, mass=manner.mass) for place in places if place.is_file()), None)
+        return _make(named.shape, named.shape.parse(spec, named.name, named.text), options)
+    name, file = spec.replace("-", "_"), Path(spec).expanduser()
+    candidates = (folder / "objects" / f"{name}{ending}" for ending in ENDINGS)
+    own = next((read_object(place, mass=options.mass) for place in candidates if place.is_file()), None)
     # What tasks left there of a shape that is known by its name alone is still that.
-    if named is not None and (own is None or own.doc == _make(named.shape, (), Manner()).doc):
-        return _make(named.shape, (), manner)
-    if own is None and (meshed := _of_file(word)) is not None:
-        return _make(meshed.shape, (word,), manner)
-    stored = own or (read_object(file, mass=manner.mass) if is_object_file(file) else None)
+    if named is not None and (own is None or own.doc == _make(named.shape, (), ShapeOptions()).doc):
+        return _make(named.shape, (), options)
+    if own is None and (meshed := _shape_of_file(spec)) is not None:
+        return _make(meshed.shape, (spec,), options)
+    stored = own or (read_object(file, mass=options.mass) if is_object_file(file) else None)
     if stored is None:
-        raise ConfigError(f"{word}: there is no such object\n  allowed: {objects()}{_guess(word)}")
-    if manner.friction is not None or manner.mass != stored.mass:
+        raise ConfigError(f"{spec}: there is no such object\n  allowed: {objects()}{_suggestion(spec)}")
+    if options.friction is not None or options.mass != stored.mass:
         raise ConfigError(
-            f"--object {word}: its mass and friction stand in its file\n"
+            f"--object {spec}: its mass and friction stand in its file\n"
             f"  allowed: physics:mass and physics:dynamicFriction in {stored.file}"
         )
     return stored
 
 
-def parse_obstacle(word: str, manner: Manner = Manner(), *, name: str, folder: Path = Path()) -> Obstacle:
-    """An obstacle from a word: a shape that has a prim of its own, or an object that stands fast.
+def parse_obstacle(spec: str, options: ShapeOptions = ShapeOptions(), *, name: str, folder: Path = Path()) -> Obstacle:
+    """An obstacle from its spec: a shape that has a prim of its own, or an object that stands fast.
 
     Args:
-        word: An object's, as :func:`parse_object` takes it, with ``@X,Y`` or ``@X,Y,YAW`` behind it.
-        manner: How an object that stands fast is made; mass and friction are the pushed object's alone.
+        spec: An object's, as :func:`parse_object` takes it, with ``@X,Y`` or ``@X,Y,YAW`` behind it.
+        options: How an object that stands fast is made; mass and friction are the pushed object's alone.
         name: Of its prim.
         folder: Where the scene goes.
 
@@ -102,43 +110,45 @@ def parse_obstacle(word: str, manner: Manner = Manner(), *, name: str, folder: P
         ConfigError: It is none.
         SceneError: A mesh or a USD file cannot be an object.
     """
-    what, at, place = word.rpartition("@")
+    what, at, pose_text = spec.rpartition("@")
     if not at:
-        raise ConfigError(f"--obstacle {word}: no place\n  allowed: {obstacles()}")
-    numbers = place.split(",")
+        raise ConfigError(f"--obstacle {spec}: no place\n  allowed: {obstacles()}")
+    numbers = pose_text.split(",")
     if len(numbers) == 2:
         numbers.append("0")
     pose = checked_pose(f"--obstacle {what}@", ",".join(numbers))
-    named = _named(what)
-    if named is not None and named.shape.stand is not None:
-        return named.shape.stand(name, pose, *named.shape.read(word, named.name, named.text))
-    fast = replace(manner, mass=None, friction=None)
-    return Standing(name, parse_object(what, fast, folder=folder), pose)
+    named = _find_shape(what)
+    if named is not None and named.shape.make_obstacle is not None:
+        return named.shape.make_obstacle(name, pose, *named.shape.parse(spec, named.name, named.text))
+    static_options = replace(options, mass=None, friction=None)
+    return StaticObject(name, parse_object(what, static_options, folder=folder), pose)
 
 
-def parse_obstacles(words: Iterable[str], manner: Manner = Manner(), *, folder: Path = Path()) -> tuple[Obstacle, ...]:
-    """Obstacles from words, with names that say what they are."""
+def parse_obstacles(
+    specs: Iterable[str], options: ShapeOptions = ShapeOptions(), *, folder: Path = Path()
+) -> tuple[Obstacle, ...]:
+    """Obstacles from specs, with names that say what they are."""
     found: list[Obstacle] = []
     taken: set[str] = set()
-    for word in words:
-        plain = _prim_name(word.rpartition("@")[0])
+    for spec in specs:
+        plain = _prim_name(spec.rpartition("@")[0])
         name = next(n for n in chain([plain], (f"{plain}{i}" for i in count(2))) if n not in taken)
         taken.add(name)
-        found.append(parse_obstacle(word, manner, name=name, folder=folder))
+        found.append(parse_obstacle(spec, options, name=name, folder=folder))
     return tuple(found)
 
 
-def check_used(manner: Manner, words: Iterable[str]) -> None:
+def check_used(options: ShapeOptions, specs: Iterable[str]) -> None:
     """Refuse what none of the objects takes.
 
     Raises:
         ConfigError: A font, a size or a thickness without letters, say, or a unit without a mesh.
     """
-    named = [_named(what) or _of_file(what) for what in (word.rpartition("@")[0] or word for word in words)]
+    named = [_find_shape(what) or _shape_of_file(what) for what in (spec.rpartition("@")[0] or spec for spec in specs)]
     taken = {option for each in named if each is not None for option in each.shape.options}
-    for option, value in manner.given().items():
-        if option not in taken and option not in WEIGHT:
-            what = " and ".join(takers(option))
+    for option, value in options.given().items():
+        if option not in taken and option not in COMMON_OPTIONS:
+            what = " and ".join(shapes_taking(option))
             raise ConfigError(f"--{option} {value}: there is nothing that it is for\n  allowed: with {what} only")
 
 
@@ -157,20 +167,20 @@ def checked_pose(option: str, text: str) -> Pose:
     return x, y, yaw
 
 
-def _named(word: str) -> _Named | None:
-    """The shape that a word names; with a colon one that has something behind it, without one a name alone."""
-    kind, colon, text = word.partition(":")
+def _find_shape(spec: str) -> _NamedShape | None:
+    """The shape that a spec names; with a colon one that has something behind it, without one a name alone."""
+    kind, colon, text = spec.partition(":")
     wanted = _plain(kind)
     for name, shape in SHAPES.loadable():
         if _plain(name) == wanted and bool(colon) == bool(shape.example):
-            return _Named(name, shape, text)
+            return _NamedShape(name, shape, text)
     return None
 
 
-def _of_file(word: str) -> _Named | None:
+def _shape_of_file(spec: str) -> _NamedShape | None:
     """The shape that is made from a file with this ending."""
-    ending = Path(word).suffix.lower()
-    found = (_Named(name, shape, word) for name, shape in SHAPES.loadable() if ending in shape.files)
+    ending = Path(spec).suffix.lower()
+    found = (_NamedShape(name, shape, spec) for name, shape in SHAPES.loadable() if ending in shape.files)
     return next(found, None) if ending else None
 
 
@@ -179,22 +189,22 @@ def _plain(name: str) -> str:
     return name.strip().lower().replace("_", "-")
 
 
-def _make(shape: Shape, given: Given, manner: Manner) -> Pushable:
+def _make(shape: Shape, given: Arguments, options: ShapeOptions) -> Pushable:
     """A shape's object, with those of the options that it takes."""
-    options = {name: value for name, value in manner.given().items() if name in (*WEIGHT, *shape.options)}
-    return shape.make(*given, **options)
+    taken = {name: value for name, value in options.given().items() if name in (*COMMON_OPTIONS, *shape.options)}
+    return shape.make(*given, **taken)
 
 
 def _prim_name(what: str) -> str:
     """A prim's name that says what stands there."""
-    named = _named(what)
+    named = _find_shape(what)
     if named is not None and named.shape.example:
         return named.shape.prim(named.name, named.text)
     return prim_name(Path(what.partition(":")[2] or what).stem)
 
 
-def _guess(word: str) -> str:
-    """Returns the nearest known words as a line of a message; empty if none is near."""
+def _suggestion(spec: str) -> str:
+    """Returns the nearest known specs as a line of a message; empty if none is near."""
     examples = {_plain(name): f"{name}:{shape.example}" if shape.example else name for name, shape in SHAPES.loadable()}
-    near = difflib.get_close_matches(_plain(word.partition(":")[0]), examples, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(_plain(spec.partition(":")[0]), examples, n=1, cutoff=0.5)
     return f"\n  did you mean {examples[near[0]]}?" if near else ""

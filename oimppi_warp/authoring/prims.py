@@ -51,7 +51,7 @@ def quat(q: Vector) -> Gf.Quatf:
     return Gf.Quatf(w, x, y, z)
 
 
-def place(prim: Usd.Prim, position: Vector, orientation: Vector | None = None) -> None:
+def set_pose(prim: Usd.Prim, position: Vector, orientation: Vector | None = None) -> None:
     """Put a prim at a position [m] and, if given, an orientation (quaternion xyzw) in its parent's frame."""
     UsdGeom.Xformable(prim).ClearXformOpOrder()
     _add_operation(prim, UsdGeom.XformOp.TypeTranslate, Gf.Vec3d(*rounded(position)))
@@ -59,9 +59,9 @@ def place(prim: Usd.Prim, position: Vector, orientation: Vector | None = None) -
         _add_operation(prim, UsdGeom.XformOp.TypeOrient, quat(orientation))
 
 
-def place_planar(prim: Usd.Prim, pose: Vector, height: float) -> None:
+def set_planar_pose(prim: Usd.Prim, pose: Vector, height: float) -> None:
     """Put a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m]."""
-    place(prim, (pose[0], pose[1], height))
+    set_pose(prim, (pose[0], pose[1], height))
     _add_operation(prim, UsdGeom.XformOp.TypeRotateZ, round(math.degrees(pose[2]), 9))
 
 
@@ -119,7 +119,7 @@ def box(
     """A box with its full side lengths [m], turned by a quaternion xyzw."""
     cube = UsdGeom.Cube.Define(stage, path)
     cube.CreateSizeAttr(1.0)
-    place(cube.GetPrim(), center, turn)
+    set_pose(cube.GetPrim(), center, turn)
     cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*rounded(extents)))
     return _finish(cube, look.color, look.collide, look.opacity)
 
@@ -128,7 +128,7 @@ def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Loo
     """A ball."""
     gprim = UsdGeom.Sphere.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
-    place(gprim.GetPrim(), center)
+    set_pose(gprim.GetPrim(), center)
     return _finish(gprim, look.color, look.collide, look.opacity)
 
 
@@ -140,7 +140,7 @@ def cylinder(
     gprim.CreateRadiusAttr(radius)
     gprim.CreateHeightAttr(height)
     gprim.CreateAxisAttr(UsdGeom.Tokens.z)
-    place(gprim.GetPrim(), center, turn)
+    set_pose(gprim.GetPrim(), center, turn)
     return _finish(gprim, look.color, look.collide, look.opacity)
 
 
@@ -151,7 +151,7 @@ def capsule(stage: Usd.Stage, path: str, a: Vector, b: Vector, radius: float, lo
     gprim.CreateRadiusAttr(radius)
     gprim.CreateHeightAttr(round(float(np.linalg.norm(b - a)), 9))
     gprim.CreateAxisAttr(UsdGeom.Tokens.z)
-    place(gprim.GetPrim(), (a + b) / 2, z_to(b - a))
+    set_pose(gprim.GetPrim(), (a + b) / 2, z_to(b - a))
     return _finish(gprim, look.color, look.collide, look.opacity)
 
 

@@ -14,20 +14,20 @@ from pathlib import Path
 from pxr import Sdf, Tf, Usd
 
 from oimppi_warp.authoring.arm_start import clear_start
-from oimppi_warp.authoring.attribute_docs import explain
+from oimppi_warp.authoring.attribute_docs import write_attribute_docs
 from oimppi_warp.authoring.bundle import copy_bundle
 from oimppi_warp.authoring.objects.flat_object import Pushable
-from oimppi_warp.authoring.objects.stored import ENDINGS, Stored, is_object_file, read_body
-from oimppi_warp.authoring.task import Standing, Task, write
+from oimppi_warp.authoring.objects.stored import ENDINGS, StoredObject, is_object_file, read_body
+from oimppi_warp.authoring.task import StaticObject, Task, write
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.feasibility import check_task
-from oimppi_warp.record.log import write_whole
+from oimppi_warp.record.log import write_atomically
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.conversion.property_types import usd_reason
 from oimppi_warp.usd.stage import SCENES
 
-_IN_WORDS = {
+_DRAFT_FIXES = {
     "change oimppi:goal, or give another goal": "give another goal (--goal)",
     "move the object in the file, or give another start": "give another start (--start)",
 }
@@ -35,7 +35,7 @@ _IN_WORDS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Written:
+class WrittenTask:
     """What was written.
 
     Attributes:
@@ -49,7 +49,7 @@ class Written:
     files: tuple[Path, ...]
 
 
-def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> Written:
+def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> WrittenTask:
     """Write a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
 
     The files are made elsewhere, read and checked, and moved only then. A robot or an object that is in the folder
@@ -68,26 +68,26 @@ def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> 
     target = folder / f"{task.name}.usda"
     _check_target(task.name, target, force)
     own = _own_objects(target, task.name) if target.exists() else frozenset()
-    with tempfile.TemporaryDirectory(prefix="oimppi-") as place:
-        draft = Path(place)
+    with tempfile.TemporaryDirectory(prefix="oimppi-") as temporary:
+        draft = Path(temporary)
         try:
             _draft(task, draft, folder, own)
             scene = load_scene(draft / target.name)
             check_task(scene)
         except SceneError as error:
-            raise _moved(error, draft, folder) from None
+            raise _relocated(error, draft, folder) from None
         except Tf.ErrorException as error:
             what, fix = f"OpenUSD cannot write it ({usd_reason(error)})", "correct the object's or the robot's file"
             raise SceneError(what, file=target, allowed="sound USD", fix=fix) from None
         files = _install(draft, folder, Path(target.name), own)
-    return Written(target, replace(scene, file=target.resolve()), files)
+    return WrittenTask(target, replace(scene, file=target.resolve()), files)
 
 
-def write_object(thing: Pushable, folder: str | Path = ".", *, force: bool = False, picture: bool = False) -> Path:
+def write_object(obj: Pushable, folder: str | Path = ".", *, force: bool = False, picture: bool = False) -> Path:
     """Write an object to ``objects/`` in a folder, with what its attributes mean.
 
     Args:
-        thing: The object.
+        obj: The object.
         folder: Where to; it is made if need be.
         force: Whether an object of this name that is there may be overwritten.
         picture: Whether to draw it beside it, with the same name.
@@ -96,20 +96,20 @@ def write_object(thing: Pushable, folder: str | Path = ".", *, force: bool = Fal
         SceneError: One of this name is there already, or it cannot be an object; nothing was written.
     """
     folder = Path(folder).expanduser()
-    files = [Path("objects") / f"{thing.name}{ending}" for ending in (".usda", *([".png"] if picture else []))]
+    files = [Path("objects") / f"{obj.name}{ending}" for ending in (".usda", *([".png"] if picture else []))]
     for file in files:
-        _check_target(thing.name, folder / file, force)
-    with tempfile.TemporaryDirectory(prefix="oimppi-") as place:
-        draft = Path(place)
+        _check_target(obj.name, folder / file, force)
+    with tempfile.TemporaryDirectory(prefix="oimppi-") as temporary:
+        draft = Path(temporary)
         try:
-            _write_object(thing, draft / files[0])
+            _write_object(obj, draft / files[0])
             body = read_body(draft / files[0])
         except SceneError as error:
-            raise _moved(error, draft, folder) from None
+            raise _relocated(error, draft, folder) from None
         if picture:
-            from oimppi_warp.authoring.objects.preview import draw_portrait
+            from oimppi_warp.authoring.objects.preview import draw_preview
 
-            draw_portrait(thing, body, draft / files[1])
+            draw_preview(obj, body, draft / files[1])
         _install(draft, folder, files[0], frozenset(files))
     return folder / files[0]
 
@@ -161,45 +161,45 @@ def _objects_in(scene: Path) -> set[Path]:
 def _draft(task: Task, draft: Path, folder: Path, own: frozenset[Path]) -> None:
     """Make the files in a folder that is empty."""
     robot = copy_bundle(find_robot(task.robot, folder), draft / "robots")
-    thing = _place_object(task.thing, task.name, draft, folder, own)
-    standing = [
-        replace(o, thing=_place_object(o.thing, task.name, draft, folder, own)) if isinstance(o, Standing) else o
+    obj = _add_object(task.object, task.name, draft, folder, own)
+    obstacles = [
+        replace(o, object=_add_object(o.object, task.name, draft, folder, own)) if isinstance(o, StaticObject) else o
         for o in task.obstacles
     ]
-    task = replace(task, robot=robot.name, thing=thing, obstacles=tuple(standing))
+    task = replace(task, robot=robot.name, object=obj, obstacles=tuple(obstacles))
     note = f"Look at it: oimppi view {task.name}.usda. Run it: oimppi run {task.name}.usda. Metres, kilograms, z up"
-    file = write(task, draft, note=note, settle=None if task.robot_start else clear_start)
+    file = write(task, draft, note=note, find_arm_start=None if task.robot_start else clear_start)
     stage = Usd.Stage.Open(str(file))
-    explain(stage)
+    write_attribute_docs(stage)
     stage.Save()
 
 
-def _place_object(thing: Pushable, task: str, draft: Path, folder: Path, own: frozenset[Path]) -> Pushable:
+def _add_object(obj: Pushable, task: str, draft: Path, folder: Path, own: frozenset[Path]) -> Pushable:
     """Write an object into the draft, under a name that no other object has there or in the folder."""
     objects = Path("objects")
-    if isinstance(thing, Stored) and thing.file == (folder / objects / f"{thing.name}.usda").resolve() and thing.ready:
-        copy_bundle(thing.file, draft / objects)
-        return thing
+    if isinstance(obj, StoredObject) and obj.file == (folder / objects / f"{obj.name}.usda").resolve() and obj.is_ready:
+        copy_bundle(obj.file, draft / objects)
+        return obj
     made = draft / "new" / "object.usda"
-    _write_object(thing, made)
-    for name in (thing.name, *(f"{thing.name}_{task}{end}" for end in ("", *(f"_{i}" for i in range(2, 100))))):
+    _write_object(obj, made)
+    for name in (obj.name, *(f"{obj.name}_{task}{end}" for end in ("", *(f"_{i}" for i in range(2, 100))))):
         file = objects / f"{name}.usda"
         others = [draft / file] if file in own else [draft / file, folder / file]
         if all(filecmp.cmp(made, other, shallow=False) for other in others if other.exists()):
             shutil.copytree(made.parent, draft / objects, dirs_exist_ok=True)
             (draft / objects / made.name).replace(draft / file)
             shutil.rmtree(made.parent)
-            return replace(thing, name=name)  # pyright: ignore[reportArgumentType]  # every object is a dataclass
-    raise SceneError(f"a hundred objects are called {thing.name}", file=folder, fix="take another folder with --out")
+            return replace(obj, name=name)  # pyright: ignore[reportArgumentType]  # every object is a dataclass
+    raise SceneError(f"a hundred objects are called {obj.name}", file=folder, fix="take another folder with --out")
 
 
-def _write_object(thing: Pushable, file: Path) -> None:
+def _write_object(obj: Pushable, file: Path) -> None:
     """Write an object's file with what its attributes mean."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    thing.write(file)
-    if not isinstance(thing, Stored):
+    obj.write(file)
+    if not isinstance(obj, StoredObject):
         stage = Usd.Stage.Open(str(file))
-        explain(stage)
+        write_attribute_docs(stage)
         stage.Save()
 
 
@@ -218,7 +218,7 @@ def _install(draft: Path, folder: Path, main: Path, own: frozenset[Path]) -> tup
     for path in sorted(found, key=lambda path: path == main):
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(target, (draft / path).read_bytes())
+        write_atomically(target, (draft / path).read_bytes())
         changed.insert(0, target)
     return tuple(changed)
 
@@ -227,8 +227,8 @@ def _same(made: Path, there: Path) -> bool:
     return there.exists() and filecmp.cmp(made, there, shallow=False)
 
 
-def _moved(error: SceneError, draft: Path, folder: Path) -> SceneError:
+def _relocated(error: SceneError, draft: Path, folder: Path) -> SceneError:
     """An error about a draft as one about the file that it would have become."""
     file = error.file.replace(str(draft.resolve()), str(folder)).replace(str(draft), str(folder))
-    fix = _IN_WORDS.get(error.fix, error.fix)
+    fix = _DRAFT_FIXES.get(error.fix, error.fix)
     return SceneError(error.what, file=file, prim=error.prim, allowed=error.allowed, fix=fix)

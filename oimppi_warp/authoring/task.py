@@ -22,12 +22,12 @@ from oimppi_warp.authoring.prims import (
     cylinder,
     new_stage,
     physics_material,
-    place_planar,
     rounded,
+    set_planar_pose,
 )
 from oimppi_warp.authoring.robots.posed import pose_robot
 from oimppi_warp.errors import SceneError
-from oimppi_warp.geometry.feasibility import check_task, draw_start
+from oimppi_warp.geometry.feasibility import check_task, sample_start
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.colliders import collider_prims
@@ -65,15 +65,15 @@ class Pillar:
 
 
 @dataclass(frozen=True)
-class Standing:
-    """A thing that stands fast as an obstacle."""
+class StaticObject:
+    """An object that stands fast as an obstacle."""
 
     name: str
-    thing: Pushable
+    object: Pushable
     pose: Pose
 
 
-Obstacle = Block | Pillar | Standing
+Obstacle = Block | Pillar | StaticObject
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Task:
     Attributes:
         name: Name of its file.
         title: One line about it.
-        thing: What is pushed.
+        object: What is pushed.
         start, goal: From where to where.
         obstacles: What stands in its way.
         tolerance, tight: Success, and a stricter measure beside it: position [m] and yaw [rad].
@@ -93,7 +93,7 @@ class Task:
 
     name: str
     title: str
-    thing: Pushable
+    object: Pushable
     start: Pose
     goal: Pose
     obstacles: tuple[Obstacle, ...] = ()
@@ -104,7 +104,7 @@ class Task:
 
 
 def write(
-    task: Task, folder: Path, *, note: str = "", settle: Callable[[Scene], Sequence[float] | None] | None = None
+    task: Task, folder: Path, *, note: str = "", find_arm_start: Callable[[Scene], Sequence[float] | None] | None = None
 ) -> Path:
     """Write a task's scene to ``folder``, where ``robots`` and ``objects`` already are.
 
@@ -112,7 +112,8 @@ def write(
         task: The task.
         folder: Where to.
         note: What the file's documentation says beyond the title.
-        settle: Gives the arm's joint positions at the start [rad], or ``None`` for the robot's own, once all stands.
+        find_arm_start: Gives the arm's joint positions at the start [rad], or ``None`` for the robot's own, once all
+            stands.
 
     Raises:
         SceneError: The task cannot be done (:func:`oimppi_warp.geometry.feasibility.check_task`).
@@ -140,23 +141,23 @@ def write(
     if task.robot_start:
         pose_robot(stage, "/World/Robot", task.robot_start)
 
-    _write_table(stage, min(TABLE_FRICTION, task.thing.friction or TABLE_FRICTION))
+    _write_table(stage, min(TABLE_FRICTION, task.object.friction or TABLE_FRICTION))
     body = stage.DefinePrim("/World/Object")
-    body.GetReferences().AddReference(f"./objects/{task.thing.name}.usda")
+    body.GetReferences().AddReference(f"./objects/{task.object.name}.usda")
     UsdPhysics.RigidBodyAPI.Apply(body)
     apply_api(body, "OimppiObjectAPI")
-    place_planar(body, task.start, task.thing.rest_height)
+    set_planar_pose(body, task.start, task.object.rest_height)
 
     material = physics_material(stage, "/World/Materials/Obstacle", OBSTACLE_FRICTION)
     for obstacle in task.obstacles:
         _write_obstacle(stage, obstacle, material)
 
     ghost = UsdGeom.Xform.Define(stage, "/World/Goal").GetPrim()
-    place_planar(ghost, task.goal, task.thing.rest_height)
-    task.thing.draw(stage, "/World/Goal", Look(task.thing.color, opacity=0.25))
+    set_planar_pose(ghost, task.goal, task.object.rest_height)
+    task.object.draw(stage, "/World/Goal", Look(task.object.color, opacity=0.25))
     stage.Save()
 
-    joints = settle(load_scene(file)) if settle is not None else None
+    joints = find_arm_start(load_scene(file)) if find_arm_start is not None else None
     if joints is not None:
         pose_robot(stage, "/World/Robot", joints)
         stage.Save()
@@ -180,7 +181,7 @@ def add_starts(stage: Usd.Stage, file: Path) -> None:
         drawn: list[Pose] = []
         if share:
             with suppress(SceneError):  # no room to draw from: the next share is smaller
-                drawn = [draw_start(tried, seed) for seed in range(1001, 1010)]
+                drawn = [sample_start(tried, seed) for seed in range(1001, 1010)]
         if drawn or not share:
             break
     world = stage.GetDefaultPrim()
@@ -217,8 +218,8 @@ def _write_obstacle(stage: Usd.Stage, obstacle: Obstacle, material: UsdShade.Mat
         bind_physics(prim, material)
     else:
         prim = stage.DefinePrim(path)
-        prim.GetReferences().AddReference(f"./objects/{obstacle.thing.name}.usda")
-        place_planar(prim, obstacle.pose, obstacle.thing.rest_height)
+        prim.GetReferences().AddReference(f"./objects/{obstacle.object.name}.usda")
+        set_planar_pose(prim, obstacle.pose, obstacle.object.rest_height)
     apply_api(prim, "OimppiObstacleAPI")
 
 

@@ -1,6 +1,7 @@
 """Why a trial failed, as far as its log tells: a few rules, the first that fits counts.
 
-They look at the last :data:`LAST` seconds of the episode. A cause is a guess with its evidence beside it, not a proof.
+They look at the last :data:`END_SECONDS` seconds of the episode. A cause is a guess with its evidence beside it, not a
+proof.
 """
 
 from __future__ import annotations
@@ -13,15 +14,15 @@ import numpy as np
 from oimppi_warp.record.log import EpisodeLog
 from oimppi_warp.record.metrics import within
 
-LAST = 5.0
+END_SECONDS = 5.0
 """How much of an episode's end is looked at [s]."""
-MOVED = 0.02
+STANDSTILL = 0.02
 """Way of the object below which it counts as standing still [m]; a radian counts as 0.1 m."""
-TOUCH = 0.5
+CONTACT_FORCE = 0.5
 """Contact force from which on two things touch [N]."""
-PRESS = 20.0
+BLOCKING_FORCE = 20.0
 """Force of the arm on obstacles or table from which on it is blocked [N]."""
-CLOSE = 0.005
+NEAR_CLEARANCE = 0.005
 """Clearance below which the object is at an obstacle [m]."""
 
 
@@ -56,9 +57,9 @@ def likely_cause(log: EpisodeLog, *, reach: float = math.inf) -> Cause:
     if not len(log):
         return Cause("nothing was run", "the log has no steps")
     cause = _out_of_reach(log, reach)
-    for rule in (_not_reached, _left_again, _yaw_only, _jammed, _arm_blocked, _wrong_side, _on_its_way):
+    for rule in (_not_reached, _left_again, _yaw_only, _jammed, _arm_blocked, _wrong_side, _still_moving):
         cause = cause or rule(log)
-    return cause or Cause("stood still", f"{_to_go(log)} to go, nothing in the way")
+    return cause or Cause("stood still", f"{_remaining(log)} to go, nothing in the way")
 
 
 def _fell(log: EpisodeLog) -> Cause:
@@ -74,7 +75,7 @@ def _out_of_reach(log: EpisodeLog, reach: float) -> Cause | None:
 
 
 def _not_reached(log: EpisodeLog) -> Cause | None:
-    touched = np.nan_to_num(log["contact_tool_object"]) > TOUCH
+    touched = np.nan_to_num(log["contact_tool_object"]) > CONTACT_FORCE
     if touched.any():
         return None
     nearest = np.linalg.norm(log["tool_position"][:, :2] - log["object_pose"][:, :2], axis=1).min()
@@ -86,10 +87,10 @@ def _left_again(log: EpisodeLog) -> Cause | None:
     if not inside.any():
         return None
     if inside[-1]:
-        return Cause("time was up at the goal", f"within tolerance, but not for long enough; {_to_go(log)} to go")
+        return Cause("time was up at the goal", f"within tolerance, but not for long enough; {_remaining(log)} to go")
     last = float(log["time"][np.flatnonzero(inside)[-1]])
     return Cause(
-        "at the goal, but did not stay", f"last within tolerance at {last:.1f} s, {_to_go(log)} to go at the end"
+        "at the goal, but did not stay", f"last within tolerance at {last:.1f} s, {_remaining(log)} to go at the end"
     )
 
 
@@ -101,67 +102,70 @@ def _yaw_only(log: EpisodeLog) -> Cause | None:
 
 
 def _jammed(log: EpisodeLog) -> Cause | None:
-    last = _last(log)
-    pressed = np.nan_to_num(log["contact_object_obstacle"][last]) > TOUCH
-    close = log["clearance"][last] < CLOSE
+    last = _end_rows(log)
+    pressed = np.nan_to_num(log["contact_object_obstacle"][last]) > CONTACT_FORCE
+    close = log["clearance"][last] < NEAR_CLEARANCE
     share = float(np.mean(pressed | close))
-    if _way(log, last) > 2 * MOVED or share < 0.5:
+    if _motion_extent(log, last) > 2 * STANDSTILL or share < 0.5:
         return None
     force = float(np.nanmax(log["contact_object_obstacle"][last], initial=0.0))
     return Cause(
         "jammed against an obstacle",
-        f"at one for {100 * share:.0f} % of the last {LAST:g} s with up to {force:.0f} N, {_to_go(log)} to go",
+        f"at one for {100 * share:.0f} % of the last {END_SECONDS:g} s with up to {force:.0f} N, "
+        f"{_remaining(log)} to go",
     )
 
 
 def _arm_blocked(log: EpisodeLog) -> Cause | None:
-    last = _last(log)
-    pressed = np.nan_to_num(log["contact_robot_obstacle"][last]) > PRESS
-    if _way(log, last) > MOVED or pressed.mean() < 0.5:
+    last = _end_rows(log)
+    pressed = np.nan_to_num(log["contact_robot_obstacle"][last]) > BLOCKING_FORCE
+    if _motion_extent(log, last) > STANDSTILL or pressed.mean() < 0.5:
         return None
     force = float(np.nanmax(log["contact_robot_obstacle"][last]))
-    return Cause("the arm pressed on an obstacle or the table", f"with up to {force:.0f} N, {_to_go(log)} to go")
+    return Cause("the arm pressed on an obstacle or the table", f"with up to {force:.0f} N, {_remaining(log)} to go")
 
 
 def _wrong_side(log: EpisodeLog) -> Cause | None:
     """The tool is on the side of the object that faces the goal, from where it cannot push it there."""
-    last = _last(log)
-    if _gained(log, last) > MOVED:
+    last = _end_rows(log)
+    if _progress(log, last) > STANDSTILL:
         return None
     to_goal = np.asarray(log.header["goal"], float)[:2] - log["object_pose"][last, :2]
     to_tool = log["tool_position"][last, :2] - log["object_pose"][last, :2]
     share = float(np.mean(np.sum(to_goal * to_tool, axis=1) > 0.0))
-    if share < 0.6 or np.linalg.norm(to_goal[-1]) < MOVED:
+    if share < 0.6 or np.linalg.norm(to_goal[-1]) < STANDSTILL:
         return None
-    text = f"between object and goal for {100 * share:.0f} % of the last {LAST:g} s, {_to_go(log)} to go"
+    text = f"between object and goal for {100 * share:.0f} % of the last {END_SECONDS:g} s, {_remaining(log)} to go"
     return Cause("the tool on the wrong side", text)
 
 
-def _on_its_way(log: EpisodeLog) -> Cause | None:
-    last = _last(log)
-    if _gained(log, last) > MOVED:
+def _still_moving(log: EpisodeLog) -> Cause | None:
+    last = _end_rows(log)
+    if _progress(log, last) > STANDSTILL:
         return Cause(
-            "time was up on the way", f"{_to_go(log)} to go, {_gained(log, last):.2f} m gained in the last {LAST:g} s"
+            "time was up on the way",
+            f"{_remaining(log)} to go, {_progress(log, last):.2f} m gained in the last {END_SECONDS:g} s",
         )
-    if _way(log, last) > 2 * MOVED:
-        text = f"moved {_way(log, last):.2f} m in the last {LAST:g} s and came no nearer, {_to_go(log)} to go"
+    if _motion_extent(log, last) > 2 * STANDSTILL:
+        moved = f"moved {_motion_extent(log, last):.2f} m in the last {END_SECONDS:g} s"
+        text = f"{moved} and came no nearer, {_remaining(log)} to go"
         return Cause("pushed to and fro", text)
     return None
 
 
-def _last(log: EpisodeLog) -> slice:
+def _end_rows(log: EpisodeLog) -> slice:
     """The rows of the last seconds."""
-    return slice(int(np.searchsorted(log["time"], log["time"][-1] - LAST)), None)
+    return slice(int(np.searchsorted(log["time"], log["time"][-1] - END_SECONDS)), None)
 
 
-def _way(log: EpisodeLog, rows: slice) -> float:
+def _motion_extent(log: EpisodeLog, rows: slice) -> float:
     """Extent of the object's motion [m]; a radian counts as 0.1 m."""
     poses = log["object_pose"][rows].copy()
     poses[:, 2] = 0.1 * np.unwrap(poses[:, 2])
     return float(np.linalg.norm(np.ptp(poses, axis=0)))
 
 
-def _gained(log: EpisodeLog, rows: slice) -> float:
+def _progress(log: EpisodeLog, rows: slice) -> float:
     """By how much the object came nearer to its goal [m]; a radian counts as 0.1 m, where yaw counts."""
     error = log["position_error"][rows].copy()
     if log.header["tolerance"]["yaw"] is not None:
@@ -169,7 +173,7 @@ def _gained(log: EpisodeLog, rows: slice) -> float:
     return float(error[0] - error[-1])
 
 
-def _to_go(log: EpisodeLog) -> str:
+def _remaining(log: EpisodeLog) -> str:
     text = f"{log['position_error'][-1]:.2f} m"
     return text if log.header["tolerance"]["yaw"] is None else f"{text} and {log['yaw_error'][-1]:.2f} rad"
 

@@ -16,7 +16,7 @@ from oimppi_warp.geometry.reach import reach_of
 from oimppi_warp.scene import Collider, Scene
 
 
-def place_of(scene: Scene) -> dict[str, Any]:
+def scene_footprints(scene: Scene) -> dict[str, Any]:
     """Everything about a scene that pictures show, for JSON."""
     return {
         "title": scene.title,
@@ -30,7 +30,7 @@ def place_of(scene: Scene) -> dict[str, Any]:
     }
 
 
-def moved(rings: Iterable[Any], pose: Any) -> list[np.ndarray]:
+def transformed(rings: Iterable[Any], pose: Any) -> list[np.ndarray]:
     """Rings in an object's frame, carried to its planar pose; each of shape [n, 2]."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[c, s], [-s, c]])

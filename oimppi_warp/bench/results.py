@@ -20,7 +20,7 @@ import numpy as np
 from oimppi_warp.bench.causes import RAISED, Cause, likely_cause
 from oimppi_warp.bench.trial import Trial
 from oimppi_warp.config.run_spec import RunSpec
-from oimppi_warp.record.log import EpisodeLog, LogError, flat, to_json, write_whole
+from oimppi_warp.record.log import EpisodeLog, LogError, flatten, to_json, write_atomically
 from oimppi_warp.record.metrics import first_hold, hold_steps, summarize, within
 
 FORMAT = 1
@@ -28,7 +28,7 @@ FORMAT = 1
 
 FILE = "results.json"
 
-WAY_POINTS = 60
+PATH_POINTS = 60
 """Points of an episode that are kept of its way."""
 
 PLAN_BINS = np.geomspace(0.5, 5000.0, 61)
@@ -153,7 +153,7 @@ class ResultSet:
         head = {"format": FORMAT} | to_json(facts)
         rows = ",\n".join("  " + json.dumps(result_row(result), allow_nan=False) for result in self.results)
         text = json.dumps(head, indent=1, allow_nan=False).removesuffix("\n}")
-        write_whole(path, f'{text},\n "results": [\n{rows}\n ]\n}}\n'.encode())
+        write_atomically(path, f'{text},\n "results": [\n{rows}\n ]\n}}\n'.encode())
 
 
 def load_results(path: str | Path) -> ResultSet:
@@ -181,7 +181,7 @@ def load_results(path: str | Path) -> ResultSet:
 
 def result_from(row: dict[str, Any]) -> Result:
     """A result from its JSON, the opposite of :func:`result_row`."""
-    row = _told_by(row["command"]) | row  # rows of earlier versions lack the device and the threads
+    row = _options_of_command(row["command"]) | row  # rows of earlier versions lack the device and the threads
     row["run"] = RunSpec(**{item.name: row.pop(item.name) for item in fields(RunSpec)})
     row["start"] = tuple(row["start"])
     for name in ("success_steps", "error_until_success_m"):
@@ -191,15 +191,15 @@ def result_from(row: dict[str, Any]) -> Result:
 
 def result_row(result: Result) -> dict[str, Any]:
     """A result in types that JSON knows, the options of its run beside the other fields."""
-    return to_json(flat(result))
+    return to_json(flatten(result))
 
 
-def _told_by(command: str) -> dict[str, Any]:
+def _options_of_command(command: str) -> dict[str, Any]:
     """Device and threads from a trial's command."""
-    words = shlex.split(command)
-    told: dict[str, Any] = dict(pairwise(words))
-    threads = told.get("--threads")
-    return {"device": told.get("--device", "auto"), "threads": None if threads is None else int(threads)}
+    arguments = shlex.split(command)
+    options: dict[str, Any] = dict(pairwise(arguments))
+    threads = options.get("--threads")
+    return {"device": options.get("--device", "auto"), "threads": None if threads is None else int(threads)}
 
 
 def make_result(
@@ -226,7 +226,7 @@ def make_result(
     held = hold_steps(log.header["hold_seconds"], log.header["control_period"])
     arrived = first_hold(within(log, log.header["tolerance"]), held)
     until = len(log) if arrived is None else arrived + 1
-    rows = np.unique(np.linspace(0, len(log) - 1, min(WAY_POINTS, len(log))).round().astype(int))
+    rows = np.unique(np.linspace(0, len(log) - 1, min(PATH_POINTS, len(log))).round().astype(int))
     plans = np.clip(log["plan_ms"][np.isfinite(log["plan_ms"])], PLAN_BINS[0], PLAN_BINS[-1] * (1 - 1e-9))
     del metrics["versions"]
     return Result(

@@ -23,7 +23,7 @@ from oimppi_warp.bench.trial import Trial, make_trials
 from oimppi_warp.bench.worker import Outcome, run_trial
 from oimppi_warp.errors import OimppiError
 from oimppi_warp.planning.resolve import entries_used
-from oimppi_warp.record.log import to_json, versions, write_whole
+from oimppi_warp.record.log import to_json, versions, write_atomically
 
 SAVE_EVERY = 10.0
 """``results.json`` is written no more often than that while trials run [s]."""
@@ -60,16 +60,16 @@ class SuiteRun:
     places: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
-        from oimppi_warp.bench.footprints import place_of
+        from oimppi_warp.bench.footprints import scene_footprints
 
         self.trials, scenes = make_trials(self.suite)
-        self.places = {name: place_of(scene) for name, scene in scenes.items()}
-        self._read_kept()
+        self.places = {name: scene_footprints(scene) for name, scene in scenes.items()}
+        self._read_stored()
         if self.retry:
             self.finished = {key: result for key, result in self.finished.items() if not result.error}
 
     @property
-    def open(self) -> list[Trial]:
+    def pending(self) -> list[Trial]:
         """The trials that are not finished; those in real time last."""
         return sorted((t for t in self.trials if t.key not in self.finished), key=lambda trial: trial.real_time)
 
@@ -95,30 +95,30 @@ class SuiteRun:
                 dies again and again.
             KeyboardInterrupt: Ctrl-C; what is finished is written.
         """
-        if backend != "loky" and any(trial.real_time for trial in self.open):
+        if backend != "loky" and any(trial.real_time for trial in self.pending):
             raise BenchError("trials in real time need the machine for themselves\n  to do:   --backend loky")
         if jobs != 1 or backend != "loky":
-            _check_known_elsewhere(self.open)
+            _check_known_elsewhere(self.pending)
         self.folder.mkdir(parents=True, exist_ok=True)
         saved = 0.0
         try:
             with cluster_backend(backend, cluster, jobs):
                 for real_time in (False, True):
-                    batch = [trial for trial in self.open if trial.real_time is real_time]
+                    batch = [trial for trial in self.pending if trial.real_time is real_time]
                     for outcome in _outcomes(batch, jobs=jobs or (1 if real_time else -1), backend=backend):
-                        result = self.keep(outcome)
+                        result = self.store(outcome)
                         if on_result is not None:
                             on_result(result)
                         if time.monotonic() - saved > SAVE_EVERY:
                             self.results().save(self.folder / FILE)
                             saved = time.monotonic()
         finally:
-            self._read_kept()  # Ctrl-C may have come just after a trial was written
+            self._read_stored()  # Ctrl-C may have come just after a trial was written
             found = self.results()
             found.save(self.folder / FILE)
         return found
 
-    def keep(self, outcome: Outcome) -> Result:
+    def store(self, outcome: Outcome) -> Result:
         """Write what came out of a trial: its record first, what makes it finished last."""
         trial = outcome.trial
         result = make_result(
@@ -135,7 +135,7 @@ class SuiteRun:
         if outcome.log is not None:
             outcome.log.save(folder)
         facts = {"trial": trial.row(), "result": result_row(result), "versions": versions()}
-        write_whole(folder / _TRIAL, (json.dumps(to_json(facts), indent=1, allow_nan=False) + "\n").encode())
+        write_atomically(folder / _TRIAL, (json.dumps(to_json(facts), indent=1, allow_nan=False) + "\n").encode())
         self.finished[trial.key] = result
         return result
 
@@ -154,12 +154,12 @@ class SuiteRun:
     def _folder(self, trial: Trial) -> Path:
         return self.folder / "trials" / trial.name
 
-    def _read_kept(self) -> None:
+    def _read_stored(self) -> None:
         for trial in self.trials:
-            if trial.key not in self.finished and (result := self._kept(trial)) is not None:
+            if trial.key not in self.finished and (result := self._stored(trial)) is not None:
                 self.finished[trial.key] = result
 
-    def _kept(self, trial: Trial) -> Result | None:
+    def _stored(self, trial: Trial) -> Result | None:
         """The result of a finished trial; a file that cannot be read counts as none."""
         try:
             result = result_from(json.loads((self._folder(trial) / _TRIAL).read_text(encoding="utf-8"))["result"])

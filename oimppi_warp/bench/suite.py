@@ -17,7 +17,7 @@ from typing import Any
 from oimppi_warp.config.presets import PRESETS
 from oimppi_warp.config.run_spec import LARGEST_SEED, MODES, RunSpec
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.record.log import flat, to_json
+from oimppi_warp.record.log import flatten, to_json
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
 from oimppi_warp.runtime.request import SettingsRequest
 
@@ -78,7 +78,7 @@ class Entry:
     def row(self) -> dict[str, Any]:
         """The entry as it would stand in a file, in types that JSON knows."""
         names = {name: key for key, name in _FIELDS.items()}
-        found = {names.get(name, name): value for name, value in flat(self).items()}
+        found = {names.get(name, name): value for name, value in flatten(self).items()}
         del found["method"]
         return to_json(found)
 
@@ -225,7 +225,7 @@ def _find(suite: str | Path) -> Path:
     )
 
 
-def _texts(value: Any) -> bool:
+def _strings(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(item, str) for item in value)
 
 
@@ -233,7 +233,7 @@ def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _whole(low: int, high: int) -> tuple[Callable[[Any], bool], str]:
+def _integer(low: int, high: int) -> tuple[Callable[[Any], bool], str]:
     def fits(value: Any) -> bool:
         return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
 
@@ -250,19 +250,19 @@ _JOINTS = str.maketrans("", "", "_-")
 def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
     """For each key: whether a value may stand there, and what is allowed."""
     return {
-        "tasks": (lambda value: _texts(value) and bool(value), 'a list of scenes, like ["task01", "my_task.usda"]'),
+        "tasks": (lambda value: _strings(value) and bool(value), 'a list of scenes, like ["task01", "my_task.usda"]'),
         "methods": (
-            lambda value: _texts(value) and bool(value) and all(name in METHODS for name in value),
+            lambda value: _strings(value) and bool(value) and all(name in METHODS for name in value),
             f"a list out of {', '.join(METHODS)}",
         ),
-        "trials": _whole(1, MOST_TRIALS),
-        "first": _whole(0, NUMBERS - 1),
+        "trials": _integer(1, MOST_TRIALS),
+        "first": _integer(0, NUMBERS - 1),
         "preset": _one_of(PRESETS),
         "engine": _one_of(ENGINES),
         "device": (lambda value: isinstance(value, str), '"cpu", "cuda:0", ... or "auto"'),
-        "threads": _whole(1, 1024),
-        "seed": _whole(0, LARGEST_SEED),
-        "set": (_texts, 'a list of settings, like ["robot.optimizer.samples=512"]'),
+        "threads": _integer(1, 1024),
+        "seed": _integer(0, LARGEST_SEED),
+        "set": (_strings, 'a list of settings, like ["robot.optimizer.samples=512"]'),
         "max_sim_seconds": (lambda value: _number(value) and value > 0, "a number of seconds above zero"),
         "mode": _one_of(MODES),
         "plant": _one_of(PLANTS),

@@ -16,8 +16,8 @@ from oimppi_warp.config.overrides import effective_weights
 from oimppi_warp.config.run_spec import LARGEST_SEED, RunSpec
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.record.log import flat, to_json
-from oimppi_warp.runtime.request import SettingsRequest, make_task
+from oimppi_warp.record.log import flatten, to_json
+from oimppi_warp.runtime.request import SettingsRequest, prepare_scene
 
 if TYPE_CHECKING:
     from oimppi_warp.runtime.episode import Episode
@@ -67,8 +67,8 @@ class Trial:
         """
         config = self.config  # with the weights that cost terms from outside have of themselves
         config = replace(config, cost=replace(config.cost, extra=effective_weights(config.cost)))
-        facts = flat(self) | {"config": to_json(config)}
-        for name in ("scene", "number", *flat(self.settings), *(["threads"] * (not self.real_time))):
+        facts = flatten(self) | {"config": to_json(config)}
+        for name in ("scene", "number", *flatten(self.settings), *(["threads"] * (not self.real_time))):
             del facts[name]
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -102,7 +102,7 @@ class Trial:
 
     def row(self) -> dict[str, Any]:
         """The trial in types that JSON knows, with its options and settings beside the other fields."""
-        return to_json(flat(self))
+        return to_json(flatten(self))
 
 
 def make_episode(trial: Trial) -> Episode:
@@ -111,7 +111,7 @@ def make_episode(trial: Trial) -> Episode:
     from oimppi_warp.runtime.episode import Episode
 
     run = replace(trial.run, device=pick_device(trial.run.device))
-    return Episode(make_task(trial.scene, start=trial.start), trial.config, run)
+    return Episode(prepare_scene(trial.scene, start=trial.start), trial.config, run)
 
 
 def trial_seed(seed: int, number: int) -> int:
@@ -177,9 +177,9 @@ def _scene_path(suite: Suite, task: str) -> str:
 
 
 def _start(scene: Scene, number: int, seed: int) -> PlanarPose:
-    from oimppi_warp.geometry.feasibility import draw_start
+    from oimppi_warp.geometry.feasibility import sample_start
 
     if number < len(scene.starts):
         x, y, yaw = map(float, scene.starts[number])
         return x, y, yaw
-    return draw_start(scene, seed)
+    return sample_start(scene, seed)

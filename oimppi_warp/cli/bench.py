@@ -103,12 +103,12 @@ class Bench:
         folder = self.out or Path("runs") / suite.name
         with console.status("reading the scenes"):
             run = SuiteRun(suite, folder, retry=self.retry)
-        kept, open_trials = len(run.finished), run.open
+        kept, pending = len(run.finished), run.pending
         if kept:
             console.print(f"{kept} of {len(run.trials)} trials are finished already", soft_wrap=True)
-        if open_trials:
+        if pending:
             with console.status("loading kernels; compiling them takes half a minute and is done once"):
-                prepare(open_trials)
+                prepare(pending)
         stopped = False
         with _progress(run, console) as on_result:
             try:
@@ -170,16 +170,16 @@ class Compare:
         """Compare; returns the exit status."""
         from oimppi_warp.bench.comparison import compare_sets
         from oimppi_warp.bench.report.markdown import write_comparison
-        from oimppi_warp.bench.report.tables import comparison_table, differing
+        from oimppi_warp.bench.report.tables import comparison_table, differing_pairs
         from oimppi_warp.bench.results import load_results
-        from oimppi_warp.record.log import write_whole
+        from oimppi_warp.record.log import write_atomically
 
         found = compare_sets(load_results(self.first), load_results(self.second))
         table = comparison_table(found, title=f"A: {self.first}, B: {self.second}", sides=("A", "B"))
-        pairs = differing(found[0])
+        pairs = differing_pairs(found[0])
         if self.out is not None:
             self.out.absolute().parent.mkdir(parents=True, exist_ok=True)
-            write_whole(self.out, write_comparison(table, pairs).encode())
+            write_atomically(self.out, write_comparison(table, pairs).encode())
         _print_table(table)
         _print_table(pairs)
         return 0

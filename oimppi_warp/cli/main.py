@@ -59,7 +59,7 @@ class Run(TaskOptions):
         _check_outputs(self.record, self.json)
         setup, console = self.prepare()
 
-        from oimppi_warp.record.log import write_whole
+        from oimppi_warp.record.log import write_atomically
         from oimppi_warp.record.metrics import summarize
 
         with console.status("loading kernels"):
@@ -73,7 +73,7 @@ class Run(TaskOptions):
             console.print(f"step {step}: the arm was stopped, {reason}", soft_wrap=True)
         if self.json is not None:
             self.json.absolute().parent.mkdir(parents=True, exist_ok=True)
-            write_whole(self.json, metrics.json().encode())
+            write_atomically(self.json, metrics.json().encode())
         if self.record is not None:
             log.save(self.record)
             with console.status("drawing"):

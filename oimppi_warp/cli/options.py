@@ -11,7 +11,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
-from oimppi_warp.runtime.request import SettingsRequest, make_task, parse_pose, parse_start
+from oimppi_warp.runtime.request import SettingsRequest, parse_pose, parse_start, prepare_scene
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -79,9 +79,9 @@ class TaskOptions:
 
         where = device.pick_device(self.run.device)
         with console.status("reading the scene"):
-            scene = make_task(self.scene, start=start, goal=goal, seed=self.run.seed)
-            if (doubts := _doubts(self.scene)) > 0:
-                warnings = f"{doubts} warning{'s' if doubts > 1 else ''}"
+            scene = prepare_scene(self.scene, start=start, goal=goal, seed=self.run.seed)
+            if (count := _warning_count(self.scene)) > 0:
+                warnings = f"{count} warning{'s' if count > 1 else ''}"
                 console.print(
                     f"{self.scene}: {warnings}, which `oimppi scene check {self.scene}` tells", soft_wrap=True
                 )
@@ -108,12 +108,12 @@ def notices() -> Console:
     return console
 
 
-def _doubts(scene: str) -> int:
+def _warning_count(scene: str) -> int:
     """How many things in a file of one's own may not be meant as they stand, a misspelt attribute for one."""
     if not Path(scene).is_file():
         return 0
     from oimppi_warp.usd import inspect_scene
-    from oimppi_warp.usd.lint import stage_doubts
+    from oimppi_warp.usd.lint import lint_stage
 
     stage = inspect_scene(scene).stage
-    return 0 if stage is None else len(list(stage_doubts(stage)))
+    return 0 if stage is None else len(list(lint_stage(stage)))

@@ -60,7 +60,7 @@ class AddRobot:
         from oimppi_warp.authoring.robots import arm_usd
         from oimppi_warp.authoring.robots.from_urdf import read_urdf
         from oimppi_warp.authoring.robots.from_usd import read_usd
-        from oimppi_warp.authoring.robots.sample_task import write_trial
+        from oimppi_warp.authoring.robots.sample_task import write_sample_task
         from oimppi_warp.authoring.robots.start_pose import with_start
         from oimppi_warp.geometry.reach import reach_of
 
@@ -82,8 +82,8 @@ class AddRobot:
                 skin = f"{name}_skin.usdc"
                 drawn = arm_usd.write_visuals(made, Path(folder) / "robots" / skin)
                 arm_usd.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
-                scene = write_trial(robot, name, Path(folder), later=self.out)
-                self._keep(Path(folder))
+                scene = write_sample_task(robot, name, Path(folder), destination=self.out)
+                self._install(Path(folder))
         bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
         if bare:
             links = ", ".join(link.rpartition("/")[2] for link in bare)
@@ -111,7 +111,7 @@ class AddRobot:
             if file.exists() and not self.force:
                 raise ConfigError(f"{file} is already there\n  to do:   another --name, or --force to write over it")
 
-    def _keep(self, folder: Path) -> None:
+    def _install(self, folder: Path) -> None:
         """Copy what was written to where it belongs."""
         for file in folder.rglob("*.usd*"):
             target = self.out / file.relative_to(folder)

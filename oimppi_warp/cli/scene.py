@@ -15,19 +15,19 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 from oimppi_warp.authoring import named_shapes
 
 if TYPE_CHECKING:
-    from oimppi_warp.authoring.object_spec import Manner
+    from oimppi_warp.authoring.object_spec import ShapeOptions
     from oimppi_warp.scene import PushedObject
 
 _Unit = Literal["mm", "cm", "m", "inch"]
 _Lay = Literal["stable", "as-is"]
 
 
-def _of(option: str, default: str) -> Callable[[str], str]:
+def _taken_by(option: str, default: str) -> Callable[[str], str]:
     """Hint of an option that some shapes take: which do, and its default; read when help is asked for."""
-    return lambda _: f"(with {', '.join(named_shapes.takers(option, lambda name, _: name))}; default: {default})"
+    return lambda _: f"(with {', '.join(named_shapes.shapes_taking(option, lambda name, _: name))}; default: {default})"
 
 
-def _objects(default: str) -> str:
+def _object_hint(default: str) -> str:
     """Hint of an option that takes an object."""
     return f"({named_shapes.objects()}; default: {default})"
 
@@ -44,21 +44,23 @@ class ObjectOptions:
     friction: Annotated[float | None, arg(metavar="MU", help_behavior_hint="(default: 0.4 or the object's)")] = None
     """Coulomb coefficient between object and table."""
 
-    height: Annotated[float | None, arg(metavar="M", help_behavior_hint=_of("height", "0.05"))] = None
+    height: Annotated[float | None, arg(metavar="M", help_behavior_hint=_taken_by("height", "0.05"))] = None
     """Thickness in metres, where the word does not say it."""
 
-    size: Annotated[float | None, arg(metavar="M", help_behavior_hint=_of("size", "0.103, less for long words"))] = None
+    size: Annotated[
+        float | None, arg(metavar="M", help_behavior_hint=_taken_by("size", "0.103, less for long words"))
+    ] = None
     """Height of a letter as it lies, in metres."""
 
     font: Annotated[
-        str | None, arg(metavar="FONT", help_behavior_hint=_of("font", "an alphabet of our own, A to Z"))
+        str | None, arg(metavar="FONT", help_behavior_hint=_taken_by("font", "an alphabet of our own, A to Z"))
     ] = None
     """Take letters from an installed font, or from a font's file."""
 
-    scale: Annotated[_Unit | None, arg(help_behavior_hint=_of("scale", "m"))] = None
+    scale: Annotated[_Unit | None, arg(help_behavior_hint=_taken_by("scale", "m"))] = None
     """Unit that a mesh is in: STL and OBJ do not say."""
 
-    lay: Annotated[_Lay, arg(help_behavior_hint=_of("lay", "stable"))] = "stable"
+    lay: Annotated[_Lay, arg(help_behavior_hint=_taken_by("lay", "stable"))] = "stable"
     """How a mesh is laid on the table: in its most stable pose, or with its z axis up as it was modelled."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
@@ -67,11 +69,11 @@ class ObjectOptions:
     force: FlagCreatePairsOff[bool] = False
     """Overwrite what is there."""
 
-    def manner(self) -> Manner:
+    def shape_options(self) -> ShapeOptions:
         """The options as the words take them."""
-        from oimppi_warp.authoring.object_spec import Manner
+        from oimppi_warp.authoring.object_spec import ShapeOptions
 
-        return Manner(
+        return ShapeOptions(
             mass=self.mass,
             friction=self.friction,
             height=self.height,
@@ -94,7 +96,7 @@ class New(ObjectOptions):
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """Name of the task: NAME.usda is written."""
 
-    object: Annotated[str, arg(help_behavior_hint=_objects)] = "t-block"
+    object: Annotated[str, arg(help_behavior_hint=_object_hint)] = "t-block"
     """What is pushed: the name of an object in DIR/objects, or one of these:"""
 
     start: Annotated[str, arg(metavar="X,Y,YAW")] = "0.3,-0.45,0"
@@ -124,26 +126,26 @@ class New(ObjectOptions):
         from oimppi_warp.geometry.tipping import can_tip, tipping_height
 
         start, goal = checked_pose("--start", self.start), checked_pose("--goal", self.goal)
-        manner = self.manner()
-        check_used(manner, (self.object, *self.obstacle))
+        options = self.shape_options()
+        check_used(options, (self.object, *self.obstacle))
         with _working("making the object"):
-            thing = parse_object(self.object, manner, folder=self.out)
+            obj = parse_object(self.object, options, folder=self.out)
         task = Task(
             name=self.name.removesuffix(".usda"),
-            title=self.title or f"Push {_article(thing.doc)} to its goal",
-            thing=thing,
+            title=self.title or f"Push {_with_article(obj.doc)} to its goal",
+            object=obj,
             start=start,
             goal=goal,
-            obstacles=parse_obstacles(self.obstacle, manner, folder=self.out),
-            tolerance=PAPER if thing.turns else (PAPER[0], math.inf),
-            tight=(0.05, 0.1 if thing.turns else math.inf),
+            obstacles=parse_obstacles(self.obstacle, options, folder=self.out),
+            tolerance=PAPER if obj.yaw_matters else (PAPER[0], math.inf),
+            tight=(0.05, 0.1 if obj.yaw_matters else math.inf),
             robot=self.robot,
         )
         written = write_task(task, self.out, force=self.force)
         for file in written.files:
             print(f"wrote {file}")
         body = written.scene.object
-        print(_summary(thing.doc, body))
+        print(_summary(obj.doc, body))
         if can_tip(body):
             print(
                 f"a push above {1000 * tipping_height(body):.0f} mm tips it over: the planner touches it low and slowly"
@@ -174,25 +176,25 @@ class Import(ObjectOptions):
         """Write it; returns the exit status."""
         from dataclasses import replace
 
-        from oimppi_warp.authoring.meshes.solid import Solid, plain_name
+        from oimppi_warp.authoring.meshes.solid import MeshObject, plain_name
         from oimppi_warp.authoring.object_spec import check_used, parse_object
         from oimppi_warp.authoring.objects.stored import read_body
         from oimppi_warp.authoring.project import write_object
 
-        check_used(self.manner(), (self.source,))
+        check_used(self.shape_options(), (self.source,))
         with _working("making the object"):
-            thing = parse_object(self.source, self.manner())
+            obj = parse_object(self.source, self.shape_options())
         if self.name is not None:
-            thing = replace(thing, name=plain_name(self.name))  # pyright: ignore[reportArgumentType]
-        file = write_object(thing, self.out, force=self.force, picture=True)
+            obj = replace(obj, name=plain_name(self.name))  # pyright: ignore[reportArgumentType]
+        file = write_object(obj, self.out, force=self.force, picture=True)
         print(f"wrote {file}")
         print(f"wrote {file.with_suffix('.png')}")
-        print(_summary(thing.doc, read_body(file)))
-        for note in thing.notes if isinstance(thing, Solid) else ():
+        print(_summary(obj.doc, read_body(file)))
+        for note in obj.notes if isinstance(obj, MeshObject) else ():
             print(f"  {note}")
         out = [] if self.out == Path(".") else ["--out", str(self.out)]
         print("next:")
-        print("  " + shlex.join(["oimppi", "scene", "new", f"push_{thing.name}", "--object", thing.name, *out]))
+        print("  " + shlex.join(["oimppi", "scene", "new", f"push_{obj.name}", "--object", obj.name, *out]))
         return 0
 
 
@@ -210,7 +212,7 @@ def _summary(doc: str, body: PushedObject) -> str:
     return f"{doc}: {body.mass:g} kg, friction {body.friction:g}, {of}"
 
 
-def _article(doc: str) -> str:
+def _with_article(doc: str) -> str:
     """What an object is, as it stands in the middle of a sentence."""
     short = doc.partition(":")[0].partition(", ")[0]
     return f"{short[0].lower()}{short[1:]}" if short.startswith(("A ", "The ")) else f"the {short}"

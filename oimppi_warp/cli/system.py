@@ -113,10 +113,10 @@ class Doctor:
 
     def execute(self) -> int:
         """Examine; returns the exit status."""
-        from oimppi_warp.system.doctor import examine, judge
+        from oimppi_warp.system.doctor import diagnose, gather_facts
 
-        facts = examine()
-        findings = judge(facts)
+        facts = gather_facts()
+        findings = diagnose(facts)
         if self.json:
             print(json.dumps({"facts": asdict(facts), "findings": [asdict(each) for each in findings]}, indent=2))
             return 1 if findings else 0

@@ -14,10 +14,10 @@ from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.geometry.reach import can_lift, reach_of
 from oimppi_warp.scene import Collider, PlanarPose, Scene
 
-CLEAR = 0.045
+START_CLEARANCE = 0.045
 """Room that a drawn start leaves around the object [m]."""
 
-DRAWS = 2000
+MAX_DRAWS = 2000
 """Starts that are drawn before it is given up."""
 
 
@@ -47,38 +47,38 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
         name: What to call the pose: "start", "goal", or "start 3" of those that are listed.
         pose: The pose.
     """
-    place = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
+    label = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
     prim = scene.object.path if name == "start" else ""
     if not np.isfinite(pose).all():
         allowed = "x [m], y [m], yaw [rad]"
-        yield SceneError(f"{place} is not finite", file=scene.file, prim=prim, allowed=allowed, fix=_move(name))
+        yield SceneError(f"{label} is not finite", file=scene.file, prim=prim, allowed=allowed, fix=_fix(name))
         return
     shape = object_outline(scene, pose)
     if not shapely.covers(_table(scene), shape):
         (x0, y0), (x1, y1) = scene.table.lower, scene.table.upper
         yield SceneError(
-            f"{place} is not wholly on the table",
+            f"{label} is not wholly on the table",
             file=scene.file,
             prim=prim,
             allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
-            fix=_move(name),
+            fix=_fix(name),
         )
-    for what, path, other in surroundings(scene):
+    for what, path, other in fixed_outlines(scene):
         if shapely.area(shapely.intersection(shape, other)) > 1e-8:
             yield SceneError(
-                f"{place} is inside {what} <{path}>",
+                f"{label} is inside {what} <{path}>",
                 file=scene.file,
                 prim=prim,
                 allowed="anywhere that the object overlaps nothing",
-                fix=_move(name),
+                fix=_fix(name),
             )
-    yield from _reach_mistakes(scene, name, place, pose)
+    yield from _reach_mistakes(scene, name, label, pose)
 
 
-def draw_start(scene: Scene, seed: int) -> PlanarPose:
+def sample_start(scene: Scene, seed: int) -> PlanarPose:
     """A start drawn from the scene's spread around its start; the same for the same seed.
 
-    It leaves :data:`CLEAR` around the object, and the arm reaches behind all of it.
+    It leaves :data:`START_CLEARANCE` around the object, and the arm reaches behind all of it.
 
     Args:
         scene: The task.
@@ -92,22 +92,23 @@ def draw_start(scene: Scene, seed: int) -> PlanarPose:
         return scene.start
     random = np.random.default_rng(seed)
     reach = reach_of(scene.robot)
-    around = [other for _, _, other in surroundings(scene)]
+    outlines = [other for _, _, other in fixed_outlines(scene)]
     tool = _tool(scene)
     if tool is not None:
-        around.append(tool)
-    for _ in range(DRAWS):
+        outlines.append(tool)
+    for _ in range(MAX_DRAWS):
         x, y, angle = np.asarray(scene.start) + random.uniform(-1.0, 1.0, 3) * (position, position, yaw)
         pose = (round(float(x), 4), round(float(y), 4), round(float(angle), 4))
         shape = object_outline(scene, pose)
-        behind = reach.room(shapely.get_coordinates(shape)).min() >= 2.0 * scene.robot.tool_radius
-        free = all(shapely.distance(shape, other) >= CLEAR for other in around)
+        behind = reach.margin(shapely.get_coordinates(shape)).min() >= 2.0 * scene.robot.tool_radius
+        free = all(shapely.distance(shape, other) >= START_CLEARANCE for other in outlines)
         if free and behind and shapely.covers(_table(scene), shape):
             return pose
     raise SceneError(
-        f"none of {DRAWS} starts drawn around ({scene.start[0]:.3g}, {scene.start[1]:.3g}) is free and within reach",
+        f"none of {MAX_DRAWS} starts drawn around ({scene.start[0]:.3g}, {scene.start[1]:.3g}) is free and within "
+        "reach",
         file=scene.file,
-        allowed=f"{CLEAR:g} m of room around the object, and all of it {_within(scene)}",
+        allowed=f"{START_CLEARANCE:g} m of room around the object, and all of it {_reach_text(scene)}",
         fix="give a start, or make oimppi:spread smaller",
     )
 
@@ -122,7 +123,7 @@ def _table(scene: Scene) -> shapely.Geometry:
     return shapely.box(*scene.table.lower, *scene.table.upper)
 
 
-def _move(name: str) -> str:
+def _fix(name: str) -> str:
     fixes = {
         "start": "move the object in the file, or give another start",
         "goal": "change oimppi:goal, or give another goal",
@@ -130,23 +131,24 @@ def _move(name: str) -> str:
     return fixes.get(name, "change it in oimppi:starts, or leave it out")
 
 
-def _reach_mistakes(scene: Scene, name: str, place: str, pose: PlanarPose) -> Iterator[SceneError]:
+def _reach_mistakes(scene: Scene, name: str, label: str, pose: PlanarPose) -> Iterator[SceneError]:
     (x, y), (c, s) = scene.object.center_of_mass[:2], (np.cos(pose[2]), np.sin(pose[2]))
     center = np.array([pose[0] + c * x - s * y, pose[1] + s * x + c * y])
     reach = reach_of(scene.robot)
-    room = float(reach.room(center[None])[0])
-    if room < 0.0:
-        where = f"{np.hypot(*center):.2f} m from the arm's base" if reach.border is None else f"{-room:.2f} m beyond it"
+    margin = float(reach.margin(center[None])[0])
+    if margin < 0.0:
+        from_base = f"{np.hypot(*center):.2f} m from the arm's base"
+        where = from_base if reach.border is None else f"{-margin:.2f} m beyond it"
         yield SceneError(
-            f"{place} is out of reach: the object's centre would be {where}",
+            f"{label} is out of reach: the object's centre would be {where}",
             file=scene.file,
             prim=scene.object.path if name == "start" else "",
-            allowed=f"{_within(scene)}, as far as the tool reaches when it points down",
-            fix=_move(name),
+            allowed=f"{_reach_text(scene)}, as far as the tool reaches when it points down",
+            fix=_fix(name),
         )
 
 
-def _within(scene: Scene) -> str:
+def _reach_text(scene: Scene) -> str:
     """Where the arm gets, in words."""
     reach = reach_of(scene.robot)
     if reach.border is None:
@@ -155,7 +157,7 @@ def _within(scene: Scene) -> str:
     return f"within x from {x0:.2f} to {x1:.2f} m and y from {y0:.2f} to {y1:.2f} m"
 
 
-def surroundings(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
+def fixed_outlines(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
     """What the object could run into: a word for it, its prim, and what it covers at the object's height."""
     low, high = (scene.object.rest_height + z for z in height_range(scene.object.colliders))
 
@@ -179,11 +181,13 @@ def _tool(scene: Scene) -> shapely.Geometry | None:
 def _tool_mistakes(scene: Scene) -> Iterator[SceneError]:
     tip = tip_frame(scene.robot, scene.robot.start)[1]
     disc = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius)
-    things = [("the object", scene.object.path, object_outline(scene, scene.start))] if _tool(scene) is not None else []
+    outlines = []
+    if _tool(scene) is not None:
+        outlines.append(("the object", scene.object.path, object_outline(scene, scene.start)))
     for obstacle in scene.obstacles:
         if height_range(obstacle.colliders)[1] > tip[2]:
-            things.append(("the obstacle", obstacle.path, outline(footprint(obstacle.colliders, lower=tip[2]))))
-    for what, path, shape in things:
+            outlines.append(("the obstacle", obstacle.path, outline(footprint(obstacle.colliders, lower=tip[2]))))
+    for what, path, shape in outlines:
         if disc.intersects(shape):
             yield SceneError(
                 f"the tool starts inside {what} <{path}>, with its tip at {np.round(tip, 3).tolist()}",

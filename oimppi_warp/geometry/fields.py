@@ -30,7 +30,7 @@ from oimppi_warp.geometry.footprint import (
     limit_surface,
     outline,
 )
-from oimppi_warp.geometry.reach import area_of, stretched_length
+from oimppi_warp.geometry.reach import object_bounds, stretched_length
 from oimppi_warp.kernels.fields import distance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.scene import Collider, Scene
@@ -121,15 +121,15 @@ def build_geometry(scene: Scene, device: str) -> Geometry:
 
 def to_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
     """Poses [..., 3] of the object's frame as poses of its friction centre."""
-    return _carry(pose, surface.center)
+    return _translated(pose, surface.center)
 
 
 def from_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
     """Poses [..., 3] of the object's friction centre as poses of its frame."""
-    return _carry(pose, -surface.center)
+    return _translated(pose, -surface.center)
 
 
-def _carry(pose: np.ndarray, offset: np.ndarray) -> np.ndarray:
+def _translated(pose: np.ndarray, offset: np.ndarray) -> np.ndarray:
     moved = np.array(pose, dtype=float)
     c, s = np.cos(moved[..., 2]), np.sin(moved[..., 2])
     moved[..., 0] += c * offset[0] - s * offset[1]
@@ -141,7 +141,7 @@ def pack_pieces(pieces: Iterable[Piece], device: str) -> kernels.Pieces:
     """Convex pieces as the kernels read them."""
     pieces = list(pieces)
     centers = np.array([piece.vertices.mean(axis=0) for piece in pieces]).reshape(-1, 2)
-    reaches = [
+    radii = [
         np.linalg.norm(piece.vertices - center, axis=1).max() + piece.radius
         for piece, center in zip(pieces, centers, strict=True)
     ]
@@ -150,7 +150,7 @@ def pack_pieces(pieces: Iterable[Piece], device: str) -> kernels.Pieces:
     packed.vertices = wp.array(vertices, dtype=wp.vec2, device=device)
     packed.first = wp.array(np.cumsum([0, *(len(piece.vertices) for piece in pieces)]), dtype=int, device=device)
     packed.center = wp.array(centers, dtype=wp.vec2, device=device)
-    packed.reach = wp.array(np.array(reaches, dtype=np.float32), dtype=float, device=device)
+    packed.reach = wp.array(np.array(radii, dtype=np.float32), dtype=float, device=device)
     packed.radius = wp.array(np.array([piece.radius for piece in pieces], np.float32), dtype=float, device=device)
     return packed
 
@@ -166,7 +166,7 @@ def _clearance_field(
     reach = stretched_length(scene.robot)
     first = np.maximum(lower, -reach)
     count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
-    lower, upper = area_of(scene) if edge else (lower - 10.0, upper + 10.0)
+    lower, upper = object_bounds(scene) if edge else (lower - 10.0, upper + 10.0)
 
     def compute() -> np.ndarray:
         values = wp.zeros((YAW_NODES, *count), dtype=float, device="cpu")

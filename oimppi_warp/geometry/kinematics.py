@@ -25,12 +25,12 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
     Returns:
         Rotations [dof, 3, 3] and positions [dof, 3] in the world frame [m].
     """
-    rest, step, turns = _rest_transforms(robot), np.zeros((robot.dof, 4, 4)), turning(robot)
-    angles = np.where(turns, joints, 0.0)
+    rest, step, revolute = _rest_transforms(robot), np.zeros((robot.dof, 4, 4)), revolute_joints(robot)
+    angles = np.where(revolute, joints, 0.0)
     c, s = np.cos(angles), np.sin(angles)
     step[:, 0, 0], step[:, 0, 1], step[:, 1, 0], step[:, 1, 1] = c, -s, s, c
     step[:, 2, 2] = step[:, 3, 3] = 1.0
-    step[:, 2, 3] = np.where(turns, 0.0, joints)
+    step[:, 2, 3] = np.where(revolute, 0.0, joints)
     frames = rest @ step
     for j in range(1, robot.dof):
         frames[j] = frames[j - 1] @ frames[j]
@@ -38,7 +38,7 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 @lru_cache(maxsize=8)
-def turning(robot: Robot) -> np.ndarray:
+def revolute_joints(robot: Robot) -> np.ndarray:
     """Which joints turn; the others slide. Shape [dof]."""
     return np.array([joint.kind == "revolute" for joint in robot.joints])
 
@@ -63,9 +63,9 @@ def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
     """Jacobian of the tip's velocity (linear, angular; world frame) by the joint velocities, shape [6, dof]."""
     rotations, positions = link_frames(robot, joints)
     tip = positions[-1] + rotations[-1] @ robot.tip[:3]
-    axes, turns = rotations[:, :, 2], turning(robot)[:, None]
-    linear = np.where(turns, np.cross(axes, tip - positions), axes)
-    return np.concatenate([linear, np.where(turns, axes, 0.0)], axis=1).T
+    axes, revolute = rotations[:, :, 2], revolute_joints(robot)[:, None]
+    linear = np.where(revolute, np.cross(axes, tip - positions), axes)
+    return np.concatenate([linear, np.where(revolute, axes, 0.0)], axis=1).T
 
 
 def collider_spheres(collider: Collider) -> np.ndarray:

@@ -10,14 +10,14 @@ from itertools import product
 import numpy as np
 import shapely
 
-from oimppi_warp.geometry.kinematics import link_frames, tip_frame, tip_jacobian, turning
+from oimppi_warp.geometry.kinematics import link_frames, revolute_joints, tip_frame, tip_jacobian
 from oimppi_warp.scene import Robot, Scene
 
 _SIDES = 32
 """Sides of the polygon around a disc that is carried along."""
 _UP = np.array([0.0, 0.0, 1.0])
 
-Wanted = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+TipErrors = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """What is asked of a tip [3]: directions [n, 3], and how far it is from where it should be along each, [n] [m]."""
 
 
@@ -34,7 +34,7 @@ class Reach:
     radius: float
     border: np.ndarray | None = None
 
-    def room(self, points: np.ndarray) -> np.ndarray:
+    def margin(self, points: np.ndarray) -> np.ndarray:
         """How far inside of the region points [n, 2] are; negative outside [m]."""
         if self.border is None:
             return self.radius - np.hypot(*np.asarray(points, dtype=float).T)
@@ -59,16 +59,16 @@ def reach_of(robot: Robot) -> Reach:
     that one carry this disc along. A robot of sliding joints alone gets wherever their limits leave room. Where the
     first joint that turns does not stand upright, the stretched length of the chain is the bound.
     """
-    turns = np.flatnonzero(turning(robot))
-    if not len(turns):
+    revolute = np.flatnonzero(revolute_joints(robot))
+    if not len(revolute):
         return _region(_corners(robot, robot.dof))
-    first = int(turns[0])
+    first = int(revolute[0])
     rotations, positions = link_frames(robot, robot.start)
     axis, carried = positions[first][:2], np.hypot(*rotations[:first, :2, 2].T) > 1e-6
     if abs(rotations[first][2, 2]) < 1.0 - 1e-9:
         return Reach(stretched_length(robot))
     free = np.append(~carried, np.ones(robot.dof - first, dtype=bool))
-    radius = _farthest(robot, axis, free)
+    radius = _max_radius(robot, axis, free)
     if not carried.any() and np.hypot(*axis) < 1e-9:
         return Reach(radius)
     angles = np.arange(_SIDES) * 2.0 * np.pi / _SIDES
@@ -77,7 +77,7 @@ def reach_of(robot: Robot) -> Reach:
     return _region((_corners(robot, first)[:, None] + offset + disc).reshape(-1, 2))
 
 
-def area_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def object_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the rectangle within which the object is to stay [m]: the table's, or what of it the robot reaches.
 
     An arm that turns about its base is kept to its reach by a cost instead, as that is no rectangle.
@@ -92,9 +92,9 @@ def area_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def stretched_length(robot: Robot) -> float:
     """A bound on how far the tip can be from the base's axis [m]."""
     links = [np.linalg.norm(joint.parent_transform[:3]) for joint in robot.joints[1:]]
-    ways = [max(abs(joint.lower), abs(joint.upper)) for joint in robot.joints if joint.kind == "prismatic"]
+    strokes = [max(abs(joint.lower), abs(joint.upper)) for joint in robot.joints if joint.kind == "prismatic"]
     aside = np.linalg.norm(robot.joints[0].parent_transform[:2])
-    return float(sum(links) + np.linalg.norm(robot.tip[:3]) + aside + sum(ways))
+    return float(sum(links) + np.linalg.norm(robot.tip[:3]) + aside + sum(strokes))
 
 
 def _region(points: np.ndarray) -> Reach:
@@ -111,7 +111,7 @@ def can_lift(robot: Robot) -> bool:
     return bool(np.linalg.matrix_rank(both, tol=1e-6) > np.linalg.matrix_rank(tilting, tol=1e-6))
 
 
-def joints_for(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
+def inverse_kinematics(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
     """Joint positions with the tip at a point [3] [m] and the tool pointing down; ``None`` where none are found.
 
     Args:
@@ -119,7 +119,7 @@ def joints_for(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray 
         joints: Joint positions to begin with, shape [dof] [rad].
         tip: Where the tip should be.
     """
-    return _led(robot, joints, lambda at: (np.eye(3), at - tip))
+    return _solve_ik(robot, joints, lambda at: (np.eye(3), at - tip))
 
 
 def _corners(robot: Robot, count: int) -> np.ndarray:
@@ -128,23 +128,23 @@ def _corners(robot: Robot, count: int) -> np.ndarray:
     return np.array([tip_frame(robot, np.array([*ends, *robot.start[count:]]))[1][:2] for ends in limits])
 
 
-def _farthest(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
+def _max_radius(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
     """How far from an axis [2] the tip gets with the joints that are free, led there step by step; 0: nowhere [m]."""
     start = tip_frame(robot, robot.start)[1]
     height = 0.0 if can_lift(robot) else start[2]
 
-    def at(radius: float) -> Wanted:
-        def away(tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at_radius(radius: float) -> TipErrors:
+        def errors(tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             x, y = tip[:2] - axis
             outwards = np.array([x, y, 0.0]) / max(np.hypot(x, y), 1e-9)
             return np.array([outwards, _UP]), np.array([np.hypot(x, y) - radius, tip[2] - height])
 
-        return away
+        return errors
 
     radius = float(np.linalg.norm(start[:2] - axis))
-    joints, step = _led(robot, robot.start, at(radius), free), 0.05
+    joints, step = _solve_ik(robot, robot.start, at_radius(radius), free), 0.05
     while step > 5e-4 and joints is not None:
-        further = _led(robot, joints, at(radius + step), free)
+        further = _solve_ik(robot, joints, at_radius(radius + step), free)
         if further is None:
             step /= 2.0
         else:
@@ -159,8 +159,10 @@ def _rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return linear, np.cross(angular.T, axis).T[:2]
 
 
-def _led(robot: Robot, joints: np.ndarray, wanted: Wanted, free: np.ndarray | None = None) -> np.ndarray | None:
-    """Joint positions with the tip as wanted and the tool pointing down: damped Gauss-Newton within the limits.
+def _solve_ik(
+    robot: Robot, joints: np.ndarray, tip_errors: TipErrors, free: np.ndarray | None = None
+) -> np.ndarray | None:
+    """Joint positions without errors of the tip and the tool pointing down: damped Gauss-Newton within the limits.
 
     Only the joints that are free [dof] move; default: all.
     """
@@ -169,8 +171,8 @@ def _led(robot: Robot, joints: np.ndarray, wanted: Wanted, free: np.ndarray | No
     for _ in range(60):
         rotation, tip = tip_frame(robot, q)
         axis = rotation[:, 2]
-        directions, away = wanted(tip)
-        error = np.array([*away, axis[0], axis[1]])
+        directions, errors = tip_errors(tip)
+        error = np.array([*errors, axis[0], axis[1]])
         if np.abs(error).max() < 1e-5 and axis[2] < 0.0:
             return q
         linear, tilting = _rates(robot, q)

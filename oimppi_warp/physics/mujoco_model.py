@@ -59,7 +59,7 @@ class MujocoModel:
     sensors: np.ndarray
 
 
-def translated(scene: Scene, *, sensing: bool) -> MujocoModel:
+def translate_scene(scene: Scene, *, sensing: bool) -> MujocoModel:
     """The MuJoCo model of a scene, from the cache where that has it.
 
     It does not depend on where the object and the arm start: both are at zero in ``qpos0``.
@@ -90,7 +90,7 @@ def _translate(built: NewtonModel, *, sensing: bool) -> MujocoModel:
             built.model, use_mujoco_cpu=True, save_to_mjcf=str(file) if sensing else None, **SOLVER_OPTIONS
         )
         specification = mujoco.MjSpec.from_file(str(file)) if sensing else None
-    plain = mapped(solver, built)
+    plain = map_model(solver, built)
     if specification is None:
         return plain
     sensors = _add_sensors(specification, plain)
@@ -99,7 +99,7 @@ def _translate(built: NewtonModel, *, sensing: bool) -> MujocoModel:
     return replace(plain, model=model, sensors=sensors)
 
 
-def mapped(solver: SolverMuJoCo, built: NewtonModel) -> MujocoModel:
+def map_model(solver: SolverMuJoCo, built: NewtonModel) -> MujocoModel:
     """The MuJoCo model of a solver, and where everything of the Newton model's first world is in it."""
     import mujoco
 
@@ -107,22 +107,22 @@ def mapped(solver: SolverMuJoCo, built: NewtonModel) -> MujocoModel:
     dof_of = _first_world(solver.mjc_dof_to_newton_dof)
     body_of = _first_world(solver.mjc_body_to_newton)
     shape_of = _first_world(solver.mjc_geom_to_newton_shape)
-    qvel = _places(dof_of, built.joint_dofs)
+    qvel = _indices_of(dof_of, built.joint_dofs)
     joints = model.dof_jntid[qvel]
     # A velocity drive never makes up for what it lost while its force was limited: the tool would lag by centimetres.
     model.jnt_actfrclimited[joints] = 0
-    object_body = _places(body_of, built.object_body)
+    object_body = _indices_of(body_of, built.object_body)
     free_joint = model.body_jntadr[object_body]
     driven = np.where(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, model.actuator_trnid[:, 0], -1)
     return MujocoModel(
         model=model,
         joint_qpos=model.jnt_qposadr[joints],
         joint_qvel=qvel,
-        joint_drive=_places(driven, joints),
+        joint_drive=_indices_of(driven, joints),
         object_qpos=model.jnt_qposadr[free_joint] + np.arange(7),
         object_qvel=model.jnt_dofadr[free_joint] + np.arange(6),
         object_body=object_body,
-        link_bodies=_places(body_of, built.link_bodies),
+        link_bodies=_indices_of(body_of, built.link_bodies),
         roles=np.where(shape_of >= 0, built.roles[shape_of], 0),
         sensors=np.zeros(0, dtype=int),
     )
@@ -166,7 +166,7 @@ def _first_world(array: Any) -> np.ndarray:
     return array.numpy()[0]
 
 
-def _places(values: np.ndarray, wanted: np.ndarray | int) -> np.ndarray:
+def _indices_of(values: np.ndarray, wanted: np.ndarray | int) -> np.ndarray:
     """Where each of ``wanted`` stands in ``values``, in the shape of ``wanted``."""
     return np.argmax(values == np.asarray(wanted)[..., None], axis=-1)
 

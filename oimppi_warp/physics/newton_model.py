@@ -110,9 +110,9 @@ def build_model(scene: Scene, *, worlds: int | None = None, device: str = "cpu")
     start = planar_transform(scene.start, scene.object.rest_height)
     object_body = builder.add_link(xform=_transform(start), label=scene.object.path)
     roles = _add_shapes(builder, _placed_shapes(scene, bodies, object_body))
-    _weigh_robot(builder, scene.robot, bodies)
+    _set_robot_masses(builder, scene.robot, bodies)
     pushed = scene.object
-    _weigh(builder, object_body, pushed.mass, pushed.center_of_mass, pushed.unit_inertia)
+    _set_mass(builder, object_body, pushed.mass, pushed.center_of_mass, pushed.unit_inertia)
     free_joint = builder.add_joint_free(object_body)
     builder.add_articulation([free_joint], label=scene.object.path)
 
@@ -271,7 +271,7 @@ def _mesh(collider: Collider) -> newton.Mesh:
     return newton.Mesh(points.astype(np.float32), faces.astype(np.int32).flatten())
 
 
-def _weigh_robot(builder: newton.ModelBuilder, robot: Robot, bodies: dict[str, int]) -> None:
+def _set_robot_masses(builder: newton.ModelBuilder, robot: Robot, bodies: dict[str, int]) -> None:
     """Gives the robot's bodies their masses; of a link, what is not welded to it is the link's own."""
     for link in (robot.base, *robot.links):
         own = link.mass - sum(part.mass for part in link.welded)
@@ -284,10 +284,10 @@ def _weigh_robot(builder: newton.ModelBuilder, robot: Robot, bodies: dict[str, i
                 fix="give the link a larger mass; it includes that of the welded bodies",
             )
         for part, mass in ((link, own), *((part, part.mass) for part in link.welded)):
-            _weigh(builder, bodies[part.path], mass, part.center_of_mass, part.unit_inertia)
+            _set_mass(builder, bodies[part.path], mass, part.center_of_mass, part.unit_inertia)
 
 
-def _weigh(
+def _set_mass(
     builder: newton.ModelBuilder, body: int, mass: float, center: np.ndarray | None, unit_inertia: np.ndarray | None
 ) -> None:
     """Gives a body its mass [kg], centre of mass [3] [m] and unit inertia [3, 3] [m^2]; ``None``: of its shapes."""

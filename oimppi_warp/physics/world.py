@@ -27,7 +27,7 @@ class World:
     @cached_property
     def mujoco(self) -> MujocoModel:
         """The same for MuJoCo's C engine, as Newton's SolverMuJoCo translates it."""
-        return translated(self.scene, sensing=False)
+        return translate_scene(self.scene, sensing=False)
 
     @cached_property
     def mujoco_sensing(self) -> MujocoModel:

@@ -28,20 +28,20 @@ _SUBSTEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class _Picture:
+class _Detection:
     """What the camera made of one picture.
 
     Attributes:
         taken: When it was taken [s].
         due: When its result is there [s].
         pose: Planar pose that was recognised in it, shape [3].
-        wrong: Whether that is something else than the object.
+        outlier: Whether that is something else than the object.
     """
 
     taken: float
     due: float
     pose: np.ndarray
-    wrong: bool
+    outlier: bool
 
 
 class LabPlant:
@@ -95,12 +95,12 @@ class LabPlant:
         self._commands: deque[tuple[int, np.ndarray]] = deque()
         self._wanted = np.zeros(world.scene.robot.dof)
         self._driven = np.zeros(world.scene.robot.dof)
-        self._pictures: deque[_Picture] = deque()
-        self._seen = _Picture(np.nan, 0.0, np.full(3, np.nan), False)
+        self._pictures: deque[_Detection] = deque()
+        self._seen = _Detection(np.nan, 0.0, np.full(3, np.nan), False)
         self._next_picture = 0
         self._contacts = self._plant.contacts
-        self._trail = [self._report()]
-        self._look()
+        self._trail = [self._measure()]
+        self._take_picture()
 
     def observe(self) -> Observation:
         """What is known now: the newest report of the joints, all since the last call, the newest detection."""
@@ -111,7 +111,7 @@ class LabPlant:
             velocity = (last - trail[0, 1:]) / (trail[-1, 0] - trail[0, 0])
         while self._pictures and self._pictures[0].due <= self._time + 1e-9:
             self._seen = self._pictures.popleft()
-            self.wrong_detections += self._seen.wrong
+            self.wrong_detections += self._seen.outlier
         x, y, yaw = self._seen.pose
         return Observation(
             time=self._time,
@@ -126,16 +126,16 @@ class LabPlant:
     def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
         """Puts everything somewhere at once, at rest; see :meth:`oimppi_warp.plants.plant.SimulatedPlant.place`."""
         self._plant.place(joint_position, object_transform)
-        self._trail = [self._report()]
+        self._trail = [self._measure()]
 
     def knock(self, impulse: np.ndarray) -> None:
         """Knocks at the object with an impulse [3] [N s]."""
         self._plant.knock(impulse)
 
     @property
-    def touches(self) -> np.ndarray:
-        """Contact points and forces now; see :attr:`oimppi_warp.plants.plant.SimulatedPlant.touches`."""
-        return self._plant.touches
+    def contact_points(self) -> np.ndarray:
+        """Contact points and forces now; see :attr:`oimppi_warp.plants.plant.SimulatedPlant.contact_points`."""
+        return self._plant.contact_points
 
     def truth(self) -> Observation:
         """The exact state, for the record; nothing that plans may ask for it."""
@@ -161,8 +161,8 @@ class LabPlant:
             self._plant.apply(self._driven)
             forces.append(vars(self._plant.contacts))
             self._tick += 1
-            self._trail.append(self._report())
-            self._look()
+            self._trail.append(self._measure())
+            self._take_picture()
         self._contacts = Contacts(**{name: max(force[name] for force in forces) for name in forces[0]})
 
     @property
@@ -184,13 +184,13 @@ class LabPlant:
     def _time(self) -> float:
         return self._tick * TICK
 
-    def _report(self) -> np.ndarray:
+    def _measure(self) -> np.ndarray:
         """Time [s] and measured joint positions [rad], shape [1 + dof]."""
         joints = self._plant.observe().joint_position
         noise = self._joint_noise.normal(0.0, self._config.joint_noise, len(joints))
         return np.concatenate([[self._time], joints + noise])
 
-    def _look(self) -> None:
+    def _take_picture(self) -> None:
         """Take a picture if it is time."""
         if self._tick < self._next_picture:
             return
@@ -199,14 +199,14 @@ class LabPlant:
         state = self._plant.observe()
         # All draws are made for every picture, so that what one shows does not depend on those before.
         noise = random.normal(size=3) * (config.position_noise, config.position_noise, config.yaw_noise)
-        wrong, way = random.uniform() < config.outlier_probability, random.uniform(-np.pi, np.pi)
+        outlier, direction = random.uniform() < config.outlier_probability, random.uniform(-np.pi, np.pi)
         away, turn = random.uniform(0.5, 1.5) * config.outlier_size, random.uniform(-np.pi, np.pi)
         if not self.camera.sees(state.joint_position, state.object_pose):
             return
         pose = state.object_pose + noise
-        if wrong:
-            pose = pose + np.array([away * np.cos(way), away * np.sin(way), turn])
-        self._pictures.append(_Picture(self._time, self._time + config.delay, pose, wrong))
+        if outlier:
+            pose = pose + np.array([away * np.cos(direction), away * np.sin(direction), turn])
+        self._pictures.append(_Detection(self._time, self._time + config.delay, pose, outlier))
 
 
 def lab_plant(scene: Scene, config: Config, *, seed: int = 0) -> LabPlant:

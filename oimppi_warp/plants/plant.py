@@ -25,7 +25,7 @@ UPRIGHT = math.cos(0.35)
 LONGEST_STEP = 0.0025
 """Longest step of the plant's physics [s]; longer ones make a sliding object gain energy."""
 
-_TOUCHES = (
+_PAIRS = (
     (("tool",), ("object",)),
     (("object",), ("obstacle", "base")),
     (("arm", "tool"), ("obstacle", "table")),
@@ -104,7 +104,7 @@ class MovablePlant(Protocol):
         ...
 
     @property
-    def touches(self) -> np.ndarray:
+    def contact_points(self) -> np.ndarray:
         """Contact points and normal forces now, shape [n, 6] [m, N]."""
         ...
 
@@ -157,7 +157,7 @@ class SimulatedPlant:
         self.model.opt.timestep = control_period / substeps
         self.data = mujoco.MjData(self.model)
         self._bursts = [int(burst) for burst in np.diff(np.linspace(0, substeps, 5).astype(int)) if burst > 0]
-        self._touch = _touch_table()
+        self._touch = _pair_table()
         self._contacts = Contacts(0.0, 0.0, 0.0, 0.0)
         joints = world.scene.robot.joints
         self._limits = np.array([(joint.lower, joint.upper, joint.velocity_limit) for joint in joints]).T
@@ -222,7 +222,7 @@ class SimulatedPlant:
         position = self.data.qpos[self._map.joint_qpos]
         command = np.clip(command, (lower - position) / self.control_period, (upper - position) / self.control_period)
         self.data.ctrl[self._map.joint_drive] = np.clip(command, -speed, speed)
-        forces = np.zeros(len(_TOUCHES))
+        forces = np.zeros(len(_PAIRS))
         knocked = self.data.xfrc_applied[self._object_body, :3]
         knocked += self._knock
         for burst in self._bursts:
@@ -240,7 +240,7 @@ class SimulatedPlant:
         return self._contacts
 
     @property
-    def touches(self) -> np.ndarray:
+    def contact_points(self) -> np.ndarray:
         """Where something is touched that is pushed or hindered, now: contact points and normal forces, shape [n, 6].
 
         The object's rest on the table does not count.
@@ -250,7 +250,7 @@ class SimulatedPlant:
         pair = self._touch[tuple(self._map.roles[contact.geom[active]].T)]
         force = self.data.efc_force[contact.efc_address[active]]
         vectors = force[:, None] * contact.frame[active][:, :3]
-        return np.column_stack([contact.pos[active], vectors])[pair < len(_TOUCHES) - 1]
+        return np.column_stack([contact.pos[active], vectors])[pair < len(_PAIRS) - 1]
 
     @property
     def tipped(self) -> bool:
@@ -258,12 +258,12 @@ class SimulatedPlant:
         return has_tipped(self.truth().object_transform)
 
     def _normal_forces(self) -> np.ndarray:
-        """Sum of the normal forces of each pair in :data:`_TOUCHES`, shape [pair] [N]."""
+        """Sum of the normal forces of each pair in :data:`_PAIRS`, shape [pair] [N]."""
         contact = self.data.contact
         active = contact.efc_address >= 0
         pair = self._touch[tuple(self._map.roles[contact.geom[active]].T)]
         normal = self.data.efc_force[contact.efc_address[active]]
-        return np.bincount(pair, weights=normal, minlength=len(_TOUCHES) + 1)[:-1]
+        return np.bincount(pair, weights=normal, minlength=len(_PAIRS) + 1)[:-1]
 
 
 def ideal_plant(scene: Scene, config: Config, *, seed: int = 0) -> SimulatedPlant:
@@ -273,10 +273,10 @@ def ideal_plant(scene: Scene, config: Config, *, seed: int = 0) -> SimulatedPlan
     return SimulatedPlant(World(scene), start=scene.start, control_period=period, substeps=substeps)
 
 
-def _touch_table() -> np.ndarray:
-    """Which entry of :data:`_TOUCHES` a pair of roles belongs to, or one past the last; shape [role, role]."""
-    table = np.full((len(ROLES), len(ROLES)), len(_TOUCHES))
-    for index, (some, others) in enumerate(_TOUCHES):
+def _pair_table() -> np.ndarray:
+    """Which entry of :data:`_PAIRS` a pair of roles belongs to, or one past the last; shape [role, role]."""
+    table = np.full((len(ROLES), len(ROLES)), len(_PAIRS))
+    for index, (some, others) in enumerate(_PAIRS):
         for a, b in product(some, others):
             table[ROLES.index(a), ROLES.index(b)] = table[ROLES.index(b), ROLES.index(a)] = index
     return table

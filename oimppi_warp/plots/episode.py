@@ -17,7 +17,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from oimppi_warp.geometry.footprint import Piece, footprint, outline
 from oimppi_warp.plots.style import FAINT, GOAL, INK, START, STYLE, WALL, add_rings, rendered
-from oimppi_warp.record.log import EpisodeLog, write_whole
+from oimppi_warp.record.log import EpisodeLog, write_atomically
 from oimppi_warp.record.metrics import hold_steps, within
 from oimppi_warp.scene import Scene
 
@@ -39,23 +39,24 @@ def draw(log: EpisodeLog, scene: Scene, folder: str | Path) -> tuple[Path, ...]:
     """
     files = []
     with matplotlib.rc_context(STYLE):
-        for name, figure in (("way", way(log, scene)), ("errors", errors(log)), ("plan_times", plan_times(log))):
-            write_whole(Path(folder) / f"{name}.png", rendered(figure))
+        figures = {"way": path_figure(log, scene), "errors": errors_figure(log), "plan_times": plan_times_figure(log)}
+        for name, figure in figures.items():
+            write_atomically(Path(folder) / f"{name}.png", rendered(figure))
             files.append(Path(folder) / f"{name}.png")
     return tuple(files)
 
 
-def way(log: EpisodeLog, scene: Scene) -> Figure:
-    """The object's way from above: its footprint at even steps of it, coloured by time."""
+def path_figure(log: EpisodeLog, scene: Scene) -> Figure:
+    """The object's path from above: its footprint at even steps of it, coloured by time."""
     figure = Figure(layout="constrained")
     axes = figure.add_subplot()
-    width, height = draw_place(axes, log, scene)
+    width, height = draw_scene(axes, log, scene)
     figure.set_size_inches(7.0, 1.2 + 5.6 * min(max(height / width, 0.5), 1.6))
     pieces = footprint(scene.object.colliders)
     start, goal = np.asarray(log.header["start"], float), np.asarray(log.header["goal"], float)
     if len(log):
         norm = Normalize(0.0, max(float(log["time"][-1]), 1e-6))
-        _draw_way(axes, log, pieces, norm)
+        _draw_path(axes, log, pieces, norm)
         bar = figure.colorbar(ScalarMappable(norm, _TIME), ax=axes, fraction=0.04, pad=0.02)
         bar.set_label("time [s]")
         bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue, reportAttributeAccessIssue]
@@ -69,7 +70,7 @@ def way(log: EpisodeLog, scene: Scene) -> Figure:
     return figure
 
 
-def errors(log: EpisodeLog) -> Figure:
+def errors_figure(log: EpisodeLog) -> Figure:
     """Errors to the goal, clearance and cost terms over time."""
     figure = Figure(figsize=(7.0, 8.0), layout="constrained")
     position, yaw, clearance, cost = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1, 1, 1.6])
@@ -95,7 +96,7 @@ def errors(log: EpisodeLog) -> Figure:
     return figure
 
 
-def plan_times(log: EpisodeLog) -> Figure:
+def plan_times_figure(log: EpisodeLog) -> Figure:
     """Wall time of each plan and the effective sample sizes over time."""
     figure = Figure(figsize=(7.0, 4.8), layout="constrained")
     plan, samples = figure.subplots(2, 1, sharex=True)
@@ -131,7 +132,7 @@ def _legend(axes: Axes) -> None:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(5, len(names)), borderaxespad=0.2)
 
 
-def draw_place(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]:
+def draw_scene(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]:
     """Table, robot base and obstacles, and the frame around what matters; the frame's width and height [m]."""
     lower, upper = np.asarray(scene.table.lower), np.asarray(scene.table.upper)
     axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=FAINT, lw=1.0, zorder=0))
@@ -150,7 +151,7 @@ def draw_place(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]
     return high[0] - low[0], high[1] - low[1]
 
 
-def _draw_way(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Normalize) -> None:
+def _draw_path(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Normalize) -> None:
     """Tool path, first object plan, path of the object, and its footprint at intervals."""
     time, poses, tool = log["time"], log["object_pose"], log["tool_position"]
     axes.plot(tool[:, 0], tool[:, 1], color="#8b98a1", lw=0.6, label="tool", zorder=1)
@@ -168,8 +169,8 @@ def _draw_way(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Norm
 def _rows_along(poses: np.ndarray, *, count: int) -> list[int]:
     """Up to ``count`` rows at even steps of the way, on which a radian counts as 0.1 m."""
     moves = np.abs(np.diff(poses, axis=0))
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(moves[:, 0], moves[:, 1]) + 0.1 * np.minimum(moves[:, 2], 1.0))])
-    return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], count + 1)[:-1])).tolist()
+    path = np.concatenate([[0.0], np.cumsum(np.hypot(moves[:, 0], moves[:, 1]) + 0.1 * np.minimum(moves[:, 2], 1.0))])
+    return np.unique(np.searchsorted(path, np.linspace(0.0, path[-1], count + 1)[:-1])).tolist()
 
 
 def draw_shape(axes: Axes, pieces: tuple[Piece, ...], pose: np.ndarray, **style: Any) -> None:

@@ -15,9 +15,9 @@ from matplotlib.patches import Circle
 from PIL import Image
 
 from oimppi_warp.geometry.footprint import footprint
-from oimppi_warp.plots.episode import draw_place, draw_shape, title_of
+from oimppi_warp.plots.episode import draw_scene, draw_shape, title_of
 from oimppi_warp.plots.style import GOAL, INK, START, STYLE
-from oimppi_warp.record.log import EpisodeLog, write_whole
+from oimppi_warp.record.log import EpisodeLog, write_atomically
 from oimppi_warp.scene import Scene
 
 FPS = 10
@@ -43,7 +43,7 @@ def film(log: EpisodeLog, scene: Scene, file: str | Path, *, speed: float = 2.0)
     packed = io.BytesIO()
     durations = [1000 // FPS] * len(others) + [2000]
     first.save(packed, format="GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=True)
-    write_whole(file, packed.getvalue())
+    write_atomically(file, packed.getvalue())
     return len(rows)
 
 
@@ -59,7 +59,7 @@ def _frame(log: EpisodeLog, scene: Scene, row: int) -> Image.Image:
     figure = Figure(figsize=(3.6, 4.8), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    draw_place(axes, log, scene)
+    draw_scene(axes, log, scene)
     pieces = footprint(scene.object.colliders)
     goal = np.asarray(log.header["goal"], float)
     draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.4, ls=(0, (4, 2)), zorder=6)

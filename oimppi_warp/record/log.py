@@ -196,8 +196,8 @@ class EpisodeLog:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / _JSON).unlink(missing_ok=True)
-            write_whole(folder / _NPZ, packed.getvalue())
-            write_whole(folder / _JSON, text.encode())
+            write_atomically(folder / _NPZ, packed.getvalue())
+            write_atomically(folder / _JSON, text.encode())
         except OSError as error:
             raise LogError(f"{folder}: the record cannot be written ({error.strerror or error})") from error
         return folder
@@ -225,7 +225,7 @@ class EpisodeLog:
         return log
 
 
-def write_whole(path: str | Path, content: bytes) -> None:
+def write_atomically(path: str | Path, content: bytes) -> None:
     """Write a whole file or nothing: into a temporary name first, then renamed."""
     path = Path(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
@@ -236,12 +236,12 @@ def write_whole(path: str | Path, content: bytes) -> None:
         partial.unlink(missing_ok=True)
 
 
-def flat(value: Any) -> dict[str, Any]:
+def flatten(value: Any) -> dict[str, Any]:
     """The fields of a dataclass by name; those of dataclasses among them stand in their place, as in all JSON files."""
     found: dict[str, Any] = {}
     for item in fields(value):
         inner = getattr(value, item.name)
-        found |= flat(inner) if is_dataclass(inner) else {item.name: inner}
+        found |= flatten(inner) if is_dataclass(inner) else {item.name: inner}
     return found
 
 

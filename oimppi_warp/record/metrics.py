@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.config.run_spec import RunSpec
-from oimppi_warp.record.log import EVENTS, EpisodeLog, flat, to_json
+from oimppi_warp.record.log import EVENTS, EpisodeLog, flatten, to_json
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Metrics:
 
     def row(self) -> dict[str, Any]:
         """The same in types that JSON knows."""
-        return to_json(flat(self))
+        return to_json(flatten(self))
 
 
 def summarize(log: EpisodeLog) -> Metrics:

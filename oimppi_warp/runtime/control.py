@@ -1,9 +1,9 @@
 """Who waits for whom: planner, estimator and plant in lock step, or each at its own pace on the wall clock.
 
-Either way a control period is one :class:`Beat`. In lock step the world stands still while the planner thinks. In real
-time it does not: the planner works beside the plant on the command that will be due at the next beat, from where things
-will be by then; a plan that is late waits for the beat after, the command before it is kept up meanwhile, and when that
-has expired the arm is told to stop.
+Either way a control period gives one :class:`ControlStep`. In lock step the world stands still while the planner
+thinks. In real time it does not: the planner works beside the plant on the command that will be due at the next step,
+from where things will be by then; a plan that is late waits for the step after, the command before it is kept up
+meanwhile, and when that has expired the arm is told to stop.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from oimppi_warp.plants.plant import Plant, latency_of
 from oimppi_warp.runtime.estimator import Estimator, Event
 
 
-class Plans(Protocol):
+class SupportsPlanning(Protocol):
     """What the loop needs of a planner."""
 
     def start(self, observation: Observation) -> float:
@@ -35,23 +35,23 @@ class Plans(Protocol):
         ...
 
 
-class Workers(Protocol):
+class PlanExecutor(Protocol):
     """Where the planner works, like :class:`concurrent.futures.Executor`."""
 
-    def submit(self, work: Callable[[Observation], _Thought], observation: Observation, /) -> Future[_Thought]:
+    def submit(self, work: Callable[[Observation], _TimedPlan], observation: Observation, /) -> Future[_TimedPlan]:
         """Begin with a plan."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class Beat:
+class ControlStep:
     """One control period that has passed.
 
     Attributes:
         command: Joint velocities that were sent, shape [dof] [rad/s].
         plan: The plan that was new in it, if one was.
         plan_seconds: How long that took [s].
-        preplan_seconds: Wall time of what was planned before the first plan [s]; 0 in all beats but that plan's.
+        preplan_seconds: Wall time of what was planned before the first plan [s]; 0 in all steps but that plan's.
         observed: What the plant reported at its end.
         estimate: Where the object is believed to be at its end, shape [3]; NaN where nothing is believed.
         event: What became of a detection in it.
@@ -73,7 +73,7 @@ class Beat:
 
 
 @dataclass(frozen=True, eq=False)
-class _Thought:
+class _TimedPlan:
     """A plan, and how long it and what came before it took [s]."""
 
     plan: Plan
@@ -81,23 +81,25 @@ class _Thought:
     preplan_seconds: float
 
 
-class _Thinker:
+class _TimedPlanner:
     """The planner, started with the first thing that is known."""
 
-    def __init__(self, planner: Plans) -> None:
+    def __init__(self, planner: SupportsPlanning) -> None:
         self._planner = planner
         self.started = False
 
-    def think(self, observation: Observation) -> _Thought:
+    def plan(self, observation: Observation) -> _TimedPlan:
         preplan = 0.0 if self.started else self._planner.start(observation)
         self.started = True
         began = time.perf_counter()
         plan = self._planner.plan(observation)
-        return _Thought(plan, time.perf_counter() - began, preplan)
+        return _TimedPlan(plan, time.perf_counter() - began, preplan)
 
 
-def lock_step(plant: Plant, planner: Plans, estimator: Estimator | None, *, dof: int) -> Generator[Beat]:
-    """Beats without end in which the world waits for the planner.
+def lock_step(
+    plant: Plant, planner: SupportsPlanning, estimator: Estimator | None, *, dof: int
+) -> Generator[ControlStep]:
+    """Control steps without end in which the world waits for the planner.
 
     Args:
         plant: What is moved.
@@ -108,37 +110,37 @@ def lock_step(plant: Plant, planner: Plans, estimator: Estimator | None, *, dof:
     Raises:
         ObservationError: An array that the plant reports has the wrong length.
     """
-    thinker, command, latency = _Thinker(planner), np.zeros(dof), latency_of(plant)
+    timed_planner, command, latency = _TimedPlanner(planner), np.zeros(dof), latency_of(plant)
     observation = _observed(plant, dof)
     known = observation if estimator is None else estimator.update(observation)
     while True:
-        thought, lost = None, known is None and thinker.started
+        timed_plan, lost = None, known is None and timed_planner.started
         if known is None:
             command = np.zeros(dof)
         else:
             if estimator is not None:
                 known = estimator.predict(known, [(latency, command)])
-            thought = thinker.think(known)
-            command = thought.plan.command
+            timed_plan = timed_planner.plan(known)
+            command = timed_plan.plan.command
         plant.apply(command)
         observation = _observed(plant, dof)
         known = observation if estimator is None else estimator.update(observation)
-        beat = _beat(command, thought, observation, known, estimator)
-        yield replace(beat, stopped=beat.stopped or lost)
+        step = _control_step(command, timed_plan, observation, known, estimator)
+        yield replace(step, stopped=step.stopped or lost)
 
 
 def real_time(
     plant: Plant,
-    planner: Plans,
+    planner: SupportsPlanning,
     estimator: Estimator,
     *,
     dof: int,
     expires: float,
     clock: Callable[[], float] = time.perf_counter,
     sleep: Callable[[float], None] = time.sleep,
-    workers: Workers | None = None,
-) -> Generator[Beat]:
-    """Beats without end on the wall clock.
+    executor: PlanExecutor | None = None,
+) -> Generator[ControlStep]:
+    """Control steps without end on the wall clock.
 
     Args:
         plant: What is moved; sending it a command takes less than a control period.
@@ -147,33 +149,33 @@ def real_time(
         dof: Number of joints.
         expires: How long a command is kept up when the next plan is late [s].
         clock, sleep: The wall clock [s].
-        workers: Where the planner works; default: one thread.
+        executor: Where the planner works; default: one thread.
     """
-    period, thinker, still = plant.control_period, _Thinker(planner), np.zeros(dof)
+    period, timed_planner, still = plant.control_period, _TimedPlanner(planner), np.zeros(dof)
     before, command, age = still, still, 0
     planned = halted = False
-    job: Future[_Thought] | None = None
+    job: Future[_TimedPlan] | None = None
     latency = latency_of(plant)
     known = estimator.update(_observed(plant, dof))
-    own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if workers is None else None
-    pool = workers or own
+    own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if executor is None else None
+    pool = executor or own
     assert pool is not None
     due = clock()
     try:
         while True:
-            thought, missed, stopped, before = None, False, False, command
+            timed_plan, missed, stopped, before = None, False, False, command
             if job is not None and job.done():
-                thought, job = job.result(), None
-                command, age, planned = thought.plan.command, 0, True
-                halted = bool(thought.plan.problem)
+                timed_plan, job = job.result(), None
+                command, age, planned = timed_plan.plan.command, 0, True
+                halted = bool(timed_plan.plan.problem)
             elif planned:
                 missed, age = True, age + 1
                 if age * period > expires + 1e-9:
                     command, stopped = still, True
             if job is None and known is not None:
                 # What is decided now is carried out before the plan that is asked for now.
-                to_come = [(latency, before), (period, command)]
-                job = pool.submit(thinker.think, estimator.predict(known, to_come))
+                pending = [(latency, before), (period, command)]
+                job = pool.submit(timed_planner.plan, estimator.predict(known, pending))
             plant.apply(command)
             due += period
             left = due - clock()
@@ -183,8 +185,8 @@ def real_time(
                 due -= left
             observation = _observed(plant, dof)
             known = estimator.update(observation)
-            beat = _beat(command, thought, observation, known, estimator)
-            yield replace(beat, missed=missed, stopped=stopped or halted, lag=max(-left, 0.0))
+            step = _control_step(command, timed_plan, observation, known, estimator)
+            yield replace(step, missed=missed, stopped=stopped or halted, lag=max(-left, 0.0))
     finally:
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)
@@ -197,20 +199,20 @@ def _observed(plant: Plant, dof: int) -> Observation:
     return observation
 
 
-def _beat(
+def _control_step(
     command: np.ndarray,
-    thought: _Thought | None,
+    timed_plan: _TimedPlan | None,
     observed: Observation,
     known: Observation | None,
     estimator: Estimator | None,
-) -> Beat:
-    return Beat(
+) -> ControlStep:
+    return ControlStep(
         command=command,
-        plan=None if thought is None else thought.plan,
-        plan_seconds=math.nan if thought is None else thought.seconds,
-        preplan_seconds=0.0 if thought is None else thought.preplan_seconds,
+        plan=None if timed_plan is None else timed_plan.plan,
+        plan_seconds=math.nan if timed_plan is None else timed_plan.seconds,
+        preplan_seconds=0.0 if timed_plan is None else timed_plan.preplan_seconds,
         observed=observed,
         estimate=np.full(3, np.nan) if known is None else known.object_pose,
         event="none" if estimator is None else estimator.event,
-        stopped=thought is not None and bool(thought.plan.problem),
+        stopped=timed_plan is not None and bool(timed_plan.plan.problem),
     )

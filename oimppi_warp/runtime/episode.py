@@ -26,7 +26,7 @@ from oimppi_warp.plants.plant import ContactPlant, Plant, TruthfulPlant, has_tip
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
 from oimppi_warp.registries import PLANTS
-from oimppi_warp.runtime.control import Beat, lock_step, real_time
+from oimppi_warp.runtime.control import ControlStep, lock_step, real_time
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.scene import Scene
 
@@ -124,7 +124,7 @@ class Episode:
             threads=self.planner.compute.threads,
             plant=spec.plant if plant is None else type(plant).__name__,
         )
-        self._beats = self._loop()
+        self._control_steps = self._loop()
         self._plans = 0
         self._problem = ""
         self.log = EpisodeLog(
@@ -173,7 +173,7 @@ class Episode:
             self.log.header["ended"] = "diverged"
         return self.log
 
-    def steps(self) -> Generator[Beat]:
+    def steps(self) -> Generator[ControlStep]:
         """The same step by step: each control period as it has passed, until the episode ends.
 
         Raises:
@@ -188,10 +188,10 @@ class Episode:
         held = 0
         try:
             for _ in range(round(settings.max_sim_seconds / self.config.control_period)):
-                beat = next(self._beats)
-                position_error, yaw_error = self._record(beat)
-                yield beat
-                if self._fell():
+                step = next(self._control_steps)
+                position_error, yaw_error = self._record(step)
+                yield step
+                if self._has_fallen():
                     self.log.header["ended"] = "object fell"
                     break
                 held = held + 1 if position_error <= wanted.position and yaw_error <= wanted.yaw else 0
@@ -203,10 +203,10 @@ class Episode:
         finally:
             with suppress(Exception):  # however it ended, the arm is told to stop before anything else
                 self.plant.apply(np.zeros(self.scene.robot.dof))
-            self._beats.close()
+            self._control_steps.close()
 
-    def _loop(self) -> Generator[Beat]:
-        """The beats of plant and planner; what always knows exactly where the object is needs no estimator."""
+    def _loop(self) -> Generator[ControlStep]:
+        """The control steps of plant and planner; a plant that knows exactly where the object is needs no estimator."""
         dof = self.scene.robot.dof
         if self.spec.mode == "realtime":
             estimator = Estimator(self.scene, self.config)
@@ -214,26 +214,26 @@ class Episode:
         behind = self.plant.observe().object_time is not None or latency_of(self.plant) > 0.0
         return lock_step(self.plant, self.planner, Estimator(self.scene, self.config) if behind else None, dof=dof)
 
-    def _fell(self) -> bool:
+    def _has_fallen(self) -> bool:
         """Whether the object has tipped over or fallen off the table, as far as the plant knows."""
         if not isinstance(self.plant, TruthfulPlant):
             return False
         transform = self.plant.truth().object_transform
         return has_tipped(transform) or bool(transform[2] < -_FALLEN)
 
-    def state_after(self, beat: Beat) -> Observation:
-        """Returns the state at the end of a beat: the truth, or what is believed where the plant does not know it."""
+    def state_after(self, step: ControlStep) -> Observation:
+        """Returns the state after a control step: the truth, or what is believed where the plant does not know it."""
         if isinstance(self.plant, TruthfulPlant):
             return self.plant.truth()
-        x, y, yaw = beat.estimate
+        x, y, yaw = step.estimate
         transform = planar_transform((x, y, yaw), self.scene.object.rest_height)
-        return replace(beat.observed, object_pose=beat.estimate, object_transform=transform)
+        return replace(step.observed, object_pose=step.estimate, object_transform=transform)
 
-    def _record(self, beat: Beat) -> tuple[float, float]:
+    def _record(self, step: ControlStep) -> tuple[float, float]:
         """Log a control step; returns the object's distance [m] and angle [rad] to its goal."""
-        plan = beat.plan
+        plan = step.plan
         if plan is not None:
-            self.log.header["preplan_time_s"] += beat.preplan_seconds
+            self.log.header["preplan_time_s"] += step.preplan_seconds
             ahead = self.planner.object_plan
             if self._plans == 0 and ahead is not None:
                 self.log.add_reference(ahead)
@@ -243,7 +243,7 @@ class Episode:
             if plan.problem and plan.problem != self._problem:
                 self.log.header["problems"].append([len(self.log), plan.problem])
             self._problem = plan.problem
-        truth = self.state_after(beat)
+        truth = self.state_after(step)
         position_error, yaw_error = pose_error(truth.object_pose, self.scene.goal)
         geometry = self.planner.geometry
         forces = {}
@@ -259,18 +259,18 @@ class Episode:
             time=truth.time,
             joint_position=truth.joint_position,
             joint_velocity=truth.joint_velocity,
-            command=beat.command,
+            command=step.command,
             tool_position=tip_frame(self.scene.robot, truth.joint_position)[1],
             object_pose=truth.object_pose,
-            estimated_pose=beat.estimate,
-            detection=float(EVENTS.index(beat.event)),
+            estimated_pose=step.estimate,
+            detection=float(EVENTS.index(step.event)),
             position_error=position_error,
             yaw_error=yaw_error,
             clearance=geometry.clearance_at(to_center(geometry.surface, truth.object_pose)),
-            plan_ms=1e3 * beat.plan_seconds,
-            missed_deadline=float(beat.missed),
-            stopped=float(beat.stopped),
-            lag_ms=1e3 * beat.lag,
+            plan_ms=1e3 * step.plan_seconds,
+            missed_deadline=float(step.missed),
+            stopped=float(step.stopped),
+            lag_ms=1e3 * step.lag,
             **forces,
             **row,
         )

@@ -125,27 +125,27 @@ class Estimator:
             return None
         seen = observation.object_time
         if seen is None:
-            self._know(to_center(self._surface, observation.object_pose))
+            self._reset_to(to_center(self._surface, observation.object_pose))
             return observation
         if not math.isnan(seen) and seen != self._seen:
             self._seen = seen
             if np.isfinite(observation.object_pose).all() and np.hypot(*observation.object_pose[:2]) < FARTHEST_OBJECT:
-                self._take(seen, to_center(self._surface, observation.object_pose))
+                self._process(seen, to_center(self._surface, observation.object_pose))
             else:
                 self.event = "rejected"
         if self._believed is None:
             return None
         return self._with_pose(observation, self._believed.poses.numpy()[self._count - 1])
 
-    def predict(self, observation: Observation, to_come: Sequence[tuple[float, np.ndarray]]) -> Observation:
+    def predict(self, observation: Observation, pending: Sequence[tuple[float, np.ndarray]]) -> Observation:
         """What will be, once commands that are already decided have been carried out.
 
         Args:
             observation: What is believed now, from :meth:`update`.
-            to_come: Commands as pairs of a duration [s] and joint velocities [dof] [rad/s].
+            pending: Commands as pairs of a duration [s] and joint velocities [dof] [rad/s].
         """
         joints, total = [observation.joint_position], 0.0
-        for duration, velocity in to_come:
+        for duration, velocity in pending:
             steps = math.ceil(duration / _STEP - 1e-9)
             joints += [joints[-1] + velocity * duration * step / steps for step in range(1, steps + 1)]
             total += duration
@@ -159,7 +159,7 @@ class Estimator:
             observation,
             time=observation.time + total,
             joint_position=joints[-1],
-            joint_velocity=np.array(to_come[-1][1], dtype=float),
+            joint_velocity=np.array(pending[-1][1], dtype=float),
         )
         return self._with_pose(moved, track.poses.numpy()[len(joints) - 1])
 
@@ -208,7 +208,7 @@ class Estimator:
             array[:kept] = array[first : self._count].copy()
         self._count = kept
 
-    def _know(self, pose: np.ndarray) -> None:
+    def _reset_to(self, pose: np.ndarray) -> None:
         """Believe a pose [3] of the friction centre, at present."""
         at = self._count - 1
         if self._believed is None:
@@ -217,7 +217,7 @@ class Estimator:
         self._believed.poses.numpy()[at] = pose
         self._believed.spread[at] = 0.0
 
-    def _take(self, seen: float, pose: np.ndarray) -> None:
+    def _process(self, seen: float, pose: np.ndarray) -> None:
         """Judge a detection: ``pose`` [3] of the friction centre at the time ``seen``."""
         at = int(np.argmin(np.abs(self._times[: self._count] - seen)))
         if seen < self._times[0] - 1e-6:
@@ -233,7 +233,7 @@ class Estimator:
             self._correct(self._believed, at, pose)
         else:
             self.event = "first" if self._believed is None else "rejected"
-            self._rival = self._begin(at, pose)
+            self._rival = self._start_track(at, pose)
 
     def _agrees(self, track: _Track, at: int, pose: np.ndarray) -> bool:
         """Whether a detection is where a track has the object, as far as both can be trusted."""
@@ -244,7 +244,7 @@ class Estimator:
         near = bool(np.hypot(off[0], off[1]) <= allowed[0])
         return near and (not self._counts_yaw or bool(abs(wrap_angle(off[2])) <= allowed[1]))
 
-    def _begin(self, at: int, pose: np.ndarray) -> _Track:
+    def _start_track(self, at: int, pose: np.ndarray) -> _Track:
         """A track that believes one detection."""
         track = self._new_track(_CAPACITY)
         track.first, track.count = at, at + 1

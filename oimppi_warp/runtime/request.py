@@ -60,7 +60,7 @@ class SettingsRequest:
         return validate(config)
 
 
-def make_task(
+def prepare_scene(
     scene: str | Path, *, start: PlanarPose | int | None = None, goal: PlanarPose | None = None, seed: int = 0
 ) -> Scene:
     """A scene with the start and the goal asked for, checked.
@@ -75,14 +75,14 @@ def make_task(
         SceneError: The scene cannot be run so.
         ConfigError: The scene has fewer starts.
     """
-    from oimppi_warp.geometry.feasibility import check_task, draw_start
+    from oimppi_warp.geometry.feasibility import check_task, sample_start
     from oimppi_warp.usd import load_scene
 
     loaded = load_scene(scene)
     if goal is not None:
         loaded = loaded.with_goal(goal)
     if start is None:
-        start = draw_start(loaded, seed)
+        start = sample_start(loaded, seed)
     elif isinstance(start, int):
         start = _listed_start(loaded, start)
     loaded = loaded.with_start(start)

@@ -111,7 +111,7 @@ class Finding:
     remedy: str
 
 
-def examine() -> Facts:
+def gather_facts() -> Facts:
     """Looks around."""
     from oimppi_warp.usd import shipped_scenes
 
@@ -142,7 +142,7 @@ def examine() -> Facts:
     )
 
 
-def judge(facts: Facts) -> list[Finding]:
+def diagnose(facts: Facts) -> list[Finding]:
     """What is wrong, the worst first."""
     found = []
     for name, installed in facts.versions.items():

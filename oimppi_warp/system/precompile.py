@@ -45,7 +45,7 @@ def needed_on_cuda(scene: Scene, config: Config, engines: Iterable[str]) -> list
     small = replace(config.robot.optimizer, samples=2, horizon=2, knots=0, iterations=1)
     level = replace(config.robot, optimizer=small, substeps=1)
     few = replace(config, robot=level)
-    with rehearsal() as found:
+    with record_modules() as found:
         wp.load_module(distance, device="cpu")  # fields that are in the cache here may not be there
         for engine in engines:
             # On the CPU the Newton engine is another one: what surrounds it is launched with the quasi-static engine.
@@ -103,7 +103,7 @@ def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Modu
 
 
 @contextmanager
-def rehearsal() -> Iterator[list[Variant]]:
+def record_modules() -> Iterator[list[Variant]]:
     """Lists, at its end, what Warp loaded for the CPU in between, with the block sizes that a GPU would be given.
 
     Warp is made to forget what it has loaded, so that what the rehearsal needs is loaded again (out of the kernel

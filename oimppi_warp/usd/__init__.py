@@ -105,7 +105,7 @@ def _read(stage: SceneStage) -> Scene | None:
     robot = stage.attempt(None, read_robot, stage)
     table = stage.attempt(None, read_table, stage)
     pushed = stage.attempt(None, read_object, stage)
-    obstacles = [stage.attempt(None, read_obstacle, stage, prim) for prim in stage.role("OimppiObstacleAPI")]
+    obstacles = [stage.attempt(None, read_obstacle, stage, prim) for prim in stage.prims_with("OimppiObstacleAPI")]
     gravity = stage.attempt((0.0, 0.0, 0.0), read_gravity, stage)
     check_roles(stage)
     if task is None or robot is None or table is None or pushed is None:

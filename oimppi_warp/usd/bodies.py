@@ -26,7 +26,7 @@ def read_table(stage: SceneStage) -> Table:
     Raises:
         SceneError: There is none or more than one, or it is not a level box with its top at z = 0.
     """
-    prim = stage.the("OimppiTableAPI", "table", "the box that the object slides on")
+    prim = stage.single_prim("OimppiTableAPI", "table", "the box that the object slides on")
     allowed = "a Cube with CollisionAPI, aligned with the world's axes, its top at z = 0"
     moving = _moving_parts(stage, prim, "table")
     colliders = read_colliders(stage, prim, _WORLD)
@@ -66,9 +66,9 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
         SceneError: There is none or more than one, it cannot move, weighs nothing, has no shape or no friction, or does
             not lie on the table.
     """
-    prim = stage.the("OimppiObjectAPI", "object", "the rigid body that is to be pushed")
+    prim = stage.single_prim("OimppiObjectAPI", "object", "the rigid body that is to be pushed")
     if not prim.HasAPI(UsdPhysics.RigidBodyAPI) or not UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
-        stage.keep(
+        stage.collect(
             stage.error(
                 "an object that cannot move",
                 prim,
@@ -82,10 +82,10 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
     center, rest_height, friction, tool_friction = np.zeros(3), 0.0, math.nan, math.nan
     if not any(collider_prims(prim)):
         fix = "apply PhysicsCollisionAPI to a shape at it or below it"
-        stage.keep(stage.error("an object without a collider", prim, allowed=ALLOWED, fix=fix))
+        stage.collect(stage.error("an object without a collider", prim, allowed=ALLOWED, fix=fix))
     elif len(colliders) == len(list(collider_prims(prim))):
         rest_height = round(-float(height_range(colliders)[0]), 6)
-        _check_lies(stage, prim, transform(frame), rest_height)
+        _check_resting(stage, prim, transform(frame), rest_height)
         center = center_of_mass(stage, prim, colliders)
     if colliders:
         friction, tool_friction = _frictions(stage, prim)
@@ -125,24 +125,24 @@ def check_roles(stage: SceneStage) -> None:
 
     Where there is no robot, object or table at all, it says nothing: the stranger is what lacks the role.
     """
-    roles = [stage.role(f"Oimppi{role}API") for role in ("Robot", "Object", "Table", "Obstacle")]
+    roles = [stage.prims_with(f"Oimppi{role}API") for role in ("Robot", "Object", "Table", "Obstacle")]
     if not all(roles[:3]):
         return
     known = [prim.GetPath() for prims in roles for prim in prims]
-    strangers: list[Sdf.Path] = []
+    unknown: list[Sdf.Path] = []
     for prim in stage.prims():
         path = prim.GetPath()
-        if any(path.HasPrefix(other) for other in (*known, *strangers)):
+        if any(path.HasPrefix(other) for other in (*known, *unknown)):
             continue
         if prim.HasAPI(UsdPhysics.CollisionAPI) or prim.HasAPI(UsdPhysics.RigidBodyAPI):
-            strangers.append(path)
+            unknown.append(path)
             mistake = stage.error(
                 "something that collides or moves, but has no role in the task",
                 prim,
                 allowed="robot, object, obstacle or table",
                 fix="apply OimppiObstacleAPI to it, or remove its physics",
             )
-            stage.keep(mistake)
+            stage.collect(mistake)
 
 
 def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
@@ -158,17 +158,17 @@ def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
     return frame.GetOrthonormalized()
 
 
-def _check_lies(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:
+def _check_resting(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:
     """An object lies flat, and neither above nor in the table."""
     if abs(pose[3]) > 1e-4 or abs(pose[4]) > 1e-4:
         fix = "turn it until one of its axes points up; turn its shapes in it if they are drawn askew"
-        stage.keep(stage.error("an object that does not lie flat", prim, allowed="turned about z only", fix=fix))
+        stage.collect(stage.error("an object that does not lie flat", prim, allowed="turned about z only", fix=fix))
         return
     above = float(pose[2]) - rest_height
     if abs(above) > FLOATING:
         where = f"{above * 1000:.1f} mm above" if above > 0 else f"{-above * 1000:.1f} mm inside"
         fix = f"set its z to {rest_height:.4g} m"
-        stage.keep(stage.error(f"an object {where} the table", prim, allowed="on it", fix=fix))
+        stage.collect(stage.error(f"an object {where} the table", prim, allowed="on it", fix=fix))
 
 
 def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
@@ -182,12 +182,13 @@ def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider,
 
 def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
     """Coefficients of the object with the table and with the tool."""
-    tools = [tip.GetParent() for tip in stage.role("OimppiToolAPI")]
-    own, table, tool = (largest_friction(stage, bodies) for bodies in ([prim], stage.role("OimppiTableAPI"), tools))
+    tools = [tip.GetParent() for tip in stage.prims_with("OimppiToolAPI")]
+    tables = stage.prims_with("OimppiTableAPI")
+    own, table, tool = (largest_friction(stage, bodies) for bodies in ([prim], tables, tools))
     pairs = float(np.maximum(own, table)), float(np.maximum(own, tool))
     if any(friction <= 0.0 for friction in pairs):
         fix = "bind a material with PhysicsMaterialAPI and a physics:dynamicFriction to its colliders"
-        stage.keep(stage.error("an object without friction", prim, allowed="a coefficient above zero", fix=fix))
+        stage.collect(stage.error("an object without friction", prim, allowed="a coefficient above zero", fix=fix))
     return pairs
 
 
@@ -203,7 +204,7 @@ def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:
     moving = [part for part in stage.prims(prim) if part.HasAPI(UsdPhysics.RigidBodyAPI)]
     for part in moving:
         allowed = "static shapes: CollisionAPI without RigidBodyAPI"
-        stage.keep(
+        stage.collect(
             stage.error(
                 f"a rigid body in the {noun}", part, allowed=allowed, fix="remove PhysicsRigidBodyAPI, or the role"
             )

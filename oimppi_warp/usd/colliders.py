@@ -13,7 +13,7 @@ from oimppi_warp.geometry.footprint import collider_mesh, transform_points
 from oimppi_warp.scene import Collider
 from oimppi_warp.usd.frames import is_orthogonal, scales, transform
 from oimppi_warp.usd.meshes import approximation, triangles
-from oimppi_warp.usd.stage import FARTHEST, SceneStage
+from oimppi_warp.usd.stage import MAX_LENGTH, SceneStage
 
 ALLOWED = "Cube, Sphere, Cylinder, Capsule, or a Mesh that is convex or has a convex physics:approximation"
 
@@ -93,9 +93,9 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
 
 def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
     value = scene.number(prim, name, 0.0)
-    if not 0.0 < value < FARTHEST:
+    if not 0.0 < value < MAX_LENGTH:
         raise scene.error(
-            f"{name} is {value:g}", prim, allowed=f"more than zero and less than {FARTHEST:g} m", fix="give its size"
+            f"{name} is {value:g}", prim, allowed=f"more than zero and less than {MAX_LENGTH:g} m", fix="give its size"
         )
     return value
 
@@ -121,8 +121,8 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
             fix="set physics:approximation to one of them; `oimppi scene import` cuts a hollow shape into convex ones",
         )
     points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
-    if not (np.abs(points) < FARTHEST).all():
-        allowed = f"numbers below {FARTHEST:g} m"
+    if not (np.abs(points) < MAX_LENGTH).all():
+        allowed = f"numbers below {MAX_LENGTH:g} m"
         raise scene.error(
             "a mesh collider with points that are not finite, or far away",
             prim,

@@ -49,8 +49,8 @@ def save_scene(scene: Scene, file: str | Path) -> Path:
         file.parent.mkdir(parents=True, exist_ok=True)
         if not stage.GetRootLayer().Export(str(partial)):
             raise OSError("OpenUSD refused")
-        again = load_scene(partial)
-        lost = next(_lost(scene, again), None)
+        reloaded = load_scene(partial)
+        lost = next(_differences(scene, reloaded), None)
         if lost is not None:
             raise SceneError(
                 f"{lost} was changed, which cannot be saved",
@@ -83,10 +83,12 @@ def _edited(scene: Scene, opened: SceneStage, original: Scene) -> Usd.Stage:
     """
     stage = Usd.Stage.Open(opened.stage.Flatten(addSourceFileComment=False))
     list(editable_prims(stage))  # what stands in an instance gets prims of its own
-    _write_task(stage.GetPrimAtPath(opened.the("OimppiTaskAPI", "task", "the default prim").GetPath()), scene, original)
+    task = opened.single_prim("OimppiTaskAPI", "task", "the default prim")
+    _write_task(stage.GetPrimAtPath(task.GetPath()), scene, original)
     _write_obstacles(stage, scene.obstacles, {obstacle.path: obstacle for obstacle in original.obstacles})
     _write_object(stage, scene.object, original.object)
-    _put(stage.GetPrimAtPath(scene.object.path), planar_transform(scene.start, scene.object.rest_height).tolist())
+    start = planar_transform(scene.start, scene.object.rest_height)
+    _set_transform(stage.GetPrimAtPath(scene.object.path), start.tolist())
     return stage
 
 
@@ -108,7 +110,7 @@ def _write_obstacles(stage: Usd.Stage, obstacles: tuple[Obstacle, ...], original
         known = original.get(obstacle.path)
         motion = None if known is None else _motion(known.colliders, obstacle.colliders)
         if motion is None:
-            root = _define_anew(stage, obstacle.path)
+            root = _redefine(stage, obstacle.path)
             root.AddAppliedSchema("OimppiObstacleAPI")
             _define_colliders(stage, obstacle.path, obstacle.colliders)
         elif not Gf.IsClose(motion, Gf.Matrix4d(1.0), 1e-12):
@@ -122,7 +124,7 @@ def _write_object(stage: Usd.Stage, pushed: PushedObject, original: PushedObject
         stage.RemovePrim(original.path)
     same_shape = pushed.path == original.path and _is_still(_motion(original.colliders, pushed.colliders))
     if not same_shape:
-        root = _define_anew(stage, pushed.path)
+        root = _redefine(stage, pushed.path)
         root.AddAppliedSchema("OimppiObjectAPI")
         UsdPhysics.RigidBodyAPI.Apply(root)
         _define_colliders(stage, pushed.path, pushed.colliders)
@@ -162,7 +164,7 @@ def _write_friction(stage: Usd.Stage, root: Usd.Prim, friction: float) -> None:
             binding.Bind(material, UsdShade.Tokens.strongerThanDescendants, "physics")
 
 
-def _define_anew(stage: Usd.Stage, path: str) -> Usd.Prim:
+def _redefine(stage: Usd.Stage, path: str) -> Usd.Prim:
     """An Xform with the world's frame in the place of whatever is there."""
     if not Sdf.Path.IsValidPathString(path) or not Sdf.Path(path).IsAbsoluteRootOrPrimPath():
         raise SceneError(f"{path!r} is not the path of a prim", allowed="a path such as /World/Obstacles/Box")
@@ -193,22 +195,22 @@ def _is_still(motion: Gf.Matrix4d | None) -> bool:
     return motion is not None and Gf.IsClose(motion, Gf.Matrix4d(1.0), 1e-12)
 
 
-def _lost(scene: Scene, again: Scene) -> Iterator[str]:
+def _differences(scene: Scene, reloaded: Scene) -> Iterator[str]:
     """What of a scene is another after it was saved and read again, in words."""
     for field in fields(scene):
-        if field.name not in ("file", "name", "starts") and not _alike(
-            getattr(scene, field.name), getattr(again, field.name)
+        if field.name not in ("file", "name", "starts") and not _equivalent(
+            getattr(scene, field.name), getattr(reloaded, field.name)
         ):
             yield f"the scene's {field.name.replace('_', ' ')}"
 
 
-def _alike(a: object, b: object) -> bool:
+def _equivalent(a: object, b: object) -> bool:
     """Whether two parts of scenes are the same but for rounding, the names of their shapes, and faces of meshes."""
     if is_dataclass(a) and type(a) is type(b):
         skipped = ("path", "faces") if isinstance(a, Collider) else ()
-        return all(_alike(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.name not in skipped)
+        return all(_equivalent(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.name not in skipped)
     if isinstance(a, tuple) and isinstance(b, tuple):
-        return len(a) == len(b) and all(_alike(each, other) for each, other in zip(a, b, strict=True))
+        return len(a) == len(b) and all(_equivalent(each, other) for each, other in zip(a, b, strict=True))
     if isinstance(a, np.ndarray | float | int) and isinstance(b, np.ndarray | float | int):
         x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
         if x.shape != y.shape:
@@ -223,7 +225,7 @@ def _matrix(transform: np.ndarray) -> Gf.Matrix4d:
     return Gf.Matrix4d(1.0).SetRotate(Gf.Quatd(qw, qx, qy, qz)) * Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, z))
 
 
-def _put(prim: Usd.Prim, transform: list[float]) -> None:
+def _set_transform(prim: Usd.Prim, transform: list[float]) -> None:
     """Put a prim at a world transform [7], its scale kept."""
     stood = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
     _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * _matrix(np.array(transform)))

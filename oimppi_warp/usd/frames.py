@@ -33,14 +33,14 @@ def transform(frame: Gf.Matrix4d) -> np.ndarray:
 def matrix(position: Any, orientation: Any) -> Gf.Matrix4d:
     """The frame at a position with an orientation (quaternion of any precision)."""
     q = Gf.Quatd(float(orientation.GetReal()), Gf.Vec3d(orientation.GetImaginary())).GetNormalized()
-    return Gf.Matrix4d().SetTransform(Gf.Rotation(q), Gf.Vec3d(*map(single, position)))
+    return Gf.Matrix4d().SetTransform(Gf.Rotation(q), Gf.Vec3d(*map(shortest_decimal, position)))
 
 
-def single(value: float) -> float:
+def shortest_decimal(value: float) -> float:
     """The decimal that was written where USD keeps single precision: 0.4 and not 0.4000000059604645."""
     return float(str(np.float32(value)))
 
 
-def readable(values: np.ndarray) -> str:
+def format_numbers(values: np.ndarray) -> str:
     """Numbers in words."""
     return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from pxr import Gf, Usd, UsdPhysics
 
-from oimppi_warp.usd.frames import single
+from oimppi_warp.usd.frames import shortest_decimal
 from oimppi_warp.usd.stage import SceneStage
 
 
@@ -32,7 +32,7 @@ def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
 def given_center(body: Usd.Prim) -> np.ndarray | None:
     """Centre of mass that is given for a body, in its frame before it is scaled, shape [3] [m]."""
     value = UsdPhysics.MassAPI(body).GetCenterOfMassAttr().Get()
-    center = np.array([single(c) for c in value or [math.nan]])
+    center = np.array([shortest_decimal(c) for c in value or [math.nan]])
     return center if np.isfinite(center).all() else None
 
 

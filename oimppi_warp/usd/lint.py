@@ -17,7 +17,7 @@ from oimppi_warp.usd.stage import SCENES, SceneStage, schema_attributes
 _OURS = "oimppi"
 
 
-def stage_doubts(stage: SceneStage) -> Iterator[Problem]:
+def lint_stage(stage: SceneStage) -> Iterator[Problem]:
     """Warnings about a file, whether or not it can be read as a task."""
     for prim in stage.prims():
         yield from _misspelt_schemas(stage, prim)
@@ -34,8 +34,11 @@ def _misspelt_schemas(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
     known = schema_attributes()
     for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
         if name.lower().startswith(_OURS) and name not in known:
-            yield stage.doubt(
-                f"an API schema that does not exist: {name}", prim, allowed=", ".join(known), fix=_near(name, known)
+            yield stage.warning(
+                f"an API schema that does not exist: {name}",
+                prim,
+                allowed=", ".join(known),
+                fix=_suggestion(name, known),
             )
 
 
@@ -50,16 +53,16 @@ def _unused_attributes(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
             continue
         if name in everywhere:
             (owner,) = (schema for schema, names in known.items() if name in names)
-            yield stage.doubt(
+            yield stage.warning(
                 f"{name} does nothing here", prim, allowed=f"on a prim with {owner}", fix="move it there, or remove it"
             )
         else:
             allowed = ", ".join(here) or "none on this prim"
-            fix = _near(name, here or everywhere)
-            yield stage.doubt(f"an attribute that nothing reads: {name}", prim, allowed=allowed, fix=fix)
+            fix = _suggestion(name, here or everywhere)
+            yield stage.warning(f"an attribute that nothing reads: {name}", prim, allowed=allowed, fix=fix)
 
 
-def _near(name: str, known: Iterable[str]) -> str:
+def _suggestion(name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
     return f"did you mean {near[0]}?" if near else "remove it"
 
@@ -71,7 +74,7 @@ def _moving_in_time(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
     if prim.IsA(UsdGeom.PointBased):
         timed += ["points"] * (UsdGeom.PointBased(prim).GetPointsAttr().GetNumTimeSamples() > 0)
     if timed:
-        yield stage.doubt(
+        yield stage.warning(
             f"{', '.join(timed)} with time samples, which are not read",
             prim,
             allowed="a default value, without a time",
@@ -85,7 +88,7 @@ def _impossible_inertia(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
         return
     largest = inertia.max()
     if (inertia <= 0.0).any() or largest > 1.001 * (inertia.sum() - largest):
-        yield stage.doubt(
+        yield stage.warning(
             f"physics:diagonalInertia is ({', '.join(f'{moment:.4g}' for moment in inertia)}), which no body can have",
             prim,
             allowed="three moments above zero, none larger than the sum of the other two",
@@ -101,7 +104,7 @@ def _other_gravity(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
     down = not direction.any() or np.allclose(direction / np.linalg.norm(direction), (0.0, 0.0, -1.0), atol=1e-3)
     if not down or (magnitude >= 0.0 and abs(magnitude - GRAVITY) > 0.1):
         x, y, z = direction
-        yield stage.doubt(
+        yield stage.warning(
             f"gravity is {magnitude:g} m/s^2 along ({x:g}, {y:g}, {z:g}), which the planner does not know of",
             prim,
             allowed=f"{GRAVITY:g} m/s^2 downwards",
@@ -117,7 +120,7 @@ def _files_elsewhere(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
             if not asset.path:
                 continue
             if not asset.resolvedPath:
-                yield stage.doubt(
+                yield stage.warning(
                     f"{attribute.GetName()} names a file that is not there: {asset.path}",
                     prim,
                     allowed="a file; its path counts from the file that it stands in",
@@ -144,7 +147,7 @@ def _belongs(stage: SceneStage, path: str) -> bool:
 
 
 def _elsewhere(stage: SceneStage, path: str, prim: Usd.Prim | str = "") -> Problem:
-    return stage.doubt(
+    return stage.warning(
         f"a file outside the scene's folder is used: {path}",
         prim,
         allowed=f"files in {stage.file.parent}",
@@ -159,7 +162,7 @@ def _layers_in_other_units(stage: SceneStage) -> Iterator[Problem]:
         head = layer.pseudoRoot
         for name in ("metersPerUnit", "kilogramsPerUnit", "upAxis"):
             if layer.realPath and head.HasInfo(name) and head.GetInfo(name) != own.GetInfo(name):
-                yield stage.doubt(
+                yield stage.warning(
                     f"{name} is {_plain(head.GetInfo(name))} in {layer.realPath}",
                     allowed=f"{_plain(own.GetInfo(name))}, as in the scene",
                     fix="convert that file, or scale or turn its shapes: USD takes its numbers as they are",

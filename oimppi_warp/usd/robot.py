@@ -11,7 +11,7 @@ from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot, Welded
 from oimppi_warp.usd.colliders import read_colliders
 from oimppi_warp.usd.frames import matrix, scales, transform
 from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
-from oimppi_warp.usd.stage import FARTHEST, SceneStage
+from oimppi_warp.usd.stage import MAX_LENGTH, SceneStage
 
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
 _EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
@@ -26,9 +26,9 @@ def read_robot(scene: SceneStage) -> Robot:
         SceneError: There is none or more than one, it is not a serial arm of joints about or along their local z axes
             with its base fixed at the origin, or its tool or start is wrong.
     """
-    root = scene.the("OimppiRobotAPI", "robot", "the root prim of the articulation")
+    root = scene.single_prim("OimppiRobotAPI", "robot", "the root prim of the articulation")
     if not any(prim.HasAPI(UsdPhysics.ArticulationRootAPI) for prim in scene.prims(root)):
-        scene.keep(
+        scene.collect(
             scene.error(
                 "a robot without an articulation",
                 root,
@@ -62,7 +62,7 @@ def _radius(scene: SceneStage, tip: Usd.Prim) -> float:
 
 
 def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
-    tip = scene.the("OimppiToolAPI", "tool", "the Xform at the tip of the robot's stick")
+    tip = scene.single_prim("OimppiToolAPI", "tool", "the Xform at the tip of the robot's stick")
     if not tip.GetPath().HasPrefix(root.GetPath()):
         raise scene.error(
             "a tool that is not part of the robot",
@@ -82,7 +82,7 @@ def _start(scene: SceneStage, root: Usd.Prim, joints: tuple[Joint, ...]) -> np.n
             unit = _UNITS[joint.kind]
             limits = f"{joint.lower:.4g} to {joint.upper:.4g} {unit}"
             what = f"oimppi:startJoints puts <{joint.path}> at {position:.4g} {unit}, beyond its limits"
-            scene.keep(scene.error(what, root, allowed=limits, fix="correct oimppi:startJoints"))
+            scene.collect(scene.error(what, root, allowed=limits, fix="correct oimppi:startJoints"))
     return start
 
 
@@ -151,8 +151,8 @@ class _Chain:
         """A joint's frame in the body it stands on and in the body it moves."""
         before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
         after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
-        if not (np.abs([np.array(before), np.array(after)]) < FARTHEST).all():
-            allowed = f"numbers, and lengths below {FARTHEST:g} m"
+        if not (np.abs([np.array(before), np.array(after)]) < MAX_LENGTH).all():
+            allowed = f"numbers, and lengths below {MAX_LENGTH:g} m"
             what = "a joint whose frames are not finite, or far away"
             raise self.scene.error(
                 what, joint.GetPrim(), allowed=allowed, fix="correct physics:localPos0 and physics:localPos1"
@@ -208,21 +208,21 @@ class _Chain:
     def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:
         """A body with all that is welded to it (and where on it), and the joints that move on from there."""
         group, moving = [(body, Gf.Matrix4d(1.0))], []
-        self.reach(body)
+        self.visit(body)
         for part, placed in group:  # grows while it is read
             for joint in self.joints:
                 parent, child = self.ends(joint)
                 if parent != part or child is None:
                     continue
                 if joint.GetPrim().IsA(UsdPhysics.FixedJoint):
-                    self.reach(child)
+                    self.visit(child)
                     before, after = self.frames(joint)
                     group.append((child, after.GetInverse() * before * placed))
                 else:
                     moving.append(joint)
         return group, moving
 
-    def reach(self, body: Usd.Prim) -> None:
+    def visit(self, body: Usd.Prim) -> None:
         """Come to a body of the chain, for the first time."""
         if body.GetPath() in self.reached:
             raise self.scene.error(
@@ -286,7 +286,7 @@ class _Chain:
                 allowed="lower below upper",
                 fix="set physics:lowerLimit and physics:upperLimit",
             )
-        if slides and not max(abs(lower), abs(upper)) < FARTHEST:
+        if slides and not max(abs(lower), abs(upper)) < MAX_LENGTH:
             fix = "give physics:lowerLimit and physics:upperLimit in metres"
             raise scene.error("a joint that slides without end", prim, allowed="finite limits", fix=fix)
         driven = prim.HasAPI(UsdPhysics.DriveAPI, drive)

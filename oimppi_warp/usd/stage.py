@@ -11,17 +11,17 @@ import numpy as np
 from pxr import Ar, Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdUtils
 
 from oimppi_warp.errors import Problem, SceneError
-from oimppi_warp.usd.conversion.property_types import unsound_properties, usd_reason
+from oimppi_warp.usd.conversion.property_types import invalid_properties, usd_reason
 from oimppi_warp.usd.conversion.units import to_si, to_z_up
-from oimppi_warp.usd.conversion.upright import stand_upright
-from oimppi_warp.usd.frames import is_rigid, readable, scales, single
+from oimppi_warp.usd.conversion.upright import align_upright
+from oimppi_warp.usd.frames import format_numbers, is_rigid, scales, shortest_decimal
 from oimppi_warp.usd.meshes import simplify_meshes
 
 P = ParamSpec("P")
 Read = TypeVar("Read")
-Otherwise = TypeVar("Otherwise")
+Fallback = TypeVar("Fallback")
 
-FARTHEST = 1e3
+MAX_LENGTH = 1e3
 """No length in a scene is larger [m]."""
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
@@ -82,9 +82,9 @@ class SceneStage:
         allowed = "a file that is there, and a prim in it"
         fix = "correct it; the paths of references count from the file that they stand in"
         broken = stage.GetCompositionErrors()
-        self._give_up_on([self.error(str(each), allowed=allowed, fix=fix) for each in broken])
-        unsound = unsound_properties(stage)
-        self._give_up_on([self.error(each.what, each.prim, allowed=each.allowed, fix=each.fix) for each in unsound])
+        self._stop_at([self.error(str(each), allowed=allowed, fix=fix) for each in broken])
+        invalid = invalid_properties(stage)
+        self._stop_at([self.error(each.what, each.prim, allowed=each.allowed, fix=each.fix) for each in invalid])
         return stage
 
     def _convert(self) -> None:
@@ -92,17 +92,17 @@ class SceneStage:
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         to_si(self.stage)
         to_z_up(self.stage)
-        stand_upright(self.stage)
+        align_upright(self.stage)
         simplify_meshes(self.stage)
 
-    def _give_up_on(self, mistakes: list[SceneError]) -> None:
+    def _stop_at(self, mistakes: list[SceneError]) -> None:
         """Note mistakes and, if there are any, read no further: what cannot be read would look like more of them."""
         for mistake in mistakes[:-1]:
-            self.keep(mistake)
+            self.collect(mistake)
         if mistakes:
             raise mistakes[-1]
 
-    def keep(self, mistake: SceneError) -> None:
+    def collect(self, mistake: SceneError) -> None:
         """Note a mistake and go on; where none are collected, raise it."""
         if self._mistakes is None:
             raise mistake
@@ -111,16 +111,16 @@ class SceneStage:
             self._mistakes.append(mistake.with_traceback(None))
 
     def attempt(
-        self, otherwise: Otherwise, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
-    ) -> Read | Otherwise:
-        """What a reader returns; where it finds a mistake, that is noted, and ``otherwise`` comes back."""
+        self, fallback: Fallback, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
+    ) -> Read | Fallback:
+        """What a reader returns; where it finds a mistake, that is noted, and ``fallback`` comes back."""
         try:
             return read(*args, **kwargs)
         except SceneError as mistake:
-            self.keep(mistake)
+            self.collect(mistake)
         except Tf.ErrorException as error:
-            self.keep(self._unreadable(error))
-        return otherwise
+            self.collect(self._unreadable(error))
+        return fallback
 
     def _unreadable(self, error: BaseException) -> SceneError:
         """What USD itself says about something that it cannot read."""
@@ -132,7 +132,7 @@ class SceneStage:
         place = prim if isinstance(prim, str) else prim.GetPath()
         return SceneError(what, file=self.file, prim=place, allowed=allowed, fix=fix)
 
-    def doubt(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> Problem:
+    def warning(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> Problem:
         """A warning at a prim of this file."""
         place = prim if isinstance(prim, str) else str(prim.GetPath())
         return Problem(str(self.file), "warning", place, what, allowed, fix)
@@ -158,11 +158,11 @@ class SceneStage:
         """All active prims below ``root`` (itself included), those in instances too, in the order of the file."""
         yield from Usd.PrimRange(root or self.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
 
-    def role(self, schema: str) -> list[Usd.Prim]:
+    def prims_with(self, schema: str) -> list[Usd.Prim]:
         """The prims that one of our API schemas is applied to."""
         return [prim for prim in self.prims() if schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
 
-    def the(self, schema: str, noun: str, where: str) -> Usd.Prim:
+    def single_prim(self, schema: str, noun: str, where: str) -> Usd.Prim:
         """The one prim of a role.
 
         Args:
@@ -170,7 +170,7 @@ class SceneStage:
             noun: What to call it in an error.
             where: Which prim the schema belongs on, for the error.
         """
-        found = self.role(schema)
+        found = self.prims_with(schema)
         if not found:
             raise self.error(f"no {noun}", allowed=f"exactly one prim with {schema}", fix=f"apply {schema} to {where}")
         if len(found) > 1:
@@ -216,13 +216,13 @@ class SceneStage:
             return fallback
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(f"{name} is {value!r}", prim, allowed="a number", fix="give a number")
-        return single(value)
+        return shortest_decimal(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
         """A prim's frame in the world, as USD has it (row vectors, scale included)."""
         frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
-        if not (np.abs(np.array(frame)) < FARTHEST).all():
-            allowed = f"numbers, and lengths below {FARTHEST:g} m"
+        if not (np.abs(np.array(frame)) < MAX_LENGTH).all():
+            allowed = f"numbers, and lengths below {MAX_LENGTH:g} m"
             raise self.error(
                 "a place that is not finite, or far away",
                 prim,
@@ -235,9 +235,12 @@ class SceneStage:
         """A rigid body's frame in the world, without a scale; having one is a mistake."""
         frame = self.frame(prim)
         if not is_rigid(frame):
-            self.keep(
+            self.collect(
                 self.error(
-                    f"a body with a scale {readable(scales(frame))}", prim, allowed="1", fix="scale its shapes instead"
+                    f"a body with a scale {format_numbers(scales(frame))}",
+                    prim,
+                    allowed="1",
+                    fix="scale its shapes instead",
                 )
             )
         return frame.GetOrthonormalized()

@@ -10,14 +10,14 @@ from pxr import Usd, UsdPhysics
 
 from oimppi_warp.geometry.footprint import GRAVITY
 from oimppi_warp.scene import PlanarPose, Tolerance
-from oimppi_warp.usd.frames import readable, single
+from oimppi_warp.usd.frames import format_numbers, shortest_decimal
 from oimppi_warp.usd.stage import SceneStage
 
 _POSE = "(x [m], y [m], yaw [rad])"
 
 
 @dataclass(frozen=True, eq=False)
-class TaskWords:
+class TaskAttributes:
     """What the attributes of OimppiTaskAPI say; each is as in :class:`oimppi_warp.scene.Scene`.
 
     Attributes:
@@ -37,15 +37,15 @@ class TaskWords:
         return self.starts if len(self.starts) else np.array([start])
 
 
-def read_task(stage: SceneStage) -> TaskWords:
+def read_task(stage: SceneStage) -> TaskAttributes:
     """The task.
 
     Raises:
         SceneError: There is none or more than one, or one of its attributes is missing or cannot be used.
     """
-    world = stage.the("OimppiTaskAPI", "task", "the scene's default prim")
+    world = stage.single_prim("OimppiTaskAPI", "task", "the scene's default prim")
     unread = Tolerance(math.nan, math.nan)
-    return TaskWords(
+    return TaskAttributes(
         title=stage.text(world, "oimppi:title"),
         goal=stage.attempt((math.nan, math.nan, math.nan), _goal, stage, world),
         starts=stage.attempt(np.zeros((0, 3)), _starts, stage, world),
@@ -64,12 +64,12 @@ def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
         if not prim.IsA(UsdPhysics.Scene):
             continue
         given = UsdPhysics.Scene(prim)
-        direction = np.array([single(c) for c in given.GetGravityDirectionAttr().Get() or (0.0, 0.0, 0.0)])
+        direction = np.array([shortest_decimal(c) for c in given.GetGravityDirectionAttr().Get() or (0.0, 0.0, 0.0)])
         magnitude = stage.number(prim, "physics:gravityMagnitude", -1.0)
         enabled = prim.GetAttribute("newton:gravityEnabled")
         if not (np.isfinite(direction).all() and magnitude < math.inf):
             raise stage.error(
-                f"gravity is {magnitude:g} m/s^2 along {readable(direction)}",
+                f"gravity is {magnitude:g} m/s^2 along {format_numbers(direction)}",
                 prim,
                 allowed="numbers",
                 fix="correct physics:gravityDirection and physics:gravityMagnitude, or leave them out",
@@ -95,7 +95,7 @@ def _starts(stage: SceneStage, world: Usd.Prim) -> np.ndarray:
     starts = stage.numbers(world, "oimppi:starts", (-1, 3), f"a list of {_POSE}")
     for number in np.flatnonzero(~np.isfinite(starts).all(axis=1)):
         what = f"oimppi:starts[{number}] is not finite: {tuple(starts[number].tolist())}"
-        stage.keep(stage.error(what, world, allowed=_POSE, fix="give numbers"))
+        stage.collect(stage.error(what, world, allowed=_POSE, fix="give numbers"))
     return starts
 
 

@@ -13,7 +13,7 @@ from oimppi_warp.geometry.footprint import footprint, height_range, outline
 from oimppi_warp.observation import planar_pose
 from oimppi_warp.scene import Scene
 from oimppi_warp.view.picture import Picture
-from oimppi_warp.view.posed_scene import ShownScene
+from oimppi_warp.view.posed_scene import PosedScene
 
 if TYPE_CHECKING:
     from newton.viewer import ViewerBase
@@ -28,9 +28,9 @@ FAINT, STRONG = np.array((0.72, 0.76, 0.85)), np.array((0.45, 0.2, 0.75))
 """Colours of a sampled path of no weight and of the largest."""
 METRES_PER_NEWTON = 0.01
 """Length that a contact force is drawn with."""
-_WAY = 60
+_REFERENCE_POINTS = 60
 """Points that a reference is drawn with: always as many, so that lines are updated and not made anew."""
-_TOUCHES = 8
+_MAX_CONTACTS = 8
 """Contact forces that are drawn at the most."""
 _CONTACT_RADIUS = 0.006
 """Radius that a contact point is drawn with [m]."""
@@ -57,26 +57,28 @@ class Canvas:
 
     def draw(self, picture: Picture) -> None:
         """Draws one picture, between the viewer's ``begin_frame`` and ``end_frame``."""
-        if self._scene is None or _things(self._scene) != _things(picture.scene):
+        if self._scene is None or _model_content(self._scene) != _model_content(picture.scene):
             self._load(picture.scene)
         self._scene = picture.scene
-        self._shown.pose(picture.joints, picture.object_transform)
-        self._viewer.log_state(self._shown.state)
+        self._posed.pose(picture.joints, picture.object_transform)
+        self._viewer.log_state(self._posed.state)
         self._draw_goal(picture.scene)
         self._draw_plan(picture)
-        self._draw_touches(picture.touches)
+        self._draw_contacts(picture.contact_points)
         self._draw_clearance(picture)
 
     def _load(self, scene: Scene) -> None:
-        self._shown = ShownScene(scene)
-        self._viewer.set_model(self._shown.model)
+        self._posed = PosedScene(scene)
+        self._viewer.set_model(self._posed.model)
         shape = outline(footprint(scene.object.colliders))
         self._rings = [np.array(ring.coords) for polygon in shapely.get_parts(shape) for ring in _rings(polygon)]
         low, high = height_range(scene.object.colliders)
         self._heights = (scene.object.rest_height + low + _LIFT, scene.object.rest_height + high)
-        around = [scene.robot.base, *scene.obstacles]
+        fixed = [scene.robot.base, *scene.obstacles]
         lower, upper = self._heights
-        self._around = shapely.union_all([outline(footprint(it.colliders, lower=lower, upper=upper)) for it in around])
+        self._obstacle_area = shapely.union_all(
+            [outline(footprint(it.colliders, lower=lower, upper=upper)) for it in fixed]
+        )
 
     def _draw_goal(self, scene: Scene) -> None:
         goal = np.array(scene.goal)
@@ -90,9 +92,9 @@ class Canvas:
         reference = picture.reference
         if not len(reference):
             reference = planar_pose(picture.object_transform)[None]
-        way = reference[np.linspace(0, len(reference) - 1, _WAY).round().astype(int)]
-        self._lines("reference/way", [_segments(_raised(way[:, :2], self._heights[1] + _LIFT))], REFERENCE, width=0.02)
-        self._lines("reference/ghost", [self._ghost(way[-1])], REFERENCE, width=0.01)
+        line = reference[np.linspace(0, len(reference) - 1, _REFERENCE_POINTS).round().astype(int)]
+        self._lines("reference/way", [_segments(_raised(line[:, :2], self._heights[1] + _LIFT))], REFERENCE, width=0.02)
+        self._lines("reference/ghost", [self._ghost(line[-1])], REFERENCE, width=0.01)
         if picture.sampled.size:
             shade = np.clip(picture.weights, 0.0, 1.0)[:, None] ** 0.5
             colors = (1.0 - shade) * FAINT + shade * STRONG
@@ -103,22 +105,22 @@ class Canvas:
         if len(picture.tips):
             self._lines("plan/nominal", [_segments(picture.tips)], PLAN, width=0.03)
 
-    def _draw_touches(self, touches: np.ndarray) -> None:
-        largest = touches[np.argsort(-np.linalg.norm(touches[:, 3:], axis=1))[:_TOUCHES]]
-        shown = np.zeros((_TOUCHES, 6))
+    def _draw_contacts(self, contact_points: np.ndarray) -> None:
+        largest = contact_points[np.argsort(-np.linalg.norm(contact_points[:, 3:], axis=1))[:_MAX_CONTACTS]]
+        shown = np.zeros((_MAX_CONTACTS, 6))
         shown[:, 2] = -1.0  # the rest lie hidden below the table
         shown[: len(largest)] = largest
         ends = shown[:, :3] + METRES_PER_NEWTON * shown[:, 3:]
         self._lines("contact/force", [np.stack([shown[:, :3], ends], axis=1)], FORCE, width=0.04)
         points = wp.array(shown[:, :3].astype(np.float32), dtype=wp.vec3, device="cpu")
-        radii = wp.full(_TOUCHES, _CONTACT_RADIUS, dtype=float, device="cpu")
-        colors = wp.full(_TOUCHES, wp.vec3(*FORCE), dtype=wp.vec3, device="cpu")
+        radii = wp.full(_MAX_CONTACTS, _CONTACT_RADIUS, dtype=float, device="cpu")
+        colors = wp.full(_MAX_CONTACTS, wp.vec3(*FORCE), dtype=wp.vec3, device="cpu")
         self._viewer.log_points("/oimppi/contact/point", points, radii, colors)
 
     def _draw_clearance(self, picture: Picture) -> None:
         """A line from the object to what is nearest to it, hidden below the table where nothing is near."""
         x, y, yaw = (float(value) for value in planar_pose(picture.object_transform))
-        ends = shapely.shortest_line(object_outline(picture.scene, (x, y, yaw)), self._around)
+        ends = shapely.shortest_line(object_outline(picture.scene, (x, y, yaw)), self._obstacle_area)
         near = 0.0 < shapely.length(ends) < _NEAR
         at = shapely.get_coordinates(ends) if near else np.zeros((2, 2))
         height = self._heights[1] + _LIFT if near else -1.0
@@ -146,7 +148,7 @@ class Canvas:
         self._viewer.log_lines(f"/oimppi/{name}", starts, ends, colors, width=width * self._thickness)
 
 
-def _things(scene: Scene) -> tuple[object, ...]:
+def _model_content(scene: Scene) -> tuple[object, ...]:
     """What a scene's model is made of; start and goal are no part of it."""
     return scene.file, scene.robot, scene.object, scene.table, scene.obstacles
 

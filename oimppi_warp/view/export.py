@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.record.log import write_whole
+from oimppi_warp.record.log import write_atomically
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.replay import Replay
 
@@ -43,7 +43,7 @@ def export_html(replay: Replay, file: Path) -> None:
             canvas.draw(picture)
             viewer.end_frame()
             record.insert_sleep(1.0 / FPS)
-        write_whole(file, record.as_html().encode())
+        write_atomically(file, record.as_html().encode())
     finally:
         viewer.close()
 
@@ -61,12 +61,12 @@ def export_usd(replay: Replay, file: Path) -> None:
             canvas.draw(replay.picture(row))
             viewer.end_frame()
         viewer.close()
-        write_whole(file, partial.read_bytes())
+        write_atomically(file, partial.read_bytes())
 
 
 def export_mp4(replay: Replay, file: Path) -> None:
     """Writes a video from above, without a display."""
-    av = _needed("av", "mp4")
+    av = _import_optional("av", "mp4")
     from oimppi_warp.plots.film import frames
 
     packed = io.BytesIO()
@@ -79,18 +79,18 @@ def export_mp4(replay: Replay, file: Path) -> None:
             picture = av.VideoFrame.from_image(image.crop((0, 0, stream.width, stream.height)))
             container.mux(stream.encode(picture))
         container.mux(stream.encode(None))
-    write_whole(file, packed.getvalue())
+    write_atomically(file, packed.getvalue())
 
 
 def export_mcap(replay: Replay, file: Path) -> None:
     """Writes an MCAP file with the scene, its transforms and the figures, in Foxglove's schemas."""
-    _needed("foxglove", "mcap")
+    _import_optional("foxglove", "mcap")
     from oimppi_warp.view.mcap import write_mcap
 
     with tempfile.TemporaryDirectory() as folder:
         partial = Path(folder) / "episode.mcap"
         write_mcap(replay, partial, rows_of(replay))
-        write_whole(file, partial.read_bytes())
+        write_atomically(file, partial.read_bytes())
 
 
 EXPORTS: dict[str, Callable[[Replay, Path], None]] = {
@@ -132,7 +132,7 @@ def export(folder: Path, to: str, output: Path | None = None) -> Path:
     return file
 
 
-def _needed(module: str, to: str) -> Any:
+def _import_optional(module: str, to: str) -> Any:
     """Import what an export needs."""
     import importlib
 

@@ -12,7 +12,7 @@ import warp as wp
 from oimppi_warp.config.presets import PRESETS
 from oimppi_warp.config.run_spec import LARGEST_SEED
 from oimppi_warp.errors import OimppiError
-from oimppi_warp.geometry.feasibility import draw_start, object_outline
+from oimppi_warp.geometry.feasibility import object_outline, sample_start
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
 from oimppi_warp.scene import PlanarPose
@@ -87,7 +87,7 @@ class LiveView:
                 self._viewer.log_scalar(name, value)
             self._plotted = picture.time
         self._viewer.end_frame()
-        self._tell(picture)
+        self._show_status(picture)
         self._drawn = picture
 
     def _add_controls(self) -> None:
@@ -129,7 +129,7 @@ class LiveView:
         wanted = self._session.wanted
         seed = (wanted.spec.seed + 1) % (LARGEST_SEED + 1)
         try:
-            start = draw_start(wanted.scene, seed)
+            start = sample_start(wanted.scene, seed)
         except OimppiError as error:
             self._session.problem = str(error)
             return
@@ -161,14 +161,14 @@ class LiveView:
             dragging = any(entry.endswith(key) for entry in active)
             if name in self._dragged and not dragging:
                 self._dragged.discard(name)
-                self._let_go(name, planar_pose(np.array(self._gizmos[name])), planar_pose(place))
+                self._dropped(name, planar_pose(np.array(self._gizmos[name])), planar_pose(place))
             elif dragging:
                 self._dragged.add(name)
             if name not in self._gizmos or not (dragging or self._session.wanted.scene is not scene):
                 self._gizmos[name] = wp.transform(*place)
             self._viewer.log_gizmo(key, self._gizmos[name], translate=("X", "Y"), rotate=("Z",))
 
-    def _let_go(self, name: str, to: np.ndarray, before: np.ndarray) -> None:
+    def _dropped(self, name: str, to: np.ndarray, before: np.ndarray) -> None:
         """Something was dragged to a planar pose [3] from another."""
         pose: PlanarPose = (float(to[0]), float(to[1]), float(to[2]))
         scene = self._session.wanted.scene
@@ -197,7 +197,7 @@ class LiveView:
             along = ray[:2] / max(float(np.linalg.norm(ray[:2])), 1e-9)
             self._session.knock(KNOCK * picture.scene.object.mass * np.array([*along, 0.0]))
 
-    def _tell(self, picture: Picture) -> None:
+    def _show_status(self, picture: Picture) -> None:
         """The line of state, and why."""
         session = self._session
         figures = picture.figures

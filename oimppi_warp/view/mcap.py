@@ -25,7 +25,7 @@ from foxglove.messages import (
     Vector3,
 )
 
-from oimppi_warp.view.posed_scene import ShownScene
+from oimppi_warp.view.posed_scene import PosedScene
 from oimppi_warp.view.replay import Replay
 
 _WORLD = "world"
@@ -39,7 +39,7 @@ def write_mcap(replay: Replay, file: Path, rows: Iterable[int]) -> None:
         file: Where to; it must not be there yet.
         rows: Control steps to write.
     """
-    shown = ShownScene(replay.scene)
+    posed = PosedScene(replay.scene)
     context = foxglove.Context()
     transforms = FrameTransformsChannel("/tf", context=context)
     scene = SceneUpdateChannel("/scene", context=context)
@@ -47,12 +47,12 @@ def write_mcap(replay: Replay, file: Path, rows: Iterable[int]) -> None:
     with foxglove.open_mcap(file, context=context):
         for n, row in enumerate(rows):
             picture = replay.picture(row)
-            shown.pose(picture.joints, picture.object_transform)
+            posed.pose(picture.joints, picture.object_transform)
             nanoseconds = round(1e9 * picture.time)
             stamp = Timestamp(sec=nanoseconds // 10**9, nsec=nanoseconds % 10**9)
-            frames = [_transform(f"body{i}", q, stamp) for i, q in enumerate(shown.state.body_q.numpy())]
+            frames = [_transform(f"body{i}", q, stamp) for i, q in enumerate(posed.state.body_q.numpy())]
             transforms.log(FrameTransforms(transforms=frames), log_time=nanoseconds)
-            entities = [*_shapes(shown, stamp)] if n == 0 else []
+            entities = [*_shapes(posed, stamp)] if n == 0 else []
             entities.append(_reference(picture.reference, stamp))
             scene.log(SceneUpdate(entities=entities), log_time=nanoseconds)
             known = {name: value for name, value in picture.figures.items() if np.isfinite(value)}
@@ -70,11 +70,11 @@ def _transform(child: str, q: np.ndarray, stamp: Timestamp) -> FrameTransform:
     )
 
 
-def _shapes(shown: ShownScene, stamp: Timestamp) -> Iterable[SceneEntity]:
+def _shapes(posed: PosedScene, stamp: Timestamp) -> Iterable[SceneEntity]:
     """Every visible shape as triangles in the frame of its body."""
     import newton
 
-    model = shown.model
+    model = posed.model
     arrays = (model.shape_transform, model.shape_scale, model.shape_color)
     transform, scale, color = (array.numpy() for array in arrays)  # pyright: ignore
     body, kind, flags = model.shape_body.numpy(), model.shape_type.numpy(), model.shape_flags.numpy()  # pyright: ignore

@@ -26,7 +26,7 @@ class Picture:
         tips: Tool tip along the plan, shape [n, 3] [m].
         sampled: Tool paths of some samples, shape [k, n, 3] [m]; the first is the cheapest.
         weights: Their weights relative to the largest of them, shape [k].
-        touches: Contact points and forces on what is touched, shape [n, 6] [m, N].
+        contact_points: Contact points and forces on what is touched, shape [n, 6] [m, N].
         terms: Weighted cost terms of the cheapest sample, by their names.
         figures: What is plotted over time, by name and unit.
         status: A line that says what is going on.
@@ -40,7 +40,7 @@ class Picture:
     tips: np.ndarray = field(default_factory=lambda: _none(0, 3))
     sampled: np.ndarray = field(default_factory=lambda: _none(0, 0, 3))
     weights: np.ndarray = field(default_factory=lambda: _none(0))
-    touches: np.ndarray = field(default_factory=lambda: _none(0, 6))
+    contact_points: np.ndarray = field(default_factory=lambda: _none(0, 6))
     terms: dict[str, float] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
     status: str = ""

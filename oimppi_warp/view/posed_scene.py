@@ -15,7 +15,7 @@ GHOSTS = r"/[^/]+/Goal(/.*)?"
 """Prims that are not shown as they stand in the file: the goal's ghost is drawn where the goal is now."""
 
 
-class ShownScene:
+class PosedScene:
     """The Newton model of a scene with its skin, for viewers only; it has no part in the physics.
 
     Args:

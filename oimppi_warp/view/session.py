@@ -19,7 +19,7 @@ import numpy as np
 from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plants.plant import MovablePlant, TruthfulPlant
-from oimppi_warp.runtime.control import Beat
+from oimppi_warp.runtime.control import ControlStep
 from oimppi_warp.runtime.episode import Episode, Setup
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.view.picture import Picture
@@ -128,30 +128,30 @@ class Session:
     def _loop(self) -> None:
         due = time.perf_counter()
         while not self._closing.is_set():
-            self._obey()
+            self._apply_requests()
             with self._lock:
-                go = not self._over and (not self.paused or self._single > 0)
-                self._single = max(self._single - 1, 0) if go else 0
-            if not go:
+                active = not self._over and (not self.paused or self._single > 0)
+                self._single = max(self._single - 1, 0) if active else 0
+            if not active:
                 self._times.clear()
                 self.latest = replace(self.latest, status=self._status(), scene=self._episode.scene)
                 self._closing.wait(0.02)
                 due = time.perf_counter()
                 continue
             try:
-                beat = next(self._steps, None)
+                step = next(self._steps, None)
             except FloatingPointError:
-                self._episode.log.header["ended"], beat = "diverged", None
+                self._episode.log.header["ended"], step = "diverged", None
             except Exception as error:  # of a plant or a method of somebody's own, say: the page goes on and says it
-                self.problem, beat = str(error) or type(error).__name__, None
-            self._over = beat is None
-            if beat is None:
+                self.problem, step = str(error) or type(error).__name__, None
+            self._over = step is None
+            if step is None:
                 continue
             self._times.append(time.perf_counter())
-            self._last = self._episode.state_after(beat)
-            if beat.plan is not None:
-                self._problem_of_plan = beat.plan.problem
-            self.latest = self._picture(beat)
+            self._last = self._episode.state_after(step)
+            if step.plan is not None:
+                self._problem_of_plan = step.plan.problem
+            self.latest = self._picture(step)
             if self._episode.log.header["mode"] == "lockstep":
                 period = self._episode.config.control_period / self.speed
                 due = max(due + period, time.perf_counter() - period)
@@ -160,12 +160,12 @@ class Session:
 
     def _begin(self, episode: Episode) -> None:
         self._episode = episode
-        self._steps: Generator[Beat] = episode.steps()
+        self._steps: Generator[ControlStep] = episode.steps()
         self._over = False
         self._last: Observation | None = None
         self._problem_of_plan = ""
 
-    def _obey(self) -> None:
+    def _apply_requests(self) -> None:
         """Do what was asked for, as far as it is ready."""
         with self._lock:
             if self._changed and self._pending is None:
@@ -214,7 +214,7 @@ class Session:
         transform = planar_transform(scene.start, scene.object.rest_height)
         return Observation(0.0, joints, np.zeros_like(joints), np.array(scene.start), transform)
 
-    def _picture(self, beat: Beat | None) -> Picture:
+    def _picture(self, step: ControlStep | None) -> Picture:
         episode = self._episode
         truth, log, plant = self._state, episode.log, episode.plant
         picture = Picture(
@@ -222,12 +222,12 @@ class Session:
             time=self._before + truth.time,
             joints=truth.joint_position,
             object_transform=truth.object_transform,
-            touches=plant.touches if isinstance(plant, MovablePlant) else np.zeros((0, 6)),
+            contact_points=plant.contact_points if isinstance(plant, MovablePlant) else np.zeros((0, 6)),
             status=self._status(),
         )
-        if beat is None or beat.plan is None or beat.plan.problem:
+        if step is None or step.plan is None or step.plan.problem:
             return picture
-        geometry, plan = episode.planner.geometry, beat.plan
+        geometry, plan = episode.planner.geometry, step.plan
         picture = replace(
             picture,
             reference=plan.reference,
@@ -238,7 +238,7 @@ class Session:
                 "clearance [mm]": 1e3 * geometry.clearance_at(to_center(geometry.surface, truth.object_pose)),
                 "cost": plan.update.min_cost,
                 "effective samples": plan.update.effective_samples,
-                "plan time [ms]": 1e3 * beat.plan_seconds,
+                "plan time [ms]": 1e3 * step.plan_seconds,
             },
         )
         if not self.watched or episode.log.header["mode"] == "realtime":  # there the planner is at its next plan

@@ -50,15 +50,15 @@ class SettingsPanel:
         config = validate(set_option(self.config, f"{name}={text}"))
         if options(config)[name] == options(self.config)[name]:
             return
-        self._take(config)
+        self._apply(config)
         self._on_change(config)
 
     def replace(self, config: Config) -> None:
         """Other settings, which are the new defaults: a preset, say."""
         self._default = config
-        self._take(config)
+        self._apply(config)
 
-    def _take(self, config: Config) -> None:
+    def _apply(self, config: Config) -> None:
         """Shows these settings, with the controls that their optimizers need."""
         before, self.config = _in_folders(self.config), config
         now = _in_folders(config)
@@ -66,8 +66,8 @@ class SettingsPanel:
             if before.get(folder, {}).keys() != now.get(folder, {}).keys():
                 self._build(folder)
         for name, value in options(config).items():
-            if self._controls[name].value != _shown(value):
-                self._controls[name].value = _shown(value)
+            if self._controls[name].value != _control_value(value):
+                self._controls[name].value = _control_value(value)
         self._show_changed()
 
     def _build(self, folder: str) -> None:
@@ -102,7 +102,7 @@ class SettingsPanel:
                 top = math.ceil(top / step) * step
             control = self._gui.add_slider(shown, min=low, max=top, step=step, initial_value=value, hint=about)
         elif get_origin(kind) is tuple:
-            control = self._gui.add_text(shown, initial_value=_shown(value), hint=about)
+            control = self._gui.add_text(shown, initial_value=_control_value(value), hint=about)
         else:
             raise TypeError(f"{name}: no control for a setting of the type {kind}")
         self._controls[name] = control
@@ -114,7 +114,7 @@ class SettingsPanel:
             try:
                 self.set(name, event.target.value)
             except ConfigError as error:
-                event.target.value = _shown(options(self.config)[name])
+                event.target.value = _control_value(options(self.config)[name])
                 event.client.add_notification("This value cannot be used", str(error), color="red")
 
     def _show_changed(self) -> None:
@@ -123,14 +123,14 @@ class SettingsPanel:
             self._buttons.pop(name).remove()
         for name in sorted(differing.keys() - self._buttons.keys()):
             with self._changed:
-                button = self._gui.add_button(f"{name}: back to {_shown(differing[name])}")
-            button.on_click(lambda _event, name=name: self._take_back(name))
+                button = self._gui.add_button(f"{name}: back to {_control_value(differing[name])}")
+            button.on_click(lambda _event, name=name: self._revert(name))
             self._buttons[name] = button
         self._changed.visible = bool(differing)
-        assignments = " ".join(f"{name}={_shown(now[name])}" for name in sorted(differing))
+        assignments = " ".join(f"{name}={_control_value(now[name])}" for name in sorted(differing))
         self._command.content = f"`--set {assignments}`" if differing else ""
 
-    def _take_back(self, name: str) -> None:
+    def _revert(self, name: str) -> None:
         self.set(name, changed(self.config, self._default)[name])
 
 
@@ -142,7 +142,7 @@ def _in_folders(config: Config) -> dict[str, dict[str, Setting]]:
     return folders
 
 
-def _shown(value: Any) -> Any:
+def _control_value(value: Any) -> Any:
     """A value as a control holds it."""
     return (
         ",".join(f"{part:g}" if isinstance(part, float) else str(part) for part in value)

@@ -11,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import font_manager
 
-from oimppi_warp.authoring import flat, letter, word
-from oimppi_warp.authoring.letters.alphabet import CAP, outline_of
-from oimppi_warp.authoring.objects.flat_object import Box, Thing
+from oimppi_warp.authoring import extrusion, letter, word
+from oimppi_warp.authoring.letters.alphabet import CAP_HEIGHT, outline_of
+from oimppi_warp.authoring.objects.flat_object import Box, FlatObject
 from oimppi_warp.authoring.objects.polygons import convex_pieces
 from oimppi_warp.errors import ConfigError
 
 FONT = "DejaVu Sans"  # comes with matplotlib
 
 
-def polygons(thing: Thing) -> list[shapely.Polygon]:
-    corners = [piece.polygon() if isinstance(piece, Box) else piece for piece in thing.pieces]
+def polygons(obj: FlatObject) -> list[shapely.Polygon]:
+    corners = [piece.polygon() if isinstance(piece, Box) else piece for piece in obj.pieces]
     return [shapely.Polygon(each) for each in corners]
 
 
@@ -41,15 +41,15 @@ def assert_cut(pieces: list[shapely.Polygon], shape: shapely.Geometry) -> None:
 
 @pytest.mark.parametrize("character", string.ascii_uppercase)
 def test_every_capital_letter_is_one_body_of_few_convex_pieces(character):
-    thing = letter(character)
-    pieces = polygons(thing)
+    obj = letter(character)
+    pieces = polygons(obj)
     assert_cut(pieces, outline_of(character))
     assert whole(pieces).geom_type == "Polygon"
     assert len(pieces) <= 8
     x0, y0, x1, y1 = outline_of(character).bounds
-    assert y1 - y0 == pytest.approx(CAP)
+    assert y1 - y0 == pytest.approx(CAP_HEIGHT)
     assert x1 - x0 < 0.13
-    assert 0.05 < thing.mass < 0.4
+    assert 0.05 < obj.mass < 0.4
 
 
 def test_letters_have_the_holes_and_ends_that_make_them_letters():
@@ -61,15 +61,15 @@ def test_letters_have_the_holes_and_ends_that_make_them_letters():
 
 
 def test_a_letter_of_half_the_size_weighs_a_quarter():
-    large, small = letter("S", mass=None), letter("S", size=CAP / 2)
+    large, small = letter("S", mass=None), letter("S", size=CAP_HEIGHT / 2)
     assert small.mass == pytest.approx(large.mass / 4, abs=0.01)
     assert_cut(polygons(small), shapely.affinity.scale(outline_of("S"), 0.5, 0.5, origin=(0, 0)))
 
 
 @pytest.mark.parametrize("text", ["WARP", "push it", "Q", "AVA"])
 def test_a_word_is_one_body_on_a_bar(text):
-    thing = word(text)
-    shape = whole(polygons(thing))
+    obj = word(text)
+    shape = whole(polygons(obj))
     assert shape.geom_type == "Polygon"
     x0, y0, x1, y1 = shape.bounds
     assert x1 - x0 <= 0.3001
@@ -77,8 +77,8 @@ def test_a_word_is_one_body_on_a_bar(text):
 
 
 def test_a_word_reads_from_left_to_right():
-    thing = word("LT")
-    shape = whole(polygons(thing))
+    obj = word("LT")
+    shape = whole(polygons(obj))
     x0, y0, x1, y1 = shape.bounds
     top = shapely.intersection(shape, shapely.box(x0, y1 - 0.01, x1, y1))
     left, right = (
@@ -89,16 +89,16 @@ def test_a_word_reads_from_left_to_right():
 
 @pytest.mark.parametrize("character", ["S", "g", "B", "&", "ä"])
 def test_any_character_of_an_installed_font_can_be_had(character):
-    thing = letter(character, font=FONT)
-    pieces = polygons(thing)
+    obj = letter(character, font=FONT)
+    pieces = polygons(obj)
     assert_cut(pieces, shapely.union_all(pieces))
-    assert thing.name.isidentifier()
-    assert letter(character, font=font_manager.findfont(FONT)).pieces[0] == pytest.approx(thing.pieces[0])
+    assert obj.name.isidentifier()
+    assert letter(character, font=font_manager.findfont(FONT)).pieces[0] == pytest.approx(obj.pieces[0])
 
 
 def test_a_letter_of_a_font_is_as_high_as_ours():
     shape = whole(polygons(letter("H", font=FONT)))
-    assert np.ptp(shape.bounds[1::2]) == pytest.approx(CAP, abs=1e-3)
+    assert np.ptp(shape.bounds[1::2]) == pytest.approx(CAP_HEIGHT, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -146,8 +146,8 @@ def test_any_flat_shape_is_cut_into_convex_pieces(squares):
 
 def test_a_shape_of_ones_own_becomes_an_object():
     ring = shapely.Point(0, 0).buffer(0.05).difference(shapely.Point(0, 0).buffer(0.03))
-    thing = flat("ring", "Ring", "A ring", ring, 0.04, mass=0.3)
-    assert thing.mass == 0.3
-    assert_cut(polygons(thing), ring)
-    _, inertia = thing.center_and_inertia()
+    obj = extrusion("ring", "Ring", "A ring", ring, 0.04, mass=0.3)
+    assert obj.mass == 0.3
+    assert_cut(polygons(obj), ring)
+    _, inertia = obj.center_and_inertia()
     assert inertia[2, 2] == pytest.approx(0.3 * (0.05**2 + 0.03**2) / 2, rel=0.01)

@@ -17,7 +17,7 @@ from support.meshes import L_SHAPE, bracket, prism, saved
 from oimppi_warp.authoring import import_mesh, write_object
 from oimppi_warp.authoring.meshes.convex import PIECES, compare, decompose, signed_depths
 from oimppi_warp.authoring.meshes.moments import moments, winding
-from oimppi_warp.authoring.objects.preview import draw_portrait
+from oimppi_warp.authoring.objects.preview import draw_preview
 from oimppi_warp.authoring.objects.stored import read_body, read_object
 from oimppi_warp.cli.main import main
 from oimppi_warp.config.overrides import set_option
@@ -113,20 +113,20 @@ def test_a_part_that_stands_on_edge_is_laid_down(tmp_path):
     assert sorted(size) == pytest.approx([0.03, 0.12, 0.16], abs=1e-4)
     assert size[2] == pytest.approx(0.03, abs=1e-4)  # flat, and along the axes
     assert "turned over by 90 degrees" in " ".join(solid.notes)
-    upright = import_mesh(tmp_path / "plate.stl", lying="as-is")
+    upright = import_mesh(tmp_path / "plate.stl", lay="as-is")
     assert 2 * upright.rest_height == pytest.approx(0.12, abs=1e-4)
 
 
 def test_a_glb_comes_with_its_y_axis_up(tmp_path):
     file = saved(trimesh.creation.box((0.1, 0.08, 0.06)), tmp_path, "box.glb")
-    assert 2 * import_mesh(file, lying="as-is").rest_height == pytest.approx(0.08, abs=1e-4)
+    assert 2 * import_mesh(file, lay="as-is").rest_height == pytest.approx(0.08, abs=1e-4)
 
 
 def test_what_cannot_stand_as_it_is_is_refused(tmp_path):
     leaning = trimesh.creation.box((0.04, 0.04, 0.12))
     leaning.apply_transform(trimesh.transformations.rotation_matrix(0.6, [1, 0, 0]))
     with pytest.raises(SceneError, match="fall over"):
-        import_mesh(saved(leaning, tmp_path, "leaning.stl"), lying="as-is")
+        import_mesh(saved(leaning, tmp_path, "leaning.stl"), lay="as-is")
 
 
 def test_parts_that_overlap_weigh_what_their_union_does(tmp_path):
@@ -297,7 +297,7 @@ def test_a_picture_can_be_made_of_any_object(tmp_path):
     ring = prism(shapely.Point(0, 0).buffer(0.05, quad_segs=4), 0.03)
     solid = import_mesh(saved(ring, tmp_path, "disc.glb"))
     file = write_object(solid, tmp_path)
-    assert draw_portrait(solid, read_body(file), tmp_path / "disc.png").stat().st_size > 5000
+    assert draw_preview(solid, read_body(file), tmp_path / "disc.png").stat().st_size > 5000
 
 
 BOXES = st.lists(st.tuples(*[st.integers(-3, 3)] * 2, *[st.integers(1, 4)] * 3), min_size=1, max_size=4)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oimppi_warp.authoring import Standing
+from oimppi_warp.authoring import StaticObject
 from oimppi_warp.authoring import named_shapes as shapes_module
-from oimppi_warp.authoring.object_spec import Manner, check_used, parse_object, parse_obstacles
+from oimppi_warp.authoring.object_spec import ShapeOptions, check_used, parse_object, parse_obstacles
 from oimppi_warp.authoring.objects.outlines import regular_prism
 from oimppi_warp.cli.main import main
 from oimppi_warp.errors import ConfigError
@@ -33,18 +33,18 @@ def help_of(*command: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 @pytest.mark.parametrize("word", MADE)
 def test_the_example_of_every_shape_makes_an_object_and_an_obstacle(word):
-    thing = parse_object(word, Manner(mass=0.25, friction=0.35))
-    assert (thing.friction, thing.rest_height > 0.0) == (0.35, True)
+    obj = parse_object(word, ShapeOptions(mass=0.25, friction=0.35))
+    assert (obj.friction, obj.rest_height > 0.0) == (0.35, True)
     (obstacle,) = parse_obstacles([f"{word}@0.5,0.1,0.3"])
     assert re.fullmatch(r"[A-Z][A-Za-z0-9]*", obstacle.name)
     kind = word.partition(":")[0]
-    assert isinstance(obstacle, Standing) == (SHAPES[kind].stand is None)
+    assert isinstance(obstacle, StaticObject) == (SHAPES[kind].make_obstacle is None)
 
 
 def test_help_names_every_shape(capsys):
     told = help_of("scene", "new", capsys=capsys)
     for name, shape in SHAPES.items():
-        assert shape.word(name) in told
+        assert shape.usage(name) in told
 
 
 def test_help_says_which_shapes_take_an_option(capsys):
@@ -74,37 +74,37 @@ def test_the_manual_has_the_table_of_shapes():
         ("wedge:0.1", "allowed: t-block, lab-t"),
     ],
 )  # fmt: skip
-def test_a_word_that_makes_nothing_is_refused_with_what_would(word, said):
+def test_a_spec_that_makes_nothing_is_refused_with_what_would(word, said):
     with pytest.raises(ConfigError) as error:
         parse_object(word)
     assert said in str(error.value)
 
 
 def test_an_option_that_no_shape_of_the_task_takes_is_refused():
-    check_used(Manner(height=0.03, mass=1.0, friction=0.2), ("letter:S", "box:0.1x0.1x0.1@0.5,0"))
-    check_used(Manner(scale="mm"), ("t-block", "somewhere/part.STL@0.5,0"))
+    check_used(ShapeOptions(height=0.03, mass=1.0, friction=0.2), ("letter:S", "box:0.1x0.1x0.1@0.5,0"))
+    check_used(ShapeOptions(scale="mm"), ("t-block", "somewhere/part.STL@0.5,0"))
     with pytest.raises(ConfigError, match=r"--font Sans: .*\n.*with letters and words only"):
-        check_used(Manner(font="Sans"), ("prism:6x0.05x0.04", "t-block@0.5,0"))
+        check_used(ShapeOptions(font="Sans"), ("prism:6x0.05x0.04", "t-block@0.5,0"))
     with pytest.raises(ConfigError, match=r"--lay as-is: .*\n.*with a mesh only"):
-        check_used(Manner(lay="as-is"), ("letter:S",))
+        check_used(ShapeOptions(lay="as-is"), ("letter:S",))
 
 
 @pytest.mark.parametrize("sides", [3, 4, 5, 6, 12, 24])
 def test_a_prism_weighs_and_turns_as_the_polygon_below_it(sides):
     """Area ``n r^2 sin(2 pi / n) / 2``; polar moment ``m r^2 (1/2 - sin^2(pi / n) / 3)``."""
     radius, height = 0.06, 0.05
-    thing = regular_prism(sides, radius, height)
-    (polygon,) = thing.pieces
+    obj = regular_prism(sides, radius, height)
+    (polygon,) = obj.pieces
     assert isinstance(polygon, np.ndarray)
     assert len(polygon) == sides
     np.testing.assert_allclose(np.linalg.norm(polygon, axis=1), radius, atol=2e-5)
     lowest = polygon[polygon[:, 1] < polygon[:, 1].min() + 2e-5]
     assert len(lowest) == 2, "a side faces -y"
     area = sides * radius**2 * math.sin(math.tau / sides) / 2
-    assert thing.mass == pytest.approx(650.0 * area * height, abs=0.006)
-    center, inertia = thing.center_and_inertia()
+    assert obj.mass == pytest.approx(650.0 * area * height, abs=0.006)
+    center, inertia = obj.center_and_inertia()
     assert center == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
-    assert inertia[2, 2] == pytest.approx(thing.mass * radius**2 * (0.5 - math.sin(math.pi / sides) ** 2 / 3), rel=2e-3)
+    assert inertia[2, 2] == pytest.approx(obj.mass * radius**2 * (0.5 - math.sin(math.pi / sides) ** 2 / 3), rel=2e-3)
 
 
 def test_a_prism_is_written_checked_and_read_back(tmp_path, capsys):

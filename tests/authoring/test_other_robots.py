@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from support import reference
 from support.engines import ends, make, plant_at, roll
 from support.reference import ANGLE_TOLERANCE, LENGTH_TOLERANCE
-from support.tasks import DT, Pushing, block, box, joints_at, observe, shipped, straight
+from support.small_tasks import DT, Pushing, block, box, joints_at, observe, shipped, straight
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best, lab
@@ -21,7 +21,7 @@ from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.geometry.fields import build_geometry, from_center
 from oimppi_warp.geometry.kinematics import link_frames, tip_frame, tip_jacobian
-from oimppi_warp.geometry.reach import area_of, can_lift, joints_for, reach_of
+from oimppi_warp.geometry.reach import can_lift, inverse_kinematics, object_bounds, reach_of
 from oimppi_warp.kernels.costs.stage_costs import TERMS
 from oimppi_warp.physics.world import World
 from oimppi_warp.planning.engines.newton_threads import NewtonThreads
@@ -106,20 +106,20 @@ def test_a_point_reaches_a_rectangle():
     robot = shipped("point01").robot
     reach = reach_of(robot)
     np.testing.assert_allclose(reach.bounds, [[-0.22, -0.77], [0.97, 0.77]], atol=1e-6)
-    room = reach.room(np.array([[0.3, 0.0], [0.9, 0.7], [1.0, 0.0], [-0.3, -0.8]]))
+    room = reach.margin(np.array([[0.3, 0.0], [0.9, 0.7], [1.0, 0.0], [-0.3, -0.8]]))
     np.testing.assert_allclose(room, [0.52, 0.07, -0.03, -np.hypot(0.08, 0.03)], atol=1e-6)
     assert not can_lift(robot)
 
 
 def test_the_object_of_a_point_is_kept_to_where_the_stick_gets_behind_it(device: str):
     scene = shipped("point01")
-    lower, upper = area_of(scene)
+    lower, upper = object_bounds(scene)
     np.testing.assert_allclose([lower, upper], [[-0.204, -0.754], [0.954, 0.754]], atol=1e-9)
     geometry = build_geometry(scene, device)
     assert geometry.clearance_at(np.array([0.954 - geometry.size - 0.02, 0.0, 0.3])) > 0.0
     assert geometry.clearance_at(np.array([0.954, 0.0, 0.3])) < 0.0
     table = shipped("task01")
-    np.testing.assert_array_equal(area_of(table), [table.table.lower, table.table.upper])
+    np.testing.assert_array_equal(object_bounds(table), [table.table.lower, table.table.upper])
 
 
 def test_an_arm_reaches_a_disc_and_can_lift():
@@ -137,7 +137,7 @@ def test_an_arm_on_a_rail_reaches_further_along_it():
     # A disc is carried along, drawn as a polygon around it.
     np.testing.assert_allclose(upper, [far, far + 0.3], atol=0.005)
     np.testing.assert_allclose(lower, [-far, -far - 0.3], atol=0.005)
-    assert reach_of(robot).room(np.array([[0.0, 0.95], [0.6, 0.5], [0.6, 0.9]])) == pytest.approx(
+    assert reach_of(robot).margin(np.array([[0.0, 0.95], [0.6, 0.5], [0.6, 0.9]])) == pytest.approx(
         [far + 0.3 - 0.95, far - np.hypot(0.6, 0.2), far - np.hypot(0.6, 0.6)], abs=0.006
     )
 
@@ -146,12 +146,12 @@ def test_an_arm_on_a_rail_reaches_further_along_it():
 def test_joint_positions_are_found_that_put_the_tip_somewhere(name):
     robot = scene_of(name).robot
     for point in ((0.4, 0.2, 0.05), (0.3, -0.3, 0.02)):
-        joints = joints_for(robot, robot.start, np.array(point))
+        joints = inverse_kinematics(robot, robot.start, np.array(point))
         assert joints is not None
         rotation, tip = tip_frame(robot, joints)
         np.testing.assert_allclose(tip, point, atol=2e-5)
         np.testing.assert_allclose(rotation[:, 2], [0, 0, -1], atol=2e-5)
-    assert joints_for(robot, robot.start, np.array([1.5, 0.0, 0.05])) is None
+    assert inverse_kinematics(robot, robot.start, np.array([1.5, 0.0, 0.05])) is None
 
 
 @pytest.mark.parametrize(

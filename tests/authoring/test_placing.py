@@ -11,7 +11,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 
 from oimppi_warp.authoring import Task, letter, read_object, write_object, write_task
-from oimppi_warp.authoring.prims import place_planar
+from oimppi_warp.authoring.prims import set_planar_pose
 from oimppi_warp.errors import SceneError
 from oimppi_warp.usd.stage import SCENES
 
@@ -37,8 +37,8 @@ TYPES = {
 
 @pytest.mark.parametrize("precision", TYPES)
 def test_an_object_is_put_in_the_precision_of_its_file(tmp_path, precision):
-    thing = read_object(object_with(tmp_path / "from", **TYPES[precision]))
-    scene = write_task(Task("mine", "Push", thing, START, GOAL), tmp_path / "to").scene
+    obj = read_object(object_with(tmp_path / "from", **TYPES[precision]))
+    scene = write_task(Task("mine", "Push", obj, START, GOAL), tmp_path / "to").scene
     assert scene.start == pytest.approx(START, abs=1e-6)
 
 
@@ -48,7 +48,7 @@ def test_a_prim_is_put_in_the_precision_that_it_has(precision):
     prim = UsdGeom.Xform.Define(stage, "/Thing").GetPrim()
     for name, type_name in TYPES[precision].items():
         prim.CreateAttribute(f"xformOp:{name}", type_name, custom=False).Set(type_name.defaultValue)
-    place_planar(prim, START, 0.02)
+    set_planar_pose(prim, START, 0.02)
     frame = UsdGeom.Xformable(prim).GetLocalTransformation()
     assert tuple(frame.ExtractTranslation()) == pytest.approx((0.3, -0.45, 0.02), abs=1e-6)
     assert math.atan2(frame[0][1], frame[0][0]) == pytest.approx(0.5, abs=1e-6)

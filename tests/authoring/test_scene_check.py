@@ -9,8 +9,8 @@ import math
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from support.bad_scenes import START, TIP, add, drop, goal_to, object_to, prim, put, walls, without
-from support.doubtful import CUBE, DOUBTFUL, OBJECT, ROBOT, several
-from support.elsewhere import flat
+from support.foreign_scenes import flat
+from support.lint_cases import CUBE, LINT_CASES, OBJECT, ROBOT, several
 from support.messages import MANUAL, manual
 from support.variants import variant
 
@@ -283,9 +283,9 @@ def test_any_yaw_will_do_at_a_goal_without_one(tmp_path):
     assert found("lab02")[1:] == []
 
 
-@pytest.mark.parametrize("doubt", DOUBTFUL)
-def test_what_is_allowed_but_hardly_meant_is_warned_of(tmp_path, doubt):
-    change, (path, what, more) = DOUBTFUL[doubt]
+@pytest.mark.parametrize("case", LINT_CASES)
+def test_what_is_allowed_but_hardly_meant_is_warned_of(tmp_path, case):
+    change, (path, what, more) = LINT_CASES[case]
     problem = check_scene(variant(tmp_path, change))[0]
     assert problem.severity == "warning"
     assert problem.prim == path

@@ -17,8 +17,8 @@ from pxr import Usd, UsdGeom, UsdValidation
 from support.device import DEVICE
 from support.meshes import bracket, saved
 
-from oimppi_warp.authoring import Block, Pillar, Standing, Task, box, letter, read_object, write_object, write_task
-from oimppi_warp.authoring.arm_start import joints_at
+from oimppi_warp.authoring import Block, Pillar, StaticObject, Task, box, letter, read_object, write_object, write_task
+from oimppi_warp.authoring.arm_start import inverse_kinematics_from_start
 from oimppi_warp.authoring.checks.check import check_scene
 from oimppi_warp.cli.main import main
 from oimppi_warp.config.overrides import set_option
@@ -28,7 +28,7 @@ from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.geometry.footprint import height_range
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.runtime.episode import Episode
-from oimppi_warp.runtime.request import make_task
+from oimppi_warp.runtime.request import prepare_scene
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene, shipped_scenes
 
@@ -120,8 +120,8 @@ def test_two_obstacles_of_a_kind_have_different_names(tmp_path):
 def test_obstacles_are_called_what_they_are(tmp_path):
     file = saved(bracket(), tmp_path, "3d part.stl")
     places = ["0.5,0", "0.3,0.45", "0.7,0.4", "0.15,0.4", "0.75,-0.3"]
-    things = ["soup-can", "soup-can", f"mesh:{file}", "text:AB", "letter:&"]
-    words = [part for thing, at in zip(things, places, strict=True) for part in ("--obstacle", f"{thing}@{at}")]
+    specs = ["soup-can", "soup-can", f"mesh:{file}", "text:AB", "letter:&"]
+    words = [part for spec, at in zip(specs, places, strict=True) for part in ("--obstacle", f"{spec}@{at}")]
     scene = new(tmp_path, "--goal", "0.45,0.2,0", "--font", "DejaVu Sans", *words)
     names = [obstacle.path.rsplit("/", 1)[1] for obstacle in scene.obstacles]
     assert names == ["SoupCan", "SoupCan2", "Obstacle3DPart", "TextAb", "Letter"]
@@ -260,10 +260,10 @@ def test_the_arm_starts_elsewhere_if_its_own_start_is_taken(tmp_path):
 @pytest.mark.parametrize("place", [(0.4, 0.2), (0.2, -0.3), (0.6, 0.0), (-0.1, 0.4)])
 def test_the_arm_is_led_to_any_place_within_reach(place):
     robot = load_scene("task01").robot
-    joints = joints_at(robot, np.array([*place, 0.05]))
+    joints = inverse_kinematics_from_start(robot, np.array([*place, 0.05]))
     assert joints is not None
     assert tip_frame(robot, joints)[1] == pytest.approx((*place, 0.05), abs=1e-4)
-    assert joints_at(robot, np.array([2.0, 0.0, 0.05])) is None
+    assert inverse_kinematics_from_start(robot, np.array([2.0, 0.0, 0.05])) is None
 
 
 def test_where_there_is_little_room_starts_are_drawn_from_less(tmp_path):
@@ -271,7 +271,7 @@ def test_where_there_is_little_room_starts_are_drawn_from_less(tmp_path):
     scene = new(tmp_path, "--object", "box:0.1x0.06x0.05", *walls)
     assert scene.spread == (0.0, 0.0)
     assert scene.starts.tolist() == [list(scene.start)]
-    assert make_task(scene.file, seed=3).start == scene.start
+    assert prepare_scene(scene.file, seed=3).start == scene.start
 
 
 IMPOSSIBLE = {
@@ -324,7 +324,7 @@ def test_from_python_a_task_is_a_few_lines(tmp_path):
         obstacles=(
             Block("Wall", (0.55, 0.0), (0.1, 0.1, 0.1), yaw=0.3),
             Pillar("Post", (0.3, 0.1), 0.02, 0.12),
-            Standing("LetterX", letter("X"), (0.2, 0.35, 0.5)),
+            StaticObject("LetterX", letter("X"), (0.2, 0.35, 0.5)),
         ),
     )
     written = write_task(task, tmp_path)
@@ -350,7 +350,7 @@ def lengths(low: float, high: float, count: int) -> st.SearchStrategy[str]:
     return numbers.map(lambda n: "x".join(f"{value:.3f}" for value in n))
 
 
-THINGS = st.one_of(
+OBJECTS = st.one_of(
     st.sampled_from(["t-block", "lab-t", "soup-can"]),
     st.sampled_from("ABCDEFGHIJKLMNOPQRSTUVWXYZ").map("letter:{}".format),
     st.text("AEIOLTV", min_size=2, max_size=3).map("text:{}".format),
@@ -358,18 +358,18 @@ THINGS = st.one_of(
     lengths(0.02, 0.08, 2).map("cylinder:{}".format),
     st.tuples(st.integers(3, 24), lengths(0.03, 0.07, 2)).map(lambda given: "prism:{}x{}".format(*given)),
 )
-THINGS_IN_THE_WAY = st.one_of(
-    lengths(0.03, 0.15, 3).map("box:{}".format), lengths(0.02, 0.06, 2).map("cylinder:{}".format), THINGS
+OBSTACLES = st.one_of(
+    lengths(0.03, 0.15, 3).map("box:{}".format), lengths(0.02, 0.06, 2).map("cylinder:{}".format), OBJECTS
 )
 TASKS = st.fixed_dictionaries(
     {
-        "object": THINGS,
+        "object": OBJECTS,
         "start": poses(),
         "goal": poses(),
         "mass": st.floats(0.05, 2.0),
         "friction": st.floats(0.001, 1.0),
         "robot": st.sampled_from(["xarm6", "xarm6", "arm7", "point"]),
-        "obstacle": st.lists(st.tuples(THINGS_IN_THE_WAY, poses()).map("@".join), max_size=3),
+        "obstacle": st.lists(st.tuples(OBSTACLES, poses()).map("@".join), max_size=3),
     }
 )
 

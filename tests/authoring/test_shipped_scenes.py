@@ -13,7 +13,7 @@ import pytest
 import shapely
 from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
-from oimppi_warp.geometry.feasibility import CLEAR, check_task, draw_start, object_outline
+from oimppi_warp.geometry.feasibility import START_CLEARANCE, check_task, object_outline, sample_start
 from oimppi_warp.geometry.footprint import core_points, footprint, height_range, outline, rotation_matrix
 from oimppi_warp.geometry.kinematics import link_frames, tip_frame
 from oimppi_warp.geometry.reach import can_lift, reach_of
@@ -96,21 +96,21 @@ def test_starts_keep_to_their_spread_and_leave_room(scenes, name):
 
 
 def test_the_same_seed_draws_the_same_start_and_another_seed_another(scenes):
-    assert draw_start(scenes["task02"], 3) == draw_start(scenes["task02"], 3)
-    assert len({draw_start(scenes["task02"], seed) for seed in range(10)}) == 10
+    assert sample_start(scenes["task02"], 3) == sample_start(scenes["task02"], 3)
+    assert len({sample_start(scenes["task02"], seed) for seed in range(10)}) == 10
 
 
 def test_seeds_draw_no_start_that_the_scene_lists(scenes):
     listed = {tuple(start) for start in scenes["task02"].starts}
-    assert not listed & {draw_start(scenes["task02"], seed) for seed in range(100)}
+    assert not listed & {sample_start(scenes["task02"], seed) for seed in range(100)}
 
 
 def test_a_drawn_start_leaves_room_to_the_tool(scenes):
     scene = scenes["task02"]
     tip = tip_frame(scene.robot, scene.robot.start)[1]
     for seed in range(20):
-        shape = object_outline(scene, draw_start(scene, seed))
-        assert shapely.distance(shape, shapely.Point(tip[:2])) >= CLEAR
+        shape = object_outline(scene, sample_start(scene, seed))
+        assert shapely.distance(shape, shapely.Point(tip[:2])) >= START_CLEARANCE
 
 
 def obstacle_boxes(scene):

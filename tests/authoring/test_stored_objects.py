@@ -13,7 +13,7 @@ import trimesh
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils
 from support.meshes import bracket, saved
 
-from oimppi_warp.authoring import Standing, Task, box, import_mesh, read_object, write_object, write_task
+from oimppi_warp.authoring import StaticObject, Task, box, import_mesh, read_object, write_object, write_task
 from oimppi_warp.authoring import project as project_module
 from oimppi_warp.authoring.object_spec import parse_object
 from oimppi_warp.authoring.objects import preview
@@ -22,7 +22,7 @@ from oimppi_warp.cli.main import main
 from oimppi_warp.errors import SceneError
 from oimppi_warp.scene import Scene
 from oimppi_warp.usd import load_scene
-from oimppi_warp.usd.lint import stage_doubts
+from oimppi_warp.usd.lint import lint_stage
 from oimppi_warp.usd.stage import SceneStage
 
 START, GOAL = (0.3, -0.4, 0.0), (0.5, 0.2, 0.0)
@@ -54,7 +54,7 @@ def Xform "Thing" (
 """
 
 
-def thing(file: Path, *, metres=1.0, kilograms=1.0, up="Z", size=0.1, mass=0.2, above="", moved="") -> Path:
+def object_file(file: Path, *, metres=1.0, kilograms=1.0, up="Z", size=0.1, mass=0.2, above="", moved="") -> Path:
     """A cube as somebody else's file has it; lengths and masses in the file's units."""
     file.parent.mkdir(parents=True, exist_ok=True)
     text = HEAD.format(metres, kilograms, up) + THING.format(size=size, mass=mass, above=above, moved=moved)
@@ -80,15 +80,15 @@ def as_package(file: Path) -> Path:
 
 @pytest.mark.parametrize("units", [{"metres": 0.01, "size": 10.0}, {"kilograms": 0.001, "mass": 200.0}])
 def test_an_object_in_other_units_is_written_in_metres_and_kilograms(tmp_path, units):
-    scene = pushed(thing(tmp_path / "a" / "thing.usda", **units), tmp_path)
+    scene = pushed(object_file(tmp_path / "a" / "thing.usda", **units), tmp_path)
     assert scene.object.mass == pytest.approx(0.2)
     assert scene.object.rest_height == pytest.approx(0.05)
-    assert list(stage_doubts(SceneStage(scene.file))) == []
+    assert list(lint_stage(SceneStage(scene.file))) == []
 
 
 def brick(file: Path, *, above: str = "", shape: str = "", material: str = "") -> Path:
     """A cube of 0.1 m without a mass; what is said of densities is put where it belongs."""
-    text = thing(file).read_text().replace("float physics:mass = 0.2", above)
+    text = object_file(file).read_text().replace("float physics:mass = 0.2", above)
     text = text.replace("double size = 0.1", f"double size = 0.1\n        {shape}")
     text = text.replace('["PhysicsCollisionAPI", ', '["PhysicsCollisionAPI", "PhysicsMassAPI", ')
     text = text.replace(
@@ -148,7 +148,7 @@ def test_a_mass_that_no_file_gives_is_asked_for_and_taken(tmp_path, capsys):
     dense = brick(tmp_path / "b" / "dense.usda", above="float physics:density = 700")
     assert main([*command[:-1], str(dense), "--mass", "0.2", "--force"]) == 0
     assert load_scene(tmp_path / "mine.usda").object.mass == pytest.approx(0.2), "a mass counts before a density"
-    assert main([*command[:-1], str(thing(tmp_path / "c" / "c.usda")), "--mass", "0.15", "--force"]) == 2
+    assert main([*command[:-1], str(object_file(tmp_path / "c" / "c.usda")), "--mass", "0.15", "--force"]) == 2
     assert "stand in its file" in capsys.readouterr().err
 
 
@@ -161,17 +161,17 @@ def test_an_object_in_the_folder_that_gives_a_density_only_is_written_with_its_m
 
 
 def test_the_table_has_no_more_friction_than_the_object_of_a_file(tmp_path):
-    file = thing(tmp_path / "a" / "thing.usda")
+    file = object_file(tmp_path / "a" / "thing.usda")
     file.write_text(file.read_text().replace("dynamicFriction = 0.3", "dynamicFriction = 0.04"))
     assert pushed(file, tmp_path).object.friction == pytest.approx(0.04)
-    bare = thing(tmp_path / "b" / "bare.usda")
+    bare = object_file(tmp_path / "b" / "bare.usda")
     bare.write_text(bare.read_text().replace("rel material:binding:physics = </Thing/Material>", ""))
     assert pushed(bare, tmp_path, "other").object.friction == pytest.approx(0.1), "it has none of its own"
 
 
 def test_an_object_drawn_with_y_up_stands_as_it_was_drawn(tmp_path):
     moved = 'double3 xformOp:translate = (1, 2, 3)\n    uniform token[] xformOpOrder = ["xformOp:translate"]'
-    file = thing(tmp_path / "thing.usda", up="Y", moved=moved)
+    file = object_file(tmp_path / "thing.usda", up="Y", moved=moved)
     stage = Usd.Stage.Open(str(file))
     UsdGeom.Xformable(stage.GetPrimAtPath("/Thing/shape")).AddScaleOp().Set(Gf.Vec3f(1.0, 3.0, 1.0))
     stage.Save()
@@ -183,14 +183,14 @@ def test_an_object_drawn_with_y_up_stands_as_it_was_drawn(tmp_path):
 @pytest.mark.parametrize(("kind", "turned"), [("Cylinder", 90.0), ("Xform", 30.0)])
 def test_an_object_that_would_be_laid_down_otherwise_is_refused(tmp_path, kind, turned):
     moved = f'float xformOp:rotateX = {turned}\n    uniform token[] xformOpOrder = ["xformOp:rotateX"]'
-    file = thing(tmp_path / "thing.usda", moved=moved)
+    file = object_file(tmp_path / "thing.usda", moved=moved)
     file.write_text(file.read_text().replace('Xform "Thing"', f'{kind} "Thing"'))
     with pytest.raises(SceneError, match="does not lie flat"):
         read_object(file)
 
 
 def test_a_material_that_a_reference_would_leave_behind_is_refused(tmp_path):
-    file = thing(tmp_path / "thing.usda")
+    file = object_file(tmp_path / "thing.usda")
     text = file.read_text().replace("</Thing/Material>", "</Material>")
     file.write_text(text + 'def Material "Material" (\n    prepend apiSchemas = ["PhysicsMaterialAPI"]\n)\n{\n}\n')
     with pytest.raises(SceneError, match="not below the default prim"):
@@ -199,7 +199,7 @@ def test_a_material_that_a_reference_would_leave_behind_is_refused(tmp_path):
 
 @pytest.mark.parametrize("packed", [as_binary, as_package])
 def test_a_binary_file_and_a_package_are_objects_as_well(tmp_path, packed):
-    file = packed(thing(tmp_path / "a" / "thing.usda"))
+    file = packed(object_file(tmp_path / "a" / "thing.usda"))
     assert pushed(file, tmp_path / "out").object.mass == pytest.approx(0.2)
     assert (tmp_path / "out" / "objects" / "thing.usda").read_text().startswith("#usda")
     (tmp_path / "mine" / "objects").mkdir(parents=True)
@@ -221,12 +221,12 @@ def test_a_robot_may_be_in_a_binary_file_or_a_package(tmp_path, packed):
 
 def test_files_of_one_name_that_two_objects_need_are_not_mixed_up(tmp_path):
     for folder, size in (("a", 0.1), ("b", 0.24)):
-        thing(tmp_path / folder / "shape.usda", size=size)
+        object_file(tmp_path / folder / "shape.usda", size=size)
         head = HEAD.format(1, 1, "Z")
         above = 'def "Thing" (\n    prepend references = @./shape.usda@\n)\n{\n}\n'
         (tmp_path / folder / f"{folder}.usda").write_text(head + above)
     small, large = (read_object(tmp_path / folder / f"{folder}.usda") for folder in "ab")
-    task = Task("push", "Push", small, START, GOAL, obstacles=(Standing("Other", large, (0.5, -0.1, 0.0)),))
+    task = Task("push", "Push", small, START, GOAL, obstacles=(StaticObject("Other", large, (0.5, -0.1, 0.0)),))
     scene = write_task(task, tmp_path / "out").scene
     assert scene.object.colliders[0].size == pytest.approx((0.05, 0.05, 0.05))
     assert scene.obstacles[0].colliders[0].size == pytest.approx((0.12, 0.12, 0.12))
@@ -237,9 +237,9 @@ def test_textures_come_along_and_are_not_mixed_up(tmp_path):
         place = tmp_path / folder / "thing"
         place.mkdir(parents=True)
         (place / "wood.png").write_bytes(folder.encode())
-        thing(tmp_path / folder / f"{folder}.usda", moved="asset inputs:file = @./thing/wood.png@")
+        object_file(tmp_path / folder / f"{folder}.usda", moved="asset inputs:file = @./thing/wood.png@")
     first, second = (read_object(as_package(tmp_path / folder / f"{folder}.usda")) for folder in "ab")
-    task = Task("push", "Push", first, START, GOAL, obstacles=(Standing("Other", second, (0.5, -0.1, 0.0)),))
+    task = Task("push", "Push", first, START, GOAL, obstacles=(StaticObject("Other", second, (0.5, -0.1, 0.0)),))
     written = write_task(task, tmp_path / "out")
     stage = Usd.Stage.Open(str(written.file))
     paths = [f"/World/{place}" for place in ("Object", "Obstacles/Other")]
@@ -256,23 +256,23 @@ def test_textures_come_along_and_are_not_mixed_up(tmp_path):
 
 
 def test_an_object_that_is_a_body_already_may_stand_fast(tmp_path):
-    file = thing(tmp_path / "thing.usda")
+    file = object_file(tmp_path / "thing.usda")
     stage = Usd.Stage.Open(str(file))
     UsdPhysics.RigidBodyAPI.Apply(stage.GetDefaultPrim())
     stage.Save()
-    obstacle = Standing("Post", read_object(file), (0.5, -0.1, 0.0))
+    obstacle = StaticObject("Post", read_object(file), (0.5, -0.1, 0.0))
     assert len(pushed(file, tmp_path / "out", obstacles=(obstacle,)).obstacles) == 1
 
 
 def test_an_object_of_the_folder_is_used_as_it_is(tmp_path):
-    file = thing(tmp_path / "objects" / "thing.usda")
+    file = object_file(tmp_path / "objects" / "thing.usda")
     file.write_text(file.read_text() + "# a remark\n")
     pushed(file, tmp_path)
     assert [path.name for path in (tmp_path / "objects").iterdir()] == ["thing.usda"]
 
 
 def test_where_no_centre_of_mass_is_given_it_is_that_of_the_shapes(tmp_path):
-    file = thing(tmp_path / "thing.usda")
+    file = object_file(tmp_path / "thing.usda")
     body = read_body(file)
     assert body.center_of_mass == pytest.approx(np.zeros(3))
     assert body.friction == pytest.approx(0.3)
@@ -280,10 +280,10 @@ def test_where_no_centre_of_mass_is_given_it_is_that_of_the_shapes(tmp_path):
     assert (tmp_path / "objects" / "thing.png").is_file()
 
 
-def test_what_a_scene_refers_to_in_other_units_is_doubted(tmp_path):
-    scene = pushed(thing(tmp_path / "thing.usda"), tmp_path / "out")
-    thing(tmp_path / "out" / "objects" / "thing.usda", metres=1.0, kilograms=0.001, up="Y")
-    said = {doubt.what.partition(" in ")[0] for doubt in stage_doubts(SceneStage(scene.file))}
+def test_what_a_scene_refers_to_in_other_units_is_warned_of(tmp_path):
+    scene = pushed(object_file(tmp_path / "thing.usda"), tmp_path / "out")
+    object_file(tmp_path / "out" / "objects" / "thing.usda", metres=1.0, kilograms=0.001, up="Y")
+    said = {warning.what.partition(" in ")[0] for warning in lint_stage(SceneStage(scene.file))}
     assert {"kilogramsPerUnit is 0.001", "upAxis is Y"} <= said
 
 
@@ -293,9 +293,9 @@ def test_what_a_scene_refers_to_in_other_units_is_doubted(tmp_path):
 def test_a_new_task_changes_no_object_of_an_old_one(tmp_path):
     objects = tmp_path / "objects"
     for name, size in (("thing", 0.10), ("thing_push", 0.12)):
-        thing(objects / f"{name}.usda", size=size)
+        object_file(objects / f"{name}.usda", size=size)
     before = {path: path.read_bytes() for path in objects.iterdir()}
-    scene = pushed(thing(tmp_path / "b" / "thing.usda", size=0.14), tmp_path)
+    scene = pushed(object_file(tmp_path / "b" / "thing.usda", size=0.14), tmp_path)
     assert scene.object.rest_height == pytest.approx(0.07)
     assert {path: path.read_bytes() for path in before} == before
     assert (objects / "thing_push_2.usda").is_file()
@@ -315,7 +315,7 @@ def test_force_overwrites_the_tasks_own_objects_unless_another_scene_has_them(tm
 
 
 def test_an_object_of_the_folder_comes_before_a_shipped_one_of_its_name(tmp_path):
-    thing(tmp_path / "objects" / "t_block.usda", size=0.14)
+    object_file(tmp_path / "objects" / "t_block.usda", size=0.14)
     assert parse_object("t-block", folder=tmp_path).rest_height == pytest.approx(0.07)
     for folder, mass in (("a", "0.3"), ("b", "0.4")):  # one that a task left there is still the shipped one
         arguments = ["scene", "new", folder, "--out", str(tmp_path / "out"), "--mass", mass]
@@ -331,7 +331,7 @@ def test_a_failure_leaves_the_object_that_was_there(tmp_path, monkeypatch, capsy
     def fail(*_):
         raise SceneError("no", file=tmp_path)
 
-    for module, name in ((project_module, "explain"), (preview, "draw_portrait")):
+    for module, name in ((project_module, "write_attribute_docs"), (preview, "draw_preview")):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, fail)
             assert main(["scene", "import", str(tmp_path / "l.stl"), "--out", str(tmp_path), "--force"]) == 2

@@ -13,14 +13,14 @@ import pytest
 import trimesh
 from pxr import Usd, UsdGeom
 from scipy.spatial import ConvexHull
-from support.made_urdf import arm_parts, joint, link, shape, write_urdf
+from support.sample_urdfs import arm_parts, joint, link, shape, write_urdf
 
 from oimppi_warp.authoring import box, write_object
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.authoring.robots.articulation import GREY, ToolAxis
-from oimppi_warp.authoring.robots.fitting import POINTS, fitted
+from oimppi_warp.authoring.robots.fitting import POINTS, fit_collider
 from oimppi_warp.authoring.robots.from_urdf import read_urdf
-from oimppi_warp.authoring.robots.start_pose import HEIGHT, table_room, with_start
+from oimppi_warp.authoring.robots.start_pose import HEIGHT, table_clearance, with_start
 from oimppi_warp.cli.main import main
 from oimppi_warp.config.presets import best
 from oimppi_warp.errors import SceneError
@@ -153,7 +153,7 @@ def test_an_arm_begins_with_its_tool_upright_just_above_the_table(tmp_path):
     rotation, tip = tip_frame(robot, robot.start)
     assert tip[2] == pytest.approx(HEIGHT, abs=1e-3)
     np.testing.assert_allclose(rotation[:, 2], [0, 0, -1], atol=1e-3)
-    assert table_room(robot, robot.start) >= 0.02
+    assert table_clearance(robot, robot.start) >= 0.02
     for limits, position in zip(robot.joints, robot.start, strict=True):
         assert limits.lower <= position <= limits.upper
 
@@ -217,7 +217,7 @@ def beyond(points: np.ndarray, hull: np.ndarray) -> float:
 def test_a_long_mesh_becomes_a_capsule_around_it():
     mesh = trimesh.creation.capsule(height=0.2, radius=0.04, count=(24, 24))
     mesh.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1, 2, 0.5), (0.1, 0, 0.2)))
-    collider = fitted("c", mesh.vertices)
+    collider = fit_collider("c", mesh.vertices)
     assert collider.kind == "capsule"
     assert collider.size == pytest.approx((0.04, 0.1), rel=0.03)
     (a, b), radius = core_points(collider)
@@ -227,7 +227,7 @@ def test_a_long_mesh_becomes_a_capsule_around_it():
 
 
 def test_a_block_keeps_its_corners():
-    collider = fitted("c", trimesh.creation.box((0.2, 0.1, 0.15)).vertices)
+    collider = fit_collider("c", trimesh.creation.box((0.2, 0.1, 0.15)).vertices)
     assert collider.kind == "mesh"
     assert collider.vertices is not None
     assert len(collider.vertices) == 8
@@ -236,7 +236,7 @@ def test_a_block_keeps_its_corners():
 def test_a_fine_mesh_becomes_a_hull_with_few_points_around_it():
     mesh = trimesh.creation.icosphere(subdivisions=4)
     mesh.vertices *= (0.08, 0.05, 0.015)
-    collider = fitted("c", mesh.vertices)
+    collider = fit_collider("c", mesh.vertices)
     assert collider.vertices is not None
     assert len(collider.vertices) <= POINTS
     assert beyond(np.asarray(mesh.vertices), collider.vertices) < 1e-9
@@ -245,7 +245,7 @@ def test_a_fine_mesh_becomes_a_hull_with_few_points_around_it():
 
 def test_a_flat_mesh_is_refused():
     with pytest.raises(ValueError, match="without a volume"):
-        fitted("c", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]))
+        fit_collider("c", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]))
 
 
 # Looks
@@ -423,8 +423,8 @@ def test_each_robot_in_a_folder_keeps_the_object_that_was_made_for_it(tmp_path):
         assert main(["scene", "robot", str(urdf), "--tool-axis=-z", "--out", str(tmp_path / "out")]) == 0
         return load_scene(tmp_path / "out" / f"{name}_open.usda").object
 
-    def width(thing: PushedObject) -> float:
-        return float(np.ptp(outline(footprint(thing.colliders)).bounds[::2]))
+    def width(obj: PushedObject) -> float:
+        return float(np.ptp(outline(footprint(obj.colliders)).bounds[::2]))
 
     other = replace(box(0.1, 0.06, 0.05), name="t_block_60")
     before = write_object(other, tmp_path / "out").read_bytes()
@@ -432,9 +432,9 @@ def test_each_robot_in_a_folder_keeps_the_object_that_was_made_for_it(tmp_path):
     first = {name: add(name, far=far, aside=aside) for name, (far, aside) in sizes.items()}
     assert width(first["larger"]) == pytest.approx(0.8 * width(load_scene("task01").object), abs=1e-6)
     assert width(first["small"]) == pytest.approx(0.6 * width(load_scene("task01").object), abs=1e-6)
-    for name, thing in first.items():
+    for name, obj in first.items():
         again = load_scene(tmp_path / "out" / f"{name}_open.usda").object
-        assert (again.mass, width(again)) == (thing.mass, width(thing))
+        assert (again.mass, width(again)) == (obj.mass, width(obj))
     assert (tmp_path / "out" / "objects" / "t_block_60.usda").read_bytes() == before
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
-from support.elsewhere import differences, measured_in, with_y_up
+from support.foreign_scenes import differences, measured_in, with_y_up
 
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.authoring.robots.from_usd import read_usd

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.synthetic import GOAL, make_log
+from support.synthetic_episode import GOAL, make_log
 
 from oimppi_warp.bench.causes import likely_cause
 from oimppi_warp.record.log import EpisodeLog

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.made_results import make_one, make_set
+from support.sample_results import make_one, make_set
 
 from oimppi_warp.bench import paper
 from oimppi_warp.bench.report.figures import every_figure

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.synthetic import make_log
+from support.synthetic_episode import make_log
 
 from oimppi_warp.bench import worker
 from oimppi_warp.bench.results import load_results
@@ -80,7 +80,7 @@ def test_a_second_run_runs_nothing(episodes: Episodes, tmp_path: Path):
     first = SuiteRun(suite, tmp_path / "out").execute(jobs=1)
     assert len(episodes.ran) == len(first.results) == 6
     again = SuiteRun(suite, tmp_path / "out")
-    assert again.open == []
+    assert again.pending == []
     assert again.execute(jobs=1) == first
     assert len(episodes.ran) == 6
     assert load_results(tmp_path / "out").results == first.results
@@ -111,21 +111,21 @@ def test_a_trial_that_raises_is_recorded_and_does_not_end_the_suite(episodes: Ep
     assert len(results.results) == 6
 
     episodes.acts.clear()
-    assert SuiteRun(suite, tmp_path / "out").open == []  # it is finished, too
+    assert SuiteRun(suite, tmp_path / "out").pending == []  # it is finished, too
     retried = SuiteRun(suite, tmp_path / "out", retry=True)
-    assert [(trial.run.method, trial.number) for trial in retried.open] == [("mppi", 1)]
+    assert [(trial.run.method, trial.number) for trial in retried.pending] == [("mppi", 1)]
     assert all(result.success for result in retried.execute(jobs=1).results)
 
 
 def test_a_changed_setting_is_a_new_trial_and_nothing_is_mixed(episodes: Episodes, tmp_path: Path):
     SuiteRun(suite_of(tmp_path, FEW), tmp_path / "out").execute(jobs=1)
     changed = SuiteRun(suite_of(tmp_path, FEW + 'set = ["cost.w_d=3"]\n'), tmp_path / "out")
-    assert len(changed.open) == 6
+    assert len(changed.pending) == 6
     results = changed.execute(jobs=1)
     assert len(results.results) == 6
     assert all("cost.w_d=3" in result.command for result in results.results)
     more = SuiteRun(suite_of(tmp_path, FEW.replace("3", "4")), tmp_path / "out")
-    assert [trial.number for trial in more.open] == [3, 3]
+    assert [trial.number for trial in more.pending] == [3, 3]
 
 
 def test_a_trial_whose_file_is_broken_runs_again(episodes: Episodes, tmp_path: Path):
@@ -134,7 +134,7 @@ def test_a_trial_whose_file_is_broken_runs_again(episodes: Episodes, tmp_path: P
     broken, gone, *_ = sorted((tmp_path / "out" / "trials").iterdir())
     (broken / "trial.json").write_text('{"trial": ')
     (gone / "trial.json").unlink()
-    assert len(SuiteRun(suite, tmp_path / "out").open) == 2
+    assert len(SuiteRun(suite, tmp_path / "out").pending) == 2
 
 
 def test_every_trial_has_its_record_and_no_half_written_file(episodes: Episodes, tmp_path: Path):
@@ -154,7 +154,7 @@ def test_every_trial_has_its_record_and_no_half_written_file(episodes: Episodes,
 def test_trials_in_real_time_come_last_and_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     text = FEW + '[[entry]]\nmode = "realtime"\nlabel = "clock"\n[[entry]]\n'
     run = SuiteRun(suite_of(tmp_path, text), tmp_path / "out")
-    assert [trial.real_time for trial in run.open] == [False] * 6 + [True] * 6
+    assert [trial.real_time for trial in run.pending] == [False] * 6 + [True] * 6
     asked = []
 
     def outcomes(trials: list[Trial], *, jobs: int, backend: str) -> list[Any]:
@@ -201,7 +201,7 @@ def test_a_killed_run_loses_no_finished_trial(tmp_path: Path):
         EpisodeLog.load(path.parent)
 
     run = SuiteRun(suite, out)
-    assert len(run.open) == 6 - len(finished)
+    assert len(run.pending) == 6 - len(finished)
     assert len(run.execute(jobs=1).results) == 6
     assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in finished} == content
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.made_results import make_one, make_set
+from support.sample_results import make_one, make_set
 
 from oimppi_warp.bench.comparison import compare_labels, compare_methods, compare_sets, mcnemar, signed_rank
 from oimppi_warp.bench.statistics import summarize_results, wilson

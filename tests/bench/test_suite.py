@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.made_results import changed, make_trial
+from support.sample_results import changed, make_trial
 
 from oimppi_warp.bench.suite import SUITES, Entry, Suite, _keys, load_suite, shipped_suites
 from oimppi_warp.bench.trial import make_trials, trial_seed

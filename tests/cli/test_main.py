@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from support.synthetic import make_log, make_scene
+from support.synthetic_episode import make_log, make_scene
 
 from oimppi_warp.cli.main import main
 from oimppi_warp.compute.device import CompileNotice, pick_device
@@ -33,7 +33,7 @@ class Stage:
             raise self.problem
         return make_scene()
 
-    def draw_start(self, scene: Any, seed: int) -> tuple[float, float, float]:
+    def sample_start(self, scene: Any, seed: int) -> tuple[float, float, float]:
         return (0.3, -0.4, 0.01 * seed)
 
     def check_task(self, scene: Any) -> None:
@@ -55,7 +55,7 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
     stage = Stage()
     modules = {
         "usd": {"load_scene": stage.load_scene},
-        "geometry.feasibility": {"check_task": stage.check_task, "draw_start": stage.draw_start},
+        "geometry.feasibility": {"check_task": stage.check_task, "sample_start": stage.sample_start},
         "runtime.episode": {"Setup": stage.setup},
     }
     for name, content in modules.items():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shapely
 from support.reference import INTERPOLATION_ERROR, LENGTH_TOLERANCE, piece_distance, planar_grid, pose_grid, space_field
-from support.tasks import block, box, post, shipped, task
+from support.small_tasks import block, box, post, shipped, task
 
 from oimppi_warp.geometry.fields import (
     FURTHEST,

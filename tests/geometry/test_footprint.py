@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from scipy.spatial.transform import Rotation
-from support.tasks import block, box, post, shipped
+from support.small_tasks import block, box, post, shipped
 
 from oimppi_warp.geometry.footprint import (
     GRAVITY,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support import reference
-from support.tasks import joints_at, shipped, straight
+from support.small_tasks import joints_at, shipped, straight
 
 from oimppi_warp.geometry.footprint import collider_mesh
 from oimppi_warp.geometry.kinematics import collider_spheres, link_frames, pack_arm, tip_frame, tip_jacobian

@@ -13,7 +13,19 @@ from scipy.spatial.transform import Rotation
 from support import probes, reference
 from support.device import DEVICE
 from support.reference import ANGLE_TOLERANCE, LENGTH_TOLERANCE, RELATIVE_TOLERANCE, Body, Grid
-from support.tasks import DT, Pushing, block, box, joints_at, object_level, post, roll_wrenches, shipped, straight, task
+from support.small_tasks import (
+    DT,
+    Pushing,
+    block,
+    box,
+    joints_at,
+    object_level,
+    post,
+    roll_wrenches,
+    shipped,
+    straight,
+    task,
+)
 
 from oimppi_warp.config.settings import ObjectCost, RobotCost
 from oimppi_warp.geometry.fields import pack_pieces, pose_field_at

@@ -10,7 +10,7 @@ import warp as wp
 from support import probes, reference
 from support.device import DEVICE, assert_same
 from support.reference import ANGLE_TOLERANCE, LENGTH_TOLERANCE
-from support.tasks import (
+from support.small_tasks import (
     DT,
     Pushing,
     block,

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from newton.viewer import ViewerNull
-from support import tasks
+from support import small_tasks
 from support.engines import make, roll
 
 from oimppi_warp.compute.cache import content_of_data
@@ -33,7 +33,7 @@ from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.live import LiveView
 from oimppi_warp.view.picture import Picture
-from oimppi_warp.view.posed_scene import ShownScene
+from oimppi_warp.view.posed_scene import PosedScene
 
 G = 9.81
 """[m/s^2]"""
@@ -52,7 +52,7 @@ def cache(tmp_path, monkeypatch):
 @pytest.fixture
 def compiled(cache, monkeypatch):
     """How many different models were compiled and kept so far; to be quick, always the same is kept."""
-    made = World(tasks.shipped("point01")).mujoco
+    made = World(small_tasks.shipped("point01")).mujoco
     monkeypatch.setattr(module, "build_model", lambda scene: None)
     monkeypatch.setattr(module, "_translate", lambda built, sensing: made)
     return lambda: len(list(cache.glob("mujoco-*.npz"))) - 1
@@ -60,7 +60,7 @@ def compiled(cache, monkeypatch):
 
 @pytest.fixture
 def scene() -> Scene:
-    return tasks.shipped("task02")
+    return small_tasks.shipped("task02")
 
 
 def heavier(scene: Scene, mass: float) -> Scene:
@@ -97,7 +97,7 @@ def slid(scene: Scene, speed: float) -> float:
 
 def test_the_plant_has_the_mass_and_the_obstacles_that_the_planner_has(device: str):
     """A T of 5 kg and no obstacles, made of task 03, whose file has one of 0.5 kg and two cubes."""
-    scene = tasks.shipped("task03")
+    scene = small_tasks.shipped("task03")
     assert (scene.object.mass, len(scene.obstacles)) == (0.5, 2)
     edited = replace(scene, object=replace(scene.object, mass=5.0), obstacles=())
     world = World(edited)
@@ -158,7 +158,7 @@ def test_a_larger_object_lies_on_the_table_and_is_larger_in_every_model(scene):
 
 def test_an_object_made_by_hand_has_the_inertia_of_its_shape(scene):
     """A box of 0.10 x 0.06 x 0.05 m: m / 12 (b^2 + c^2) about its first axis, and so on."""
-    block = tasks.block()
+    block = small_tasks.block()
     mapped = World(replace(scene, object=block)).mujoco
     a, b, c = 0.10, 0.06, 0.05
     wanted = block.mass / 12.0 * np.array([b**2 + c**2, a**2 + c**2, a**2 + b**2])
@@ -169,7 +169,7 @@ def test_an_object_made_by_hand_has_the_inertia_of_its_shape(scene):
 
 
 def test_an_obstacle_that_was_added_bears_the_object(scene):
-    plate = tasks.box(0.3, -0.45, (0.3, 0.3, 0.02))
+    plate = small_tasks.box(0.3, -0.45, (0.3, 0.3, 0.02))
     world = World(scene.with_obstacle(Obstacle("/plate", (plate,))))
     plant = SimulatedPlant(world)
     plant.place(scene.robot.start, planar_transform(scene.start, scene.object.rest_height + 0.02))
@@ -203,7 +203,7 @@ def test_an_obstacle_turns_about_the_vertical_through_its_centre(scene):
     turned = scene.with_obstacle_moved(CUBE, (0.0, 0.0, 0.3)).obstacle(CUBE)
     np.testing.assert_allclose(turned.center, scene.obstacle(CUBE).center, atol=1e-12)
     np.testing.assert_allclose(turned.colliders[0].transform[3:], [0.0, 0.0, np.sin(0.15), np.cos(0.15)], atol=1e-12)
-    pair = Obstacle("/pair", (tasks.box(0.4, 0.0, (0.1, 0.1, 0.1)), tasks.box(0.6, 0.0, (0.1, 0.1, 0.1))))
+    pair = Obstacle("/pair", (small_tasks.box(0.4, 0.0, (0.1, 0.1, 0.1)), small_tasks.box(0.6, 0.0, (0.1, 0.1, 0.1))))
     first, second = (shape.transform[:2] for shape in pair.moved((0.1, 0.0, np.pi / 2)).colliders)
     np.testing.assert_allclose([first, second], [[0.6, -0.1], [0.6, 0.1]], atol=1e-12)
 
@@ -231,9 +231,9 @@ def test_the_laboratory_has_the_edited_scene_too(scene):
 
 @pytest.mark.parametrize("engine", [NewtonThreads, NewtonWorlds])
 def test_a_newton_engine_presses_with_the_edited_mass_on_the_edited_obstacle(scene, engine: type[NewtonDynamics]):
-    plate = tasks.box(scene.start[0], scene.start[1], (0.3, 0.3, 0.02))
+    plate = small_tasks.box(scene.start[0], scene.start[1], (0.3, 0.3, 0.02))
     edited = replace(heavier(scene, 1.5), obstacles=(Obstacle("/plate", (plate,)),))
-    seen = tasks.observe(edited)
+    seen = small_tasks.observe(edited)
     seen.object_transform[2] += 0.02
     dynamics = make(engine, edited, 1, steps=6)
     roll(dynamics, seen, np.zeros((1, 6, 6)))
@@ -323,7 +323,7 @@ class Seen(ViewerNull):
 
 def drawn(scene: Scene, path: str) -> dict[str, np.ndarray]:
     """Where each shape below a path is drawn: its transform [7] by its label."""
-    shown = ShownScene(scene)
+    shown = PosedScene(scene)
     shown.pose(scene.robot.start, planar_transform(scene.start, scene.object.rest_height))
     places = {}
     for i, label in enumerate(shown.model.shape_label):
@@ -342,7 +342,7 @@ def test_a_moved_obstacle_is_drawn_where_it_is_and_a_removed_one_not_at_all(scen
 
 
 def test_an_obstacle_that_was_added_is_drawn_as_its_colliders(scene):
-    shapes = (tasks.box(0.2, 0.3, (0.1, 0.2, 0.05), yaw=0.4), tasks.post(0.3, 0.4, 0.02, 0.1))
+    shapes = (small_tasks.box(0.2, 0.3, (0.1, 0.2, 0.05), yaw=0.4), small_tasks.post(0.3, 0.4, 0.02, 0.1))
     places = drawn(scene.with_obstacle(Obstacle("/World/Obstacles/New", shapes)), "/World/Obstacles/New")
     assert len(places) == 2
     for shape, place in zip(shapes, places.values(), strict=True):
@@ -351,7 +351,7 @@ def test_an_obstacle_that_was_added_is_drawn_as_its_colliders(scene):
 
 def test_an_object_of_another_size_is_drawn_in_that_size(scene):
     def extent(each: Scene) -> float:
-        shown = ShownScene(each)
+        shown = PosedScene(each)
         found = [i for i, label in enumerate(shown.model.shape_label) if label.startswith("/World/Object")]
         return max(float(shown.model.shape_scale.numpy()[i].max()) for i in found)
 
@@ -400,7 +400,7 @@ def test_an_obstacle_is_dragged_without_any_file(scene):
 
 
 def test_an_edited_scene_is_saved_as_it_is(scene, tmp_path):
-    wall = Obstacle("/World/Obstacles/Wall", (tasks.box(0.1, 0.4, (0.3, 0.04, 0.1), yaw=0.2),))
+    wall = Obstacle("/World/Obstacles/Wall", (small_tasks.box(0.1, 0.4, (0.3, 0.04, 0.1), yaw=0.2),))
     edited = heavier(scene, 0.8).with_goal((0.4, 0.2, 1.0)).with_start((0.3, -0.4, 0.5))
     edited = edited.with_obstacle_moved(CUBE, (0.05, -0.1, 0.3)).with_obstacle(wall)
     again = load_scene(save_scene(edited, tmp_path / "mine.usda"))
@@ -415,7 +415,7 @@ def test_an_edited_scene_is_saved_as_it_is(scene, tmp_path):
 
 @pytest.mark.parametrize("kind", ["larger", "letter", "cylinder", "gone"])
 def test_objects_and_obstacles_of_every_kind_come_back_from_a_saved_scene(tmp_path, kind):
-    scene = tasks.shipped("task05" if kind == "letter" else "lab01" if kind == "cylinder" else "task02")
+    scene = small_tasks.shipped("task05" if kind == "letter" else "lab01" if kind == "cylinder" else "task02")
     edited = replace(scene, object=scene.object.scaled(1.1))
     if kind == "letter":
         x, y, z = scene.obstacles[-1].center
@@ -442,7 +442,8 @@ def test_what_cannot_be_saved_is_said_and_nothing_is_left_behind(scene, tmp_path
         save_scene(replace(scene, robot=replace(scene.robot, start=np.full(6, -0.1))), tmp_path / "mine.usda")
     assert not list(tmp_path.glob("mine*"))
     with pytest.raises(SceneError, match="is not the path of a prim"):
-        save_scene(scene.with_obstacle(Obstacle("a box", (tasks.box(0.1, 0.4, (0.1, 0.1, 0.1)),))), tmp_path / "a.usda")
+        box = small_tasks.box(0.1, 0.4, (0.1, 0.1, 0.1))
+        save_scene(scene.with_obstacle(Obstacle("a box", (box,))), tmp_path / "a.usda")
 
 
 def test_a_link_lighter_than_its_tool_is_refused(scene):

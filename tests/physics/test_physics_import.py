@@ -8,9 +8,9 @@ import pytest
 import warp as wp
 from newton.solvers import SolverMuJoCo
 from pxr import Gf, Usd, UsdPhysics
-from support import tasks
-from support.edits import corner_mesh, frames_turned, odd_obstacles, scaled_cube
-from support.elsewhere import flat, measured_in, with_y_up, written
+from support import small_tasks
+from support.foreign_scenes import flat, measured_in, with_y_up, written
+from support.scene_edits import corner_mesh, frames_turned, odd_obstacles, scaled_cube
 
 from oimppi_warp.geometry.footprint import rotation_matrix, transform_points
 from oimppi_warp.physics.newton_model import ROLES, build_model
@@ -119,12 +119,12 @@ JOINT_NUMBERS = (
 
 @pytest.mark.parametrize("name", [shipped.name for shipped in shipped_scenes()])
 def test_a_shipped_scene_is_the_model_that_newton_reads_from_its_file(name):
-    assert_agrees(tasks.shipped(name))
+    assert_agrees(small_tasks.shipped(name))
 
 
 @pytest.mark.parametrize("name", ["task01", "task02", "task05", "lab01", "lab02", "point01"])
 def test_bodies_and_shapes_are_in_the_order_of_the_import_and_weigh_the_same_to_the_bit(name):
-    scene = tasks.shipped(name)
+    scene = small_tasks.shipped(name)
     built, read = build_model(scene).model, imported(scene)
     assert built.shape_label == read.shape_label
     np.testing.assert_array_equal(built.joint_type.numpy(), read.joint_type.numpy())

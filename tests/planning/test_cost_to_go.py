@@ -11,7 +11,7 @@ import warp as wp
 from support import reference
 from support.device import DEVICE
 from support.reference import pose_grid
-from support.tasks import block, box, task
+from support.small_tasks import block, box, task
 
 from oimppi_warp.geometry.fields import build_geometry, pose_field_at
 from oimppi_warp.kernels.fields import cost_to_go as kernels

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import pytest
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.config.presets import best
 from oimppi_warp.errors import ConfigError
@@ -169,7 +169,7 @@ def test_a_quasistatic_plan_that_takes_too_long_makes_no_newton_planner(monkeypa
         robot=replace(config.robot, optimizer=replace(config.robot.optimizer, samples=20000)),
         control_period=0.01,
     )
-    planner = make_planner(tasks.shipped("task01"), config, method="cloi", engine="auto", device="cpu")
+    planner = make_planner(small_tasks.shipped("task01"), config, method="cloi", engine="auto", device="cpu")
     assert planner.engine == "quasistatic"
     assert planner.engine_reason.startswith("none keeps up") and planner.engine_reason.endswith(
         "newton is known to be slower"
@@ -177,8 +177,8 @@ def test_a_quasistatic_plan_that_takes_too_long_makes_no_newton_planner(monkeypa
 
 
 def test_timing_an_engine_leaves_no_trace_in_its_plans():
-    scene = tasks.shipped("task01")
-    seen = tasks.observe(scene)
+    scene = small_tasks.shipped("task01")
+    seen = small_tasks.observe(scene)
     commands = []
     for engine in ("auto", "quasistatic"):
         planner = make_planner(scene, best("mppi"), method="mppi", engine=engine, device="cpu", seed=3)

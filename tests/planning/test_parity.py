@@ -37,7 +37,7 @@ def pushes(device: str) -> np.ndarray:
     scene = tasks.shipped("task01")
     geometry = build_geometry(scene, device)
     level = RobotLevel(optimizer=replace(RobotLevel().optimizer, horizon=STEPS))
-    engine = QuasistaticDynamics(tasks.rollout_task(scene, level=level, geometry=geometry))
+    engine = QuasistaticDynamics(small_tasks.rollout_task(scene, level=level, geometry=geometry))
     world = World(scene)
     rng = np.random.default_rng(5)
     found = []
@@ -48,8 +48,8 @@ def pushes(device: str) -> np.ndarray:
         tip = tip_before(scene, pose, center, way, aside=rng.uniform(-0.06, 0.06))
         if not 0.25 < np.hypot(*tip) < 0.6:
             continue
-        joints = tasks.joints_at(scene.robot, (tip[0], tip[1], 0.02))
-        controls = tasks.straight(scene.robot, joints, (SPEED * np.cos(way), SPEED * np.sin(way), 0.0), STEPS)
+        joints = small_tasks.joints_at(scene.robot, (tip[0], tip[1], 0.02))
+        controls = small_tasks.straight(scene.robot, joints, (SPEED * np.cos(way), SPEED * np.sin(way), 0.0), STEPS)
         if np.abs(controls).max() > 1.0:
             continue
         plant = SimulatedPlant(world, start=tuple(pose))

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.config.overrides import from_record, options, set_option
 from oimppi_warp.config.presets import PRESETS, best, lab
@@ -60,7 +60,7 @@ def test_the_settings_that_are_recorded_are_those_that_the_kernels_get(name: str
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("name", SCENES)
 def test_each_change_is_told_with_what_was_asked_for_and_why(name: str, preset: str):
-    scene, config = tasks.shipped(name), PRESETS[preset]("cloi")
+    scene, config = small_tasks.shipped(name), PRESETS[preset]("cloi")
     resolved = resolve(config, scene)
     asked, used = options(config), options(resolved.config)
     assert resolved.changes.keys() == {name for name in asked if asked[name] != used[name]}
@@ -70,7 +70,7 @@ def test_each_change_is_told_with_what_was_asked_for_and_why(name: str, preset: 
 
 
 def test_a_can_is_not_turned_and_the_record_says_so():
-    resolved = resolve(lab("cloi"), tasks.shipped("lab01"))
+    resolved = resolve(lab("cloi"), small_tasks.shipped("lab01"))
     assert resolved.config.object.turn is False
     assert resolved.config.cost.w_theta == resolved.config.object_cost.w_theta == 0.0
     assert resolved.changes["object.turn"].asked is True
@@ -90,29 +90,29 @@ def test_the_ring_of_reach_goes_with_the_robot():
 
 def test_resolving_twice_changes_nothing_the_second_time():
     for name in SCENES:
-        once = resolve(best("cloi"), tasks.shipped(name)).config
-        again = resolve(once, tasks.shipped(name))
+        once = resolve(best("cloi"), small_tasks.shipped(name)).config
+        again = resolve(once, small_tasks.shipped(name))
         assert again.config is once
         assert again.changes == {}
-        moved = tasks.shipped(name).with_goal(tasks.shipped(name).start)
+        moved = small_tasks.shipped(name).with_goal(small_tasks.shipped(name).start)
         assert resolve(once, moved).config is once
 
 
 def test_settings_resolved_for_one_robot_are_not_used_with_another():
-    once = resolve(best("cloi"), tasks.shipped("point01")).config
+    once = resolve(best("cloi"), small_tasks.shipped("point01")).config
     with pytest.raises(ConfigError, match="resolved for another task"):
-        resolve(once, tasks.shipped("task01"))
+        resolve(once, small_tasks.shipped("task01"))
 
 
 def test_a_change_made_after_resolving_takes_effect_as_it_is():
-    scene = tasks.shipped("point01")
+    scene = small_tasks.shipped("point01")
     once = resolve(best("cloi"), scene).config
     again = resolve(replace(once, cost=replace(once.cost, push_ring=(0.1, 2.0))), scene)
     assert again.config.cost.push_ring == (0.1, 2.0)
 
 
 def test_a_plants_own_control_period_takes_the_place_of_the_setting():
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     resolved = resolve(best("cloi"), scene, control_period=0.04)
     assert resolved.config.control_period == 0.04
     assert resolved.changes["control_period"].asked == 0.05

@@ -40,10 +40,10 @@ def test_half_a_can_behind_a_wide_ball_is_half_seen():
 
 
 def test_the_arm_hides_the_can_when_it_stands_before_it_and_not_from_its_start():
-    scene = tasks.shipped("lab01")
+    scene = small_tasks.shipped("lab01")
     can = np.array([0.40, 0.0, 0.0])
     camera = Camera(World(scene), (0.9, 0.0, 0.9))
     assert camera.sees(scene.robot.start, np.array(scene.start))
-    before, beside = (tasks.joints_at(scene.robot, (0.40 + x, y, 0.015)) for x, y in ((0.05, 0.0), (0.0, 0.05)))
+    before, beside = (small_tasks.joints_at(scene.robot, (0.40 + x, y, 0.015)) for x, y in ((0.05, 0.0), (0.0, 0.05)))
     assert not camera.sees(before, can)
     assert camera.sees(beside, np.array([0.40, 0.0, 0.0]))

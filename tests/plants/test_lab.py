@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.config.lab import LabConfig
 from oimppi_warp.errors import ConfigError
@@ -20,7 +20,7 @@ FAR = LabConfig(outlier_probability=0.0)
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return World(tasks.shipped("lab01"))
+    return World(small_tasks.shipped("lab01"))
 
 
 def sightings(plant: LabPlant, steps: int) -> list[tuple[float, float, np.ndarray]]:
@@ -88,7 +88,7 @@ def test_joints_are_reported_a_hundred_times_a_second_with_noise(world: World):
 
 def test_the_object_is_not_seen_while_the_arm_stands_before_it(world: World):
     plant = LabPlant(world, replace(FAR, rate=20.0), start=(0.40, 0.0, 0.0))
-    before = tasks.joints_at(world.scene.robot, (0.46, 0.0, 0.015))
+    before = small_tasks.joints_at(world.scene.robot, (0.46, 0.0, 0.015))
     inner = plant._plant
     inner.data.qpos[world.mujoco.joint_qpos] = before
     seen = len(sightings(plant, 40))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.tasks import shipped
+from support.small_tasks import shipped
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best

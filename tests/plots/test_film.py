@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from PIL import Image, ImageSequence
-from support.synthetic import make_log
+from support.synthetic_episode import make_log
 
 from oimppi_warp.plots.film import FPS, film
 from oimppi_warp.usd import load_scene

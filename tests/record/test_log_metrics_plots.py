@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.synthetic import GOAL, START, make_log, make_scene
+from support.synthetic_episode import GOAL, START, make_log, make_scene
 
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.plots.episode import draw

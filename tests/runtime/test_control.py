@@ -16,7 +16,7 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config
 from oimppi_warp.observation import Observation
 from oimppi_warp.record.metrics import summarize
-from oimppi_warp.runtime.control import Beat, lock_step, real_time
+from oimppi_warp.runtime.control import ControlStep, lock_step, real_time
 from oimppi_warp.runtime.episode import Episode
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.usd import load_scene
@@ -31,11 +31,11 @@ class FakePlant:
     latency = 0.02
 
     def __init__(self) -> None:
-        self.scene = tasks.shipped("lab01")
+        self.scene = small_tasks.shipped("lab01")
         self.commands: list[np.ndarray] = []
 
     def observe(self) -> Observation:
-        seen = tasks.observe(self.scene)
+        seen = small_tasks.observe(self.scene)
         return Observation(
             PERIOD * len(self.commands),
             seen.joint_position,
@@ -57,7 +57,7 @@ class Clock:
 
     def __init__(self, takes: list[int]) -> None:
         self.now = 0.0
-        self.beat = 0
+        self.step = 0
         self.asked: list[Observation] = []
         self._takes = takes
 
@@ -66,7 +66,7 @@ class Clock:
 
     def sleep(self, seconds: float) -> None:
         self.now += seconds
-        self.beat += 1
+        self.step += 1
 
     def start(self, observation: Observation) -> float:
         return 0.25
@@ -78,15 +78,15 @@ class Clock:
         return SimpleNamespace(command=np.full(6, 0.01 * number), problem="", takes=takes)
 
 
-def run(takes: list[int], beats: int, *, expires: float = 0.12) -> tuple[list[Beat], FakePlant, Clock]:
+def run(takes: list[int], steps: int, *, expires: float = 0.12) -> tuple[list[ControlStep], FakePlant, Clock]:
     """Real time against plans that take so many control periods; a plan that takes one is on time."""
     plant, clock = FakePlant(), Clock(takes)
     pool = FakePool(clock)
     loop = real_time(
         plant, clock, Estimator(plant.scene, Config()), dof=6, expires=expires, clock=clock.time, sleep=clock.sleep,
-        workers=pool,
+        executor=pool,
     )  # fmt: skip
-    found = list(islice(loop, beats))
+    found = list(islice(loop, steps))
     loop.close()
     return found, plant, clock
 
@@ -99,8 +99,8 @@ class FakePool:
 
     def submit(self, work: Any, *arguments: Any) -> Any:
         result = work(*arguments)
-        due = self._clock.beat + result.plan.takes
-        return SimpleNamespace(done=lambda: self._clock.beat >= due, result=lambda: result)
+        due = self._clock.step + result.plan.takes
+        return SimpleNamespace(done=lambda: self._clock.step >= due, result=lambda: result)
 
 
 def numbers(plant: FakePlant) -> list[int]:
@@ -109,32 +109,32 @@ def numbers(plant: FakePlant) -> list[int]:
 
 
 def test_a_planner_that_keeps_up_misses_nothing_and_is_one_period_behind():
-    beats, plant, _ = run([1], 6)
+    steps, plant, _ = run([1], 6)
     assert numbers(plant) == [0, 1, 2, 3, 4, 5]
-    assert not any(beat.missed or beat.stopped for beat in beats)
-    assert [beat.preplan_seconds for beat in beats] == [0.0, 0.25, 0.0, 0.0, 0.0, 0.0]
+    assert not any(step.missed or step.stopped for step in steps)
+    assert [step.preplan_seconds for step in steps] == [0.0, 0.25, 0.0, 0.0, 0.0, 0.0]
 
 
 def test_a_late_plan_is_late_and_the_command_before_it_is_kept_up():
-    beats, plant, _ = run([1, 2, 1], 6)
+    steps, plant, _ = run([1, 2, 1], 6)
     assert numbers(plant) == [0, 1, 1, 2, 3, 4]
-    assert [beat.missed for beat in beats] == [False, False, True, False, False, False]
-    assert not any(beat.stopped for beat in beats)
+    assert [step.missed for step in steps] == [False, False, True, False, False, False]
+    assert not any(step.stopped for step in steps)
 
 
 def test_when_a_plan_has_expired_the_arm_is_told_to_stop():
-    beats, plant, _ = run([1, 6, 1], 10, expires=0.12)
+    steps, plant, _ = run([1, 6, 1], 10, expires=0.12)
     # The command of plan 1 is good for one period, and kept up for 0.12 s, two more; then zeros until plan 2 is there.
     assert numbers(plant) == [0, 1, 1, 1, 0, 0, 0, 2, 3, 4]
-    assert sum(beat.missed for beat in beats) == 5
-    assert [beat.stopped for beat in beats] == [False] * 4 + [True] * 3 + [False] * 3
+    assert sum(step.missed for step in steps) == 5
+    assert [step.stopped for step in steps] == [False] * 4 + [True] * 3 + [False] * 3
     np.testing.assert_array_equal(plant.commands[4], np.zeros(6))
 
 
 def test_the_time_before_the_first_plan_is_no_missed_deadline():
-    beats, plant, _ = run([5, 1], 8)
+    steps, plant, _ = run([5, 1], 8)
     assert numbers(plant) == [0, 0, 0, 0, 0, 1, 2, 3]
-    assert not any(beat.missed for beat in beats)
+    assert not any(step.missed for step in steps)
 
 
 def test_a_plan_is_made_for_when_it_will_take_effect():
@@ -159,17 +159,17 @@ def test_a_loop_that_is_behind_the_clock_says_so():
     plant.apply = slow  # type: ignore[method-assign]
     loop = real_time(
         plant, clock, Estimator(plant.scene, Config()), dof=6, expires=0.1, clock=clock.time, sleep=clock.sleep,
-        workers=FakePool(clock),
+        executor=FakePool(clock),
     )  # fmt: skip
-    lags = [beat.lag for beat in islice(loop, 4)]
+    lags = [step.lag for step in islice(loop, 4)]
     assert lags == pytest.approx([0.0, 0.03, 0.0, 0.0], abs=1e-9)
 
 
-def test_in_lock_step_every_beat_has_its_plan():
+def test_in_lock_step_every_control_step_has_its_plan():
     plant, clock = FakePlant(), Clock([1])
-    beats = list(islice(lock_step(plant, clock, None, dof=6), 4))
+    steps = list(islice(lock_step(plant, clock, None, dof=6), 4))
     assert numbers(plant) == [1, 2, 3, 4]
-    assert all(beat.plan is not None and not beat.missed for beat in beats)
+    assert all(step.plan is not None and not step.missed for step in steps)
     np.testing.assert_allclose([asked.time for asked in clock.asked], PERIOD * np.arange(4))
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.config.settings import Config
 from oimppi_warp.observation import Observation
@@ -25,7 +25,7 @@ STEPS = 30
 
 @pytest.fixture(scope="module")
 def can() -> Scene:
-    return tasks.shipped("lab01")
+    return small_tasks.shipped("lab01")
 
 
 class Push:
@@ -41,10 +41,10 @@ class Push:
         self.scene = scene
         world = World(scene)
         self.plant = SimulatedPlant(world, start=start)
-        joints = tasks.joints_at(scene.robot, (start[0] + aside, start[1] + 0.06, 0.02))
+        joints = small_tasks.joints_at(scene.robot, (start[0] + aside, start[1] + 0.06, 0.02))
         self.plant.data.qpos[world.mujoco.joint_qpos] = joints
         mujoco.mj_forward(self.plant.model, self.plant.data)
-        self._controls = iter(tasks.straight(scene.robot, joints, (0.0, -SPEED, 0.0), STEPS))
+        self._controls = iter(small_tasks.straight(scene.robot, joints, (0.0, -SPEED, 0.0), STEPS))
 
     def told(self, seen: tuple[float, np.ndarray] | None) -> Observation:
         """The plant's joints, and a detection (when, what) or none so far."""
@@ -86,7 +86,7 @@ def test_nothing_is_believed_until_two_detections_agree(can: Scene):
                                                       ("lab01", (0.45, 0.05, 0.0), 0.008),
                                                       ("task01", (0.45, 0.03, 0.0), 0.03)])  # fmt: skip
 def test_a_push_that_nobody_sees_is_predicted(name: str, start: tuple[float, float, float], aside: float):
-    scene = tasks.shipped(name)
+    scene = small_tasks.shipped(name)
     push = Push(scene, start=start, aside=aside)
     estimator, began = believing(scene, push), push.truth()
     seen = (1e-6, began)
@@ -176,7 +176,7 @@ def test_what_is_decided_is_foreseen(can: Scene):
     believed = estimator.update(push.told((2e-6, push.truth())))
     assert believed is not None
     joints = push.plant.observe().joint_position
-    velocity = tasks.straight(can.robot, joints, (0.0, -SPEED, 0.0), 1)[0]
+    velocity = small_tasks.straight(can.robot, joints, (0.0, -SPEED, 0.0), 1)[0]
     ahead = estimator.predict(believed, [(0.02, velocity), (0.08, velocity)])
     before = push.truth()
     for _ in range(2):
@@ -196,7 +196,7 @@ def test_it_runs_longer_than_its_memory(can: Scene):
     for step in range(3000):
         time = 0.01 * step
         seen = math.floor(time)
-        told = replace(tasks.observe(can, joints=joints, pose=pose), time=time, object_time=float(seen))
+        told = replace(small_tasks.observe(can, joints=joints, pose=pose), time=time, object_time=float(seen))
         believed = estimator.update(told)
     assert distance(believed, pose) < 1e-3
     assert estimator.spread[0] < config.estimator.position_noise

@@ -6,7 +6,7 @@ import pytest
 from support.episodes import episode
 
 from oimppi_warp.config.presets import lab
-from oimppi_warp.geometry.feasibility import draw_start
+from oimppi_warp.geometry.feasibility import sample_start
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.runtime.episode import Episode
 from oimppi_warp.usd import load_scene

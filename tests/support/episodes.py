@@ -6,7 +6,7 @@ from support.device import DEVICE
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
-from oimppi_warp.geometry.feasibility import draw_start
+from oimppi_warp.geometry.feasibility import sample_start
 from oimppi_warp.runtime.episode import Episode
 from oimppi_warp.usd import load_scene
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from support.bad_scenes import IMPOSSIBLE, MISTAKES, walls
-from support.doubtful import DOUBTFUL
+from support.lint_cases import LINT_CASES
 from support.variants import variant
 
 from oimppi_warp.authoring.checks.check import check_scene
@@ -33,7 +33,7 @@ def _tables() -> Iterator[str]:
     yield "<!-- Made by tests/support/messages.py; do not edit by hand. -->\n"
     yield "Each as it is said of one wrong scene: numbers and prims are examples."
     errors = {name: change for name, (change, *_) in {**MISTAKES, **IMPOSSIBLE}.items()} | {"no room": walls}
-    warnings = {name: change for name, (change, _) in DOUBTFUL.items()}
+    warnings = {name: change for name, (change, _) in LINT_CASES.items()}
     for title, changes in (("Errors", errors), ("Warnings", warnings)):
         yield f"\n### {title}\n"
         yield "| found | at | allowed | to do |\n|---|---|---|---|"

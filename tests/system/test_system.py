@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.cli.main import main
 from oimppi_warp.compute.device import start_warp
 from oimppi_warp.config.presets import best
 from oimppi_warp.registries import METHODS
-from oimppi_warp.system.doctor import PACKAGES, Facts, Gpu, examine, judge
-from oimppi_warp.system.precompile import compile_for, needed_on_cuda, rehearsal
+from oimppi_warp.system.doctor import PACKAGES, Facts, Gpu, diagnose, gather_facts
+from oimppi_warp.system.precompile import compile_for, needed_on_cuda, record_modules
 from oimppi_warp.usd import shipped_scenes
 
 WELL = Facts(
@@ -45,8 +45,8 @@ WELL = Facts(
 
 
 def test_nothing_is_wrong_with_a_machine_that_is_well():
-    assert judge(WELL) == []
-    assert judge(replace(WELL, gpus=(), gpu_hardware=False, driver=None, device="cpu")) == []
+    assert diagnose(WELL) == []
+    assert diagnose(replace(WELL, gpus=(), gpu_hardware=False, driver=None, device="cpu")) == []
 
 
 @pytest.mark.parametrize(
@@ -65,20 +65,20 @@ def test_nothing_is_wrong_with_a_machine_that_is_well():
     ],
 )
 def test_what_is_wrong_is_said_with_what_to_do(change, said):
-    (finding,) = judge(replace(WELL, **change))
+    (finding,) = diagnose(replace(WELL, **change))
     assert said in finding.what
     assert len(finding.remedy) > 10
 
 
 def test_the_doctor_sees_this_machine(capsys):
-    facts = examine()
+    facts = gather_facts()
     assert 1 <= facts.usable_cores <= facts.cores and facts.memory > 0 and facts.scenes == len(shipped_scenes())
     assert all(facts.versions.values())
     status = main(["doctor", "--json"])
     told = json.loads(capsys.readouterr().out)
-    assert status == (1 if judge(facts) else 0)
+    assert status == (1 if diagnose(facts) else 0)
     assert told["facts"]["usable_cores"] == facts.usable_cores
-    assert len(told["findings"]) == len(judge(facts))
+    assert len(told["findings"]) == len(diagnose(facts))
 
 
 def test_the_doctor_speaks_to_people(capsys):
@@ -138,7 +138,7 @@ def test_after_a_warmup_a_run_compiles_nothing(tmp_path):
 
 
 def test_what_a_gpu_needs_of_ours_is_found():
-    names = {module.name for module, _ in needed_on_cuda(tasks.shipped("task01"), best("cloi"), ["quasistatic"])}
+    names = {module.name for module, _ in needed_on_cuda(small_tasks.shipped("task01"), best("cloi"), ["quasistatic"])}
     kernels = ("robot_rollout_RRRRRR", "object", "sample_controls_3", "sample_controls_6", "update", "update_nominal_6")
     assert {f"oimppi_warp.kernels.{name}" for name in kernels} <= names
     assert "oimppi_warp.kernels.fields.cost_to_go" in names, "SOI follows its cost-to-go there"
@@ -154,7 +154,7 @@ def test_a_rehearsal_lists_what_is_launched_in_it_with_the_blocks_that_are_asked
     numbers = wp.zeros(64, dtype=int, device="cpu")
     wp.launch(count_up, dim=64, inputs=[numbers], device="cpu", block_dim=64)
     for block, dim in ((64, 64), (None, 64), (None, 0)):
-        with rehearsal() as found:
+        with record_modules() as found:
             wp.launch(count_up, dim=dim, inputs=[numbers], device="cpu", block_dim=block)
         assert found == ([(count_up.module, block or 256)] if dim else [])
     assert not wp.config.enable_cpu_blocks
@@ -167,7 +167,7 @@ def test_a_rehearsal_lists_what_is_launched_in_it_with_the_blocks_that_are_asked
 def test_all_that_a_newton_plan_needs_compiles_for_a_hopper_gpu(tmp_path, monkeypatch):
     start_warp()  # it fills in the folder that is put back in the end
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    variants = needed_on_cuda(tasks.shipped("task02"), best("cloi"), ["newton"])
+    variants = needed_on_cuda(small_tasks.shipped("task02"), best("cloi"), ["newton"])
     names = {module.name for module, _ in variants}
     assert {block for _, block in variants} >= {32, 64, 128, 256}, "as MuJoCo Warp asks for them"
     assert {"mujoco_warp._src.solver", "mujoco_warp._src.smooth", "oimppi_warp.kernels.rollouts.worlds"} <= names

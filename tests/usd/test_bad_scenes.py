@@ -14,7 +14,7 @@ from support.bad_scenes import (
 from support.variants import variant
 
 from oimppi_warp.errors import SceneError
-from oimppi_warp.geometry.feasibility import check_task, draw_start
+from oimppi_warp.geometry.feasibility import check_task, sample_start
 from oimppi_warp.usd import inspect_scene, load_scene
 
 
@@ -52,7 +52,7 @@ def test_a_task_that_cannot_be_done_is_refused(tmp_path, task):
 
 def test_a_start_cannot_be_drawn_where_there_is_no_room(tmp_path):
     with pytest.raises(SceneError, match="none of 2000 starts"):
-        draw_start(load_scene(variant(tmp_path, walls)), 0)
+        sample_start(load_scene(variant(tmp_path, walls)), 0)
 
 
 def test_a_missing_scene_is_answered_with_the_nearest_name():

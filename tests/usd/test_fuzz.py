@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support.fuzzed import MOST, damaged, outcomes
+from support.fuzzing import MOST, damaged, outcomes
 
 
 @pytest.mark.parametrize(

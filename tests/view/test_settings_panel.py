@@ -55,7 +55,7 @@ def test_another_optimizer_brings_its_settings_into_its_folder(panel, told):
     assert told[-1].robot.optimizer.elites == 0.2
     assert buttons(panel) == {"robot.optimizer: back to mppi", "robot.optimizer.elites: back to 0.05"}
     assert panel._command.content == "`--set robot.optimizer=cem robot.optimizer.elites=0.2`"
-    panel._take_back("robot.optimizer")
+    panel._revert("robot.optimizer")
     assert told[-1] == best("cloi")
     assert panel._controls.keys() == options(best("cloi")).keys()
     assert not panel._buttons and not panel._changed.visible

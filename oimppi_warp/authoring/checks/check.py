@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oimppi_warp.errors import Problem, SceneError
-from oimppi_warp.geometry.feasibility import draw_start, pose_mistakes, task_mistakes
+from oimppi_warp.geometry.feasibility import pose_mistakes, sample_start, task_mistakes
 from oimppi_warp.geometry.footprint import height_range
 from oimppi_warp.geometry.tipping import can_tip, tipping_height
 from oimppi_warp.scene import PlanarPose, Scene
 from oimppi_warp.usd import Inspection, inspect_scene
 from oimppi_warp.usd.inertia import given_moments
-from oimppi_warp.usd.lint import stage_doubts
+from oimppi_warp.usd.lint import lint_stage
 
 if TYPE_CHECKING:
-    from oimppi_warp.authoring.checks.free_path import Neck, Ways
+    from oimppi_warp.authoring.checks.free_path import Bottleneck, FreePaths
 
-TIGHT = 0.005
+NARROW = 0.005
 """Room on either side of the object below which a way is called narrow [m]."""
 
-LARGEST = 2e8
+MAX_NODES = 2e8
 """Most nodes of the grid of phi_2: 800 MB of it."""
 
 
@@ -41,12 +41,12 @@ def check_scene(scene: str | Path) -> tuple[Problem, ...]:
     found = inspect_scene(scene)
     problems = [mistake.problem for mistake in found.mistakes]
     if found.stage is not None:
-        problems += stage_doubts(found.stage)
+        problems += lint_stage(found.stage)
     if found.scene is not None:
         errors = [mistake.problem for mistake in _task_errors(found.scene)]
-        problems += [*errors, *_task_warnings(found.scene), *_weight_warnings(found)]
+        problems += [*errors, *_task_warnings(found.scene), *_mass_warnings(found)]
         if not errors:
-            problems += _way_warnings(found.scene)
+            problems += _path_warnings(found.scene)
     placed = [problem if problem.prim else replace(problem, prim=_task_prim(found)) for problem in problems]
     return tuple(sorted(placed, key=lambda problem: problem.severity == "warning"))
 
@@ -55,7 +55,7 @@ def _task_prim(found: Inspection) -> str:
     """The prim that goal and starts stand at, if the scene can be read."""
     if found.scene is None or found.stage is None:
         return ""
-    return str(found.stage.role("OimppiTaskAPI")[0].GetPath())
+    return str(found.stage.prims_with("OimppiTaskAPI")[0].GetPath())
 
 
 def _task_errors(scene: Scene) -> Iterator[SceneError]:
@@ -64,7 +64,7 @@ def _task_errors(scene: Scene) -> Iterator[SceneError]:
     yield from mistakes
     if not mistakes:
         try:
-            draw_start(scene, 0)
+            sample_start(scene, 0)
         except SceneError as mistake:
             yield mistake
 
@@ -76,12 +76,12 @@ def _too_large(scene: Scene) -> Iterator[SceneError]:
 
     reach = stretched_length(scene.robot)
     size = np.minimum(scene.table.upper, reach) - np.maximum(scene.table.lower, -reach)
-    if YAW_NODES * float(np.prod(np.maximum(size, 0.0) / STEP)) > LARGEST:
+    if YAW_NODES * float(np.prod(np.maximum(size, 0.0) / STEP)) > MAX_NODES:
         yield SceneError(
             f"the arm reaches {size[0]:.3g} x {size[1]:.3g} m of the table",
             file=scene.file,
             prim=scene.table.path,
-            allowed=f"as many as {LARGEST:.0e} nodes of the grid of phi_2, {YAW_NODES} of them to a square of 1 cm",
+            allowed=f"as many as {MAX_NODES:.0e} nodes of the grid of phi_2, {YAW_NODES} of them to a square of 1 cm",
             fix="make the table smaller, or the arm's links and limits",
         )
 
@@ -109,14 +109,14 @@ def _task_warnings(scene: Scene) -> Iterator[Problem]:
         )
 
 
-def _weight_warnings(found: Inspection) -> Iterator[Problem]:
-    from oimppi_warp.authoring.checks.mass import weight_oddities
+def _mass_warnings(found: Inspection) -> Iterator[Problem]:
+    from oimppi_warp.authoring.checks.mass import mass_warnings
 
     scene, stage = found.scene, found.stage
     assert scene is not None and stage is not None
     inertia = given_moments(stage.stage.GetPrimAtPath(scene.object.path))
-    for odd in weight_oddities(scene, stage, inertia):
-        yield _warning(scene, odd.what, prim=scene.object.path, allowed=odd.allowed, fix=odd.fix)
+    for warning in mass_warnings(scene, stage, inertia):
+        yield _warning(scene, warning.what, prim=scene.object.path, allowed=warning.allowed, fix=warning.fix)
 
 
 def _starts(scene: Scene) -> Iterator[tuple[int, PlanarPose]]:
@@ -131,59 +131,62 @@ def _mistakes(scene: Scene, number: int, start: PlanarPose) -> Iterator[SceneErr
     return pose_mistakes(scene, f"start {number}", start)
 
 
-def _way_warnings(scene: Scene) -> Iterator[Problem]:
+def _path_warnings(scene: Scene) -> Iterator[Problem]:
     """Poses without room, starts from which no way is free, ways that are narrow; start and goal overlap nothing."""
-    from oimppi_warp.authoring.checks.free_path import Ways
+    from oimppi_warp.authoring.checks.free_path import FreePaths
     from oimppi_warp.geometry.fields import build_geometry
 
-    ways = Ways(scene, build_geometry(scene, "cpu"))
+    paths = FreePaths(scene, build_geometry(scene, "cpu"))
     listed = {f"start {number}": start for number, start in _starts(scene) if not any(_mistakes(scene, number, start))}
     poses = {"goal": scene.goal, "start": scene.start, **listed}
-    cramped = [name for name, pose in poses.items() if ways.room(pose) <= 0.0]
+    cramped = [name for name, pose in poses.items() if paths.clearance_near(pose) <= 0.0]
     for name in cramped:
+        next_to = " and ".join(paths.neighbors(poses[name])[0])
         yield _warning(
             scene,
-            f"there is hardly any room around the object's {name}, next to {' and '.join(ways.beside(poses[name])[0])}",
+            f"there is hardly any room around the object's {name}, next to {next_to}",
             allowed="so much that the object is free on a grid of 1 cm and 5 degrees",
             fix="move these away from it, or choose another pose",
         )
     starts = {name: pose for name, pose in poses.items() if name not in ("goal", *cramped)}
     if "goal" not in cramped and starts:
-        yield from _narrow_warnings(scene, ways, starts)
+        yield from _narrow_warnings(scene, paths, starts)
 
 
-def _narrow_warnings(scene: Scene, ways: Ways, starts: dict[str, PlanarPose]) -> Iterator[Problem]:
+def _narrow_warnings(scene: Scene, paths: FreePaths, starts: dict[str, PlanarPose]) -> Iterator[Problem]:
     """The narrowest place of the widest way: of the first start without a free one, or of the first of all."""
-    blocked = [name for name, start in starts.items() if ways.is_blocked(start)]
-    neck = ways.neck(starts[blocked[0]] if blocked else next(iter(starts.values())))
+    blocked = [name for name, start in starts.items() if paths.is_blocked(start)]
+    bottleneck = paths.bottleneck(starts[blocked[0]] if blocked else next(iter(starts.values())))
     if blocked:
         more = len(blocked) - 1
         which = blocked[0] + (f" and {more} other{'s' if more > 1 else ''}" if more else "")
+        where = "" if bottleneck is None else f": {_describe(bottleneck)}"
         yield _warning(
             scene,
-            f"no way to the goal is free from the object's {which}{'' if neck is None else f': {_tight(neck)}'}",
+            f"no way to the goal is free from the object's {which}{where}",
             allowed="a way on which the object overlaps nothing, on a grid of 1 cm and 5 degrees",
             fix="move what is in the way, or choose another start or goal",
         )
-    elif neck is not None and neck.clearance < TIGHT:
+    elif bottleneck is not None and bottleneck.clearance < NARROW:
         yield _warning(
             scene,
-            f"the way to the goal is narrow: {_tight(neck)}",
-            allowed=f"{2000 * TIGHT:g} mm more than the object is wide there",
+            f"the way to the goal is narrow: {_describe(bottleneck)}",
+            allowed=f"{2000 * NARROW:g} mm more than the object is wide there",
             fix="move these apart, or choose another start or goal",
         )
 
 
-def _tight(neck: Neck) -> str:
+def _describe(bottleneck: Bottleneck) -> str:
     """The narrowest place of a way, in words."""
-    x, y, yaw = neck.pose
+    x, y, yaw = bottleneck.pose
     where = f"at ({x:.2f}, {y:.2f}, {yaw:.2f}) the widest one leads"
-    missing = 1000.0 * abs(neck.clearance)
-    if neck.gap is None:
-        left = f"with {missing:.0f} mm to spare" if neck.clearance > 0.0 else f"{missing:.0f} mm into it"
-        return f"{where} past {neck.beside[0]}, {left}"
-    left = f"{2.0 * missing:.0f} mm {'more' if neck.clearance > 0.0 else 'less'} than the object needs there"
-    return f"{where} between {' and '.join(neck.beside)}, which are {1000 * neck.gap:.0f} mm apart: about {left}"
+    missing = 1000.0 * abs(bottleneck.clearance)
+    if bottleneck.gap is None:
+        left = f"with {missing:.0f} mm to spare" if bottleneck.clearance > 0.0 else f"{missing:.0f} mm into it"
+        return f"{where} past {bottleneck.neighbors[0]}, {left}"
+    left = f"{2.0 * missing:.0f} mm {'more' if bottleneck.clearance > 0.0 else 'less'} than the object needs there"
+    apart = f"{1000 * bottleneck.gap:.0f} mm apart"
+    return f"{where} between {' and '.join(bottleneck.neighbors)}, which are {apart}: about {left}"
 
 
 def _warning(scene: Scene, what: str, *, prim: str = "", allowed: str = "", fix: str = "") -> Problem:

@@ -1,6 +1,6 @@
-"""Whether a free way leads from an object's start to its goal, and where the widest way is narrowest.
+"""Whether a free path leads from an object's start to its goal, and where the widest path is narrowest.
 
-A way is free where phi_2 is above zero and the arm reaches the object's centre. The widest way is the one whose least
+A path is free where phi_2 is above zero and the arm reaches the object's centre. The widest path is the one whose least
 clearance is largest: that is the largest threshold of phi_2 at which start and goal are still in one connected part.
 """
 
@@ -15,39 +15,39 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from oimppi_warp.geometry.feasibility import object_outline, surroundings
+from oimppi_warp.geometry.feasibility import fixed_outlines, object_outline
 from oimppi_warp.geometry.fields import Geometry, from_center, to_center
 from oimppi_warp.geometry.reach import reach_of
 from oimppi_warp.scene import PlanarPose, Scene
 
-RESOLVED = 1e-4
-"""How exactly the least clearance of the widest way is found [m]."""
+RESOLUTION = 1e-4
+"""How exactly the least clearance of the widest path is found [m]."""
 
-BESIDE = 0.01
+NEIGHBOR_RANGE = 0.01
 """What is this much further from the object than the nearest thing is not beside it [m]."""
 
 Node = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Neck:
-    """The narrowest place of the widest way to the goal.
+class Bottleneck:
+    """The narrowest place of the widest path to the goal.
 
     Attributes:
         clearance: What is left around the object there, below zero where it does not fit [m].
         pose: Where the object is there.
-        beside: What it passes there, in words; at most two things.
+        neighbors: What it passes there, in words; at most two things.
         gap: How far apart the two are [m]; ``None`` where there is only one.
     """
 
     clearance: float
     pose: PlanarPose
-    beside: tuple[str, ...]
+    neighbors: tuple[str, ...]
     gap: float | None
 
 
-class Ways:
-    """The ways to a scene's goal over the grid of phi_2.
+class FreePaths:
+    """The paths to a scene's goal over the grid of phi_2.
 
     Args:
         scene: The task; neither its start nor its goal overlaps anything.
@@ -62,41 +62,41 @@ class Ways:
         self._step = 1.0 / np.array([field.inv_yaw_step, field.inv_step, field.inv_step])
         x, y = (self._origin[i] + self._step[i] * np.arange(values.shape[i]) for i in (1, 2))
         at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        within = reach_of(scene.robot).room(at.reshape(-1, 2)).reshape(at.shape[:2]) >= 0.0
+        within = reach_of(scene.robot).margin(at.reshape(-1, 2)).reshape(at.shape[:2]) >= 0.0
         self._values = np.where(within, values, -np.inf)
-        self._free = _parts(self._values > 0.0)
+        self._free = _components(self._values > 0.0)
         self._goals = self._nodes(scene.goal)
         if np.isinf(scene.tolerance.yaw):
             self._goals = [(turn, i, j) for _, i, j in self._goals for turn in range(len(values))]
 
-    def room(self, pose: PlanarPose) -> float:
+    def clearance_near(self, pose: PlanarPose) -> float:
         """The largest clearance on the grid right around a pose [m]."""
         return max(float(self._values[node]) for node in self._nodes(pose))
 
     def is_blocked(self, start: PlanarPose) -> bool:
-        """Whether no way from a start is free."""
-        return not self._joined(self._free, self._nodes(start))
+        """Whether no path from a start is free."""
+        return not self._connected(self._free, self._nodes(start))
 
-    def neck(self, start: PlanarPose) -> Neck | None:
-        """The narrowest place of the widest way from a start; ``None`` where that is at one of its ends."""
+    def bottleneck(self, start: PlanarPose) -> Bottleneck | None:
+        """The narrowest place of the widest path from a start; ``None`` where that is at one of its ends."""
         starts = self._nodes(start)
         end = float(min(max(self._values[node] for node in nodes) for nodes in (starts, self._goals)))
-        if not self._joined(_parts(np.isfinite(self._values)), starts):
+        if not self._connected(_components(np.isfinite(self._values)), starts):
             return None
-        if self._joined(_parts(self._values >= end), starts):
+        if self._connected(_components(self._values >= end), starts):
             return None
         lower, upper = float(self._values[np.isfinite(self._values)].min()), end
-        while upper - lower > RESOLVED:
+        while upper - lower > RESOLUTION:
             middle = 0.5 * (lower + upper)
-            if self._joined(_parts(self._values >= middle), starts):
+            if self._connected(_components(self._values >= middle), starts):
                 lower = middle
             else:
                 upper = middle
-        way = self._way(lower, starts)
-        values = self._values[tuple(way.T)]
-        pose = self._origin + self._step * way[values.argmin()]
+        path = self._path(lower, starts)
+        values = self._values[tuple(path.T)]
+        pose = self._origin + self._step * path[values.argmin()]
         x, y, yaw = map(float, from_center(self._surface, pose[[1, 2, 0]]))
-        return Neck(float(values.min()), (x, y, yaw), *self.beside((x, y, yaw)))
+        return Bottleneck(float(values.min()), (x, y, yaw), *self.neighbors((x, y, yaw)))
 
     def _nodes(self, pose: PlanarPose) -> list[Node]:
         """The eight nodes around a pose of the object's frame."""
@@ -107,13 +107,13 @@ class Ways:
         corners[:, 1:] = np.clip(corners[:, 1:], 0, np.array(size) - 1)
         return [(int(k % turns), int(i), int(j)) for k, i, j in corners]
 
-    def _joined(self, parts: np.ndarray, starts: Sequence[Node]) -> bool:
+    def _connected(self, parts: np.ndarray, starts: Sequence[Node]) -> bool:
         return bool(({parts[node] for node in starts} & {parts[node] for node in self._goals}) - {0})
 
-    def _way(self, threshold: float, starts: Sequence[Node]) -> np.ndarray:
-        """Nodes of a way that keeps to a clearance at which there is one, shape [n, 3]."""
+    def _path(self, threshold: float, starts: Sequence[Node]) -> np.ndarray:
+        """Nodes of a path that keeps to a clearance at which there is one, shape [n, 3]."""
         free = self._values >= threshold
-        parts = _parts(free)
+        parts = _components(free)
         shared = {parts[node] for node in starts} & {parts[node] for node in self._goals} - {0}
         free = parts == min(shared)
         nodes, number = np.argwhere(free), np.full(free.shape, -1)
@@ -124,23 +124,23 @@ class Ways:
         graph = coo_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(len(nodes),) * 2).tocsr()
         start, goal = (next(number[node] for node in ends if free[node]) for ends in (starts, self._goals))
         _, before = breadth_first_order(graph, start, directed=False)
-        way = [int(goal)]
-        while before[way[-1]] >= 0:
-            way.append(int(before[way[-1]]))
-        return nodes[way]
+        path = [int(goal)]
+        while before[path[-1]] >= 0:
+            path.append(int(before[path[-1]]))
+        return nodes[path]
 
-    def beside(self, pose: PlanarPose) -> tuple[tuple[str, ...], float | None]:
+    def neighbors(self, pose: PlanarPose) -> tuple[tuple[str, ...], float | None]:
         """The one or two things next to the object at a pose, and how far they are apart."""
         shape = object_outline(self._scene, pose)
         table = shapely.box(*self._scene.table.lower, *self._scene.table.upper)
-        things = [(f"{noun} <{path}>", outline) for noun, path, outline in surroundings(self._scene)]
-        things.append(("the table's edge", table.exterior))
+        outlines = [(f"{noun} <{path}>", outline) for noun, path, outline in fixed_outlines(self._scene)]
+        outlines.append(("the table's edge", table.exterior))
 
-        def distance(thing: tuple[str, shapely.Geometry]) -> tuple[float, float]:
-            return shapely.distance(shape, thing[1]), -shapely.area(shapely.intersection(shape, thing[1]))
+        def distance(entry: tuple[str, shapely.Geometry]) -> tuple[float, float]:
+            return shapely.distance(shape, entry[1]), -shapely.area(shapely.intersection(shape, entry[1]))
 
-        first, *others = sorted(things, key=distance)
-        near = [thing for thing in others if distance(thing)[0] <= distance(first)[0] + BESIDE][:1]
+        first, *others = sorted(outlines, key=distance)
+        near = [entry for entry in others if distance(entry)[0] <= distance(first)[0] + NEIGHBOR_RANGE][:1]
         gap = shapely.distance(first[1], near[0][1]) if near else None
         return tuple(name for name, _ in (first, *near)), gap
 
@@ -152,7 +152,7 @@ def _next(number: np.ndarray, axis: int) -> np.ndarray:
     return shifted
 
 
-def _parts(free: np.ndarray) -> np.ndarray:
+def _components(free: np.ndarray) -> np.ndarray:
     """The connected part that each node is in, from one; zero where it is not free. Yaw, the first axis, closes."""
     parts, count = ndimage.label(free)
     seam = (parts[0] > 0) & (parts[-1] > 0)

@@ -23,7 +23,7 @@ FACTOR = 4.0
 
 
 @dataclass(frozen=True)
-class Oddity:
+class MassWarning:
     """Something about a weight that is not believed: what was found, what is allowed, what to do."""
 
     what: str
@@ -31,7 +31,7 @@ class Oddity:
     fix: str
 
 
-def weight_oddities(scene: Scene, stage: SceneStage, inertia: np.ndarray | None) -> Iterator[Oddity]:
+def mass_warnings(scene: Scene, stage: SceneStage, inertia: np.ndarray | None) -> Iterator[MassWarning]:
     """What is odd about the weight of the object.
 
     Args:
@@ -44,7 +44,7 @@ def weight_oddities(scene: Scene, stage: SceneStage, inertia: np.ndarray | None)
     volume = sum(float(solid.volume) for solid in solids)
     density = body.mass / volume
     if not DENSITIES[0] <= density <= DENSITIES[1]:
-        yield Oddity(
+        yield MassWarning(
             f"a mass of {body.mass:g} kg in a volume of {1000.0 * volume:.3g} litres is {density:.3g} kg/m^3",
             f"{DENSITIES[0]:g} (foam) to {DENSITIES[1]:g} (gold)",
             "correct physics:mass, or the size of the shapes",
@@ -53,7 +53,7 @@ def weight_oddities(scene: Scene, stage: SceneStage, inertia: np.ndarray | None)
         uniform = _trace(solids, density)
         ratio = float(inertia.sum()) / uniform
         if not 1.0 / FACTOR <= ratio <= FACTOR:
-            yield Oddity(
+            yield MassWarning(
                 f"physics:diagonalInertia is {ratio:.3g} times that of a uniform solid of this shape and mass",
                 f"{1.0 / FACTOR:g} to {FACTOR:g} times",
                 "correct it, or leave it out: then the shapes and the mass decide",
@@ -62,7 +62,7 @@ def weight_oddities(scene: Scene, stage: SceneStage, inertia: np.ndarray | None)
     x, y, z = body.center_of_mass
     hull = shapely.convex_hull(object_outline(scene, (0.0, 0.0, 0.0)))
     if not (low <= z <= high and shapely.contains_xy(hull, x, y)):
-        yield Oddity(
+        yield MassWarning(
             f"physics:centerOfMass ({x:.3g}, {y:.3g}, {z:.3g}) is outside the object",
             "a point within its convex hull, in the object's frame",
             "correct it, or leave it out: then the shapes decide",

@@ -10,15 +10,16 @@ from shapely.geometry.base import BaseGeometry
 
 from oimppi_warp.authoring.objects.flat_object import Box, Point, stroke
 
-PEN, CAP = 0.022, 0.103
+STROKE_WIDTH, CAP_HEIGHT = 0.022, 0.103
 """Width of the pen and height of the letters [m]."""
 
 Line = tuple[list[Point], float]
 """The pen's way [m], and how much is cut off the outer corners of its bends [m]."""
 
-_UP, _DOWN = CAP / 2, -CAP / 2
-_T, _B = CAP / 2 - PEN / 2, PEN / 2 - CAP / 2  # a pen along the upper and the lower edge
-_L, _R = PEN / 2 - 0.042, 0.042 - PEN / 2  # a pen along the left and the right edge
+_UP, _DOWN = CAP_HEIGHT / 2, -CAP_HEIGHT / 2
+# A pen along the upper and the lower edge.
+_T, _B = CAP_HEIGHT / 2 - STROKE_WIDTH / 2, STROKE_WIDTH / 2 - CAP_HEIGHT / 2
+_L, _R = STROKE_WIDTH / 2 - 0.042, 0.042 - STROKE_WIDTH / 2  # a pen along the left and the right edge
 
 _STEM: Line = ([(_L, _UP), (_L, _DOWN)], 0.0)
 _OTHER_STEM: Line = ([(_R, _UP), (_R, _DOWN)], 0.0)
@@ -30,7 +31,7 @@ def _bar(y: float, left: float, right: float) -> Line:
 
 def _slant(a: Point, b: Point) -> Line:
     """A slanted line that goes on beyond both ends; the letter's box cuts it off level."""
-    along = np.subtract(b, a) / np.linalg.norm(np.subtract(b, a)) * PEN
+    along = np.subtract(b, a) / np.linalg.norm(np.subtract(b, a)) * STROKE_WIDTH
     (ax, ay), (bx, by) = np.subtract(a, along), np.add(b, along)
     return [(float(ax), float(ay)), (float(bx), float(by))], 0.0
 
@@ -97,14 +98,18 @@ _LINES: dict[str, tuple[float, list[Line]]] = {
 _BELLY = -0.008  # height of the middle of the R's lower bar
 
 SIMPLE: dict[str, tuple[Box | np.ndarray, ...]] = {
-    "I": (Box((0.0, 0.0), (0.03, CAP)),),
-    "O": tuple(stroke([(_R, _T), (_L, _T), (_L, _B), (_R, _B)], PEN, 0.018, closed=True)),
+    "I": (Box((0.0, 0.0), (0.03, CAP_HEIGHT)),),
+    "O": tuple(stroke([(_R, _T), (_L, _T), (_L, _B), (_R, _B)], STROKE_WIDTH, 0.018, closed=True)),
     "R": (
-        Box((_L, 0.0), (PEN, CAP)),
-        *stroke([(_L + PEN / 2, _BELLY), (_R, _BELLY), (_R, _T), (_L + PEN / 2, _T)], PEN, 0.012),
-        np.array([(0.018, _DOWN), (0.044, _DOWN), (0.018, _BELLY - PEN / 2), (-0.008, _BELLY - PEN / 2)]),
+        Box((_L, 0.0), (STROKE_WIDTH, CAP_HEIGHT)),
+        *stroke(
+            [(_L + STROKE_WIDTH / 2, _BELLY), (_R, _BELLY), (_R, _T), (_L + STROKE_WIDTH / 2, _T)], STROKE_WIDTH, 0.012
+        ),
+        np.array(
+            [(0.018, _DOWN), (0.044, _DOWN), (0.018, _BELLY - STROKE_WIDTH / 2), (-0.008, _BELLY - STROKE_WIDTH / 2)]
+        ),
     ),
-    "S": tuple(stroke([(_R, _T), (_L, _T), (_L, 0), (_R, 0), (_R, _B), (_L, _B)], PEN, 0.012)),
+    "S": tuple(stroke([(_R, _T), (_L, _T), (_L, 0), (_R, 0), (_R, _B), (_L, _B)], STROKE_WIDTH, 0.012)),
 }
 """The letters whose strokes are convex pieces already that do not overlap."""
 
@@ -116,7 +121,7 @@ def outline_of(letter: str) -> BaseGeometry:
         corners = [piece.polygon() if isinstance(piece, Box) else piece for piece in SIMPLE[letter]]
         return shapely.union_all([shapely.Polygon(each) for each in corners], grid_size=1e-6)
     half, lines = _LINES[letter]
-    strokes = [piece for points, chamfer in lines for piece in stroke(points, PEN, chamfer)]
+    strokes = [piece for points, chamfer in lines for piece in stroke(points, STROKE_WIDTH, chamfer)]
     pieces: list[BaseGeometry] = [shapely.Polygon(piece) for piece in strokes]
     if letter == "Q":
         pieces.append(outline_of("O"))

@@ -9,9 +9,9 @@ import shapely
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from oimppi_warp.authoring.letters.alphabet import CAP, SIMPLE, outline_of
-from oimppi_warp.authoring.objects.flat_object import Thing
-from oimppi_warp.authoring.objects.outlines import FRICTION, checked_friction, checked_mass, checked_sides, flat
+from oimppi_warp.authoring.letters.alphabet import CAP_HEIGHT, SIMPLE, outline_of
+from oimppi_warp.authoring.objects.flat_object import FlatObject
+from oimppi_warp.authoring.objects.outlines import FRICTION, checked_friction, checked_mass, checked_sides, extrusion
 from oimppi_warp.authoring.prims import Color
 from oimppi_warp.errors import ConfigError
 
@@ -34,13 +34,13 @@ _BAR = 0.18  # thickness of the bar that carries a word, in heights of a letter
 def letter(
     letter: str,
     *,
-    size: float = CAP,
+    size: float = CAP_HEIGHT,
     height: float = HEIGHT,
     mass: float | None = None,
     friction: float = FRICTION,
     font: str | None = None,
     color: Color = BLUE,
-) -> Thing:
+) -> FlatObject:
     """A letter that lies on the table.
 
     Args:
@@ -58,15 +58,18 @@ def letter(
     if len(letter) != 1:
         raise ConfigError(f"letter:{letter}: that is not one letter\n  allowed: letter:S, or a word as text:{letter}")
     outline = _letter_outline(letter, size, font)
-    shown = letter if font else letter.upper()
-    name, doc = f"letter_{_plain(shown)}", f"The letter {shown}" + (f" of the font {font}" if font else "")
-    if shown in SIMPLE and font is None and size == CAP:  # cut by hand, as the shipped scenes have them
+    character = letter if font else letter.upper()
+    name = f"letter_{_file_name_part(character)}"
+    doc = f"The letter {character}" + (f" of the font {font}" if font else "")
+    if character in SIMPLE and font is None and size == CAP_HEIGHT:  # cut by hand, as the shipped scenes have them
         x0, y0, x1, y1 = outline.bounds
         checked_sides(doc, x1 - x0, y1 - y0, height)
         weight = checked_mass(mass, shapely.area(outline) * height)
-        return Thing(name, f"Letter{shown}", doc, SIMPLE[shown], height, weight, checked_friction(friction), color)
-    prim = f"Letter{_plain(shown).title()}"
-    return flat(name, prim, doc, outline, height, mass=mass, friction=friction, color=color)
+        return FlatObject(
+            name, f"Letter{character}", doc, SIMPLE[character], height, weight, checked_friction(friction), color
+        )
+    prim = f"Letter{_file_name_part(character).title()}"
+    return extrusion(name, prim, doc, outline, height, mass=mass, friction=friction, color=color)
 
 
 def word(
@@ -78,7 +81,7 @@ def word(
     friction: float = FRICTION,
     font: str | None = None,
     color: Color = BLUE,
-) -> Thing:
+) -> FlatObject:
     """A word as one rigid object: letters that stand on a bar, which joins them.
 
     Args:
@@ -97,20 +100,20 @@ def word(
     text = " ".join(text.split())
     if not text:
         raise ConfigError("text: there is no word\n  allowed: letters and spaces, as in text:WARP")
-    outline = _line_of(text, font)
+    outline = _row_of(text, font)
     x0, _, x1, _ = outline.bounds
     if size is None:
-        size = min(CAP, CAP * LONGEST / (x1 - x0))
+        size = min(CAP_HEIGHT, CAP_HEIGHT * LONGEST / (x1 - x0))
         if size < SMALLEST:
             raise ConfigError(
                 f"text:{text}: too long, its letters would be {1000 * size:.0f} mm high\n"
                 f"  allowed: words whose letters are {1000 * SMALLEST:.0f} mm high or more when the word is "
                 f"{LONGEST:g} m long"
             )
-    outline = affinity.scale(outline, size / CAP, size / CAP, origin=(0.0, 0.0))
-    name, doc = f"text_{_plain(text)}", f"The word {text if font else text.upper()}, on a bar"
-    prim = "Text" + "".join(part.title() for part in _plain(text).split("_"))
-    return flat(name, prim, doc, outline, height, mass=mass, friction=friction, color=color)
+    outline = affinity.scale(outline, size / CAP_HEIGHT, size / CAP_HEIGHT, origin=(0.0, 0.0))
+    name, doc = f"text_{_file_name_part(text)}", f"The word {text if font else text.upper()}, on a bar"
+    prim = "Text" + "".join(part.title() for part in _file_name_part(text).split("_"))
+    return extrusion(name, prim, doc, outline, height, mass=mass, friction=friction, color=color)
 
 
 def _letter_outline(letter: str, size: float, font: str | None) -> BaseGeometry:
@@ -120,15 +123,17 @@ def _letter_outline(letter: str, size: float, font: str | None) -> BaseGeometry:
     outline = _glyph(letter, font)
     x0, y0, x1, y1 = outline.bounds
     outline = affinity.translate(outline, -(x0 + x1) / 2, -(y0 + y1) / 2) if font else outline
-    return outline if size == CAP else affinity.scale(outline, size / CAP, size / CAP, origin=(0.0, 0.0))
+    if size == CAP_HEIGHT:
+        return outline
+    return affinity.scale(outline, size / CAP_HEIGHT, size / CAP_HEIGHT, origin=(0.0, 0.0))
 
 
 def _glyph(letter: str, font: str | None) -> BaseGeometry:
-    """What a letter of height :data:`CAP` covers, its foot at ``-CAP / 2``."""
+    """What a letter of height :data:`CAP_HEIGHT` covers, its foot at ``-CAP_HEIGHT / 2``."""
     if font is not None:
         from oimppi_warp.authoring.letters.fonts import glyph_outline
 
-        return affinity.translate(glyph_outline(letter, font, CAP), 0.0, -CAP / 2)
+        return affinity.translate(glyph_outline(letter, font, CAP_HEIGHT), 0.0, -CAP_HEIGHT / 2)
     capital = letter.upper()
     if capital not in string.ascii_uppercase:
         raise ConfigError(
@@ -137,25 +142,25 @@ def _glyph(letter: str, font: str | None) -> BaseGeometry:
     return outline_of(capital)
 
 
-def _line_of(text: str, font: str | None) -> BaseGeometry:
-    """Letters of height :data:`CAP` in a row on a bar, about the middle of their box [m]."""
+def _row_of(text: str, font: str | None) -> BaseGeometry:
+    """Letters of height :data:`CAP_HEIGHT` in a row on a bar, about the middle of their box [m]."""
     parts, pen = [], 0.0
     for character in text:
         if character == " ":
-            pen += _SPACE * CAP
+            pen += _SPACE * CAP_HEIGHT
             continue
         glyph = _glyph(character, font)
         parts.append(affinity.translate(glyph, pen - glyph.bounds[0], 0.0))
-        pen = parts[-1].bounds[2] + _GAP * CAP
+        pen = parts[-1].bounds[2] + _GAP * CAP_HEIGHT
     letters = shapely.union_all(parts)
     x0, _, x1, _ = letters.bounds
-    bar = shapely.box(x0, -CAP / 2 - _BAR * CAP, x1, -CAP / 2)
+    bar = shapely.box(x0, -CAP_HEIGHT / 2 - _BAR * CAP_HEIGHT, x1, -CAP_HEIGHT / 2)
     whole = shapely.union(letters, bar, grid_size=1e-5)
     x0, y0, x1, y1 = whole.bounds
     return affinity.translate(whole, -(x0 + x1) / 2, -(y0 + y1) / 2)
 
 
-def _plain(text: str) -> str:
+def _file_name_part(text: str) -> str:
     """Text as part of a file's name: small letters, digits and underscores; others by their number."""
     found = (c if re.fullmatch(r"[a-z0-9]", c) else "_" if c == " " else f"u{ord(c):x}" for c in text.lower())
     return "".join(found)

@@ -21,7 +21,7 @@ Hull = tuple[np.ndarray, np.ndarray]
 THRESHOLDS = (0.05, 0.02)
 """CoACD's concavity, coarse to fine: the first that is close enough is taken."""
 
-CLOSE = (0.04, 0.04, 0.004)
+CLOSE_ENOUGH = (0.04, 0.04, 0.004)
 """Close enough: errors of the volume and of the footprint, and distance of the surfaces [m]."""
 
 PIECES, CORNERS = 32, 200
@@ -51,9 +51,11 @@ class Fit:
     distance: float
 
     @property
-    def close(self) -> bool:
+    def is_close(self) -> bool:
         """Whether it is good enough to stop."""
-        return abs(self.volume) < CLOSE[0] and self.footprint < CLOSE[1] and self.distance < CLOSE[2]
+        return (
+            abs(self.volume) < CLOSE_ENOUGH[0] and self.footprint < CLOSE_ENOUGH[1] and self.distance < CLOSE_ENOUGH[2]
+        )
 
     def __str__(self) -> str:
         """The three errors in words."""
@@ -66,7 +68,7 @@ class Fit:
 def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
     """Cut a closed surface into convex pieces with CoACD (Wei et al., 2022).
 
-    It is cut finer until the pieces are :data:`CLOSE` to the mesh or as many as :data:`PIECES`.
+    It is cut finer until the pieces are :data:`CLOSE_ENOUGH` to the mesh or as many as :data:`PIECES`.
 
     Args:
         mesh: A closed surface [m].
@@ -75,37 +77,39 @@ def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
         The pieces, and how far they are from the mesh.
     """
     solids = mesh.split(only_watertight=False)
-    shares = _shares(solids)
+    budgets = _piece_budgets(solids)
     coacd.set_log_level("error")
     best: tuple[tuple[Hull, ...], Fit] | None = None
     for threshold in THRESHOLDS:
-        hulls = tuple(h for solid, most in zip(solids, shares, strict=True) for h in _cut(solid, threshold, most))
+        hulls = tuple(
+            h for solid, max_pieces in zip(solids, budgets, strict=True) for h in _cut(solid, threshold, max_pieces)
+        )
         fit = compare(mesh, hulls)
         if best is None or fit.footprint + fit.distance < best[1].footprint + best[1].distance:
             best = hulls, fit
-        if fit.close or len(hulls) >= PIECES:
+        if fit.is_close or len(hulls) >= PIECES:
             break
     assert best is not None
     return best
 
 
-def _shares(solids: Sequence[trimesh.Trimesh]) -> list[int]:
+def _piece_budgets(solids: Sequence[trimesh.Trimesh]) -> list[int]:
     """How many pieces each part may be cut into, :data:`PIECES` in all; what is left over goes to the hollowest."""
     lacking = np.array([0.0 if each.is_convex else each.convex_hull.volume - each.volume for each in solids])
-    shares, hollow = np.ones(len(solids), dtype=int), np.argsort(-lacking, kind="stable")[: (lacking > 0.0).sum()]
+    budgets, hollow = np.ones(len(solids), dtype=int), np.argsort(-lacking, kind="stable")[: (lacking > 0.0).sum()]
     for number in range(PIECES - len(solids) if len(hollow) else 0):
-        shares[hollow[number % len(hollow)]] += 1
-    return shares.tolist()
+        budgets[hollow[number % len(hollow)]] += 1
+    return budgets.tolist()
 
 
-def _cut(solid: trimesh.Trimesh, threshold: float, most: int) -> list[Hull]:
+def _cut(solid: trimesh.Trimesh, threshold: float, max_pieces: int) -> list[Hull]:
     """Convex pieces of one solid part."""
-    if solid.is_convex or most == 1:
+    if solid.is_convex or max_pieces == 1:
         return [_hull(solid.vertices)]
     parts = coacd.run_coacd(
         coacd.Mesh(solid.vertices, solid.faces),
         threshold=threshold,
-        max_convex_hull=most,
+        max_convex_hull=max_pieces,
         preprocess_mode="on" if len(solid.faces) > FINE else "auto",
         preprocess_resolution=COARSER,
         seed=0,
@@ -115,8 +119,9 @@ def _cut(solid: trimesh.Trimesh, threshold: float, most: int) -> list[Hull]:
 
 def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
     """How far convex pieces are from the closed surface that they stand for."""
-    covered, shadow = shadow_of(mesh.vertices, mesh.faces), shapely.union_all([_shadow_of_hull(h) for h in hulls])
-    footprint = shapely.area(shapely.symmetric_difference(covered, shadow)) / shapely.area(covered)
+    covered = vertical_projection(mesh.vertices, mesh.faces)
+    projection = shapely.union_all([_hull_projection(h) for h in hulls])
+    footprint = shapely.area(shapely.symmetric_difference(covered, projection)) / shapely.area(covered)
     volume = _volume_of_union(hulls) / moments(mesh).volume - 1.0
     whole = cast(trimesh.Trimesh, trimesh.util.concatenate([trimesh.Trimesh(*hull) for hull in hulls]))
     lost = distances(whole, np.vstack([_sampled(mesh, _ON_SURFACE, 0)[0], mesh.vertices]))
@@ -124,14 +129,14 @@ def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
     return Fit(float(volume), float(footprint), float(max(lost.max(), gained.max(initial=0.0))))
 
 
-def shadow_of(vertices: np.ndarray, faces: np.ndarray) -> BaseGeometry:
+def vertical_projection(vertices: np.ndarray, faces: np.ndarray) -> BaseGeometry:
     """What triangles cover of the table, seen from above."""
     triangles = vertices[faces][:, :, :2]
     (ux, uy), (vx, vy) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
     return shapely.union_all(shapely.polygons(triangles[np.abs(ux * vy - uy * vx) > 1e-12]), grid_size=1e-6)
 
 
-def _shadow_of_hull(hull: Hull) -> BaseGeometry:
+def _hull_projection(hull: Hull) -> BaseGeometry:
     return shapely.MultiPoint(hull[0][:, :2]).convex_hull
 
 

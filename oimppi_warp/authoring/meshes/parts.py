@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 _SAME_ANGLE = 1e-6  # faces of a wall lie back to back [rad]
 
 
-def tidied(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The mesh with corners that are the same joined, without faces that are nothing, its parts told apart.
 
     A face that is there twice counts once, and two that lie back to back are an inner wall and count for nothing;
@@ -19,10 +19,10 @@ def tidied(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=7)
     mesh.update_faces(mesh.nondegenerate_faces())
     mesh.remove_unreferenced_vertices()
-    once = unjoined(_each_face_once(mesh))
+    once = separated(_each_face_once(mesh))
     if once.is_watertight:
         return once
-    every = unjoined(mesh)
+    every = separated(mesh)
     return every if every.is_watertight else once
 
 
@@ -42,7 +42,7 @@ def _each_face_once(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return once
 
 
-def unjoined(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def separated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The same faces, with corners of their own where parts touch: then an edge has two faces, or one at a hole.
 
     Faces share a corner if they meet at an edge that leads to it; at an edge of more than two faces, those meet that

@@ -21,7 +21,7 @@ Lay = Literal["stable", "as-is"]
 _ALIKE = 0.9  # of the best pose's probability: as good
 
 
-def lay(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
+def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
     """Lay a mesh on the table: its centre of mass above the origin, z = 0 at half its height.
 
     In its most stable pose it rests where it would come to rest most often if it were dropped (trimesh, after Goldberg
@@ -40,13 +40,13 @@ def lay(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
     """
     done = "lies as it was modelled"
     if how == "stable":
-        chance, turn = _most_stable(mesh)
+        probability, turn = _most_stable(mesh)
         mesh.apply_transform(turn)
         mesh.apply_transform(_along_axes(mesh))
         tilt = np.degrees(np.arccos(np.clip(turn[2, 2], -1.0, 1.0)))
-        done = f"lies in its most stable pose ({100 * chance:.0f} % of drops)"
+        done = f"lies in its most stable pose ({100 * probability:.0f} % of drops)"
         done += f", turned over by {tilt:.0f} degrees" if tilt > 1.0 else ", as it was modelled"
-    elif not _stands(mesh):
+    elif not _is_stable(mesh):
         raise SceneError(
             "it would fall over as it is: its centre of mass is not above what it stands on",
             file=file,
@@ -60,12 +60,16 @@ def lay(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
 
 def _most_stable(mesh: trimesh.Trimesh) -> tuple[float, np.ndarray]:
     """The likeliest resting pose: its probability, and the least rotation that brings it about [4, 4]."""
-    poses, chances = compute_stable_poses(mesh, center_mass=moments(mesh).center, threshold=0.01)
-    alike = [(pose[2, :3], chance) for pose, chance in zip(poses, chances, strict=True) if chance > _ALIKE * chances[0]]
-    up, chance = max(alike, key=lambda each: round(each[0][2], 3))
+    poses, probabilities = compute_stable_poses(mesh, center_mass=moments(mesh).center, threshold=0.01)
+    alike = [
+        (pose[2, :3], probability)
+        for pose, probability in zip(poses, probabilities, strict=True)
+        if probability > _ALIKE * probabilities[0]
+    ]
+    up, probability = max(alike, key=lambda each: round(each[0][2], 3))
     turn = np.eye(4)
     turn[:3, :3] = rotation_matrix(z_to(up)).T
-    return float(chance), turn
+    return float(probability), turn
 
 
 def _along_axes(mesh: trimesh.Trimesh) -> np.ndarray:
@@ -76,7 +80,7 @@ def _along_axes(mesh: trimesh.Trimesh) -> np.ndarray:
     return trimesh.transformations.rotation_matrix(-(angle - np.pi / 2 * np.round(angle / (np.pi / 2))), [0, 0, 1])
 
 
-def _stands(mesh: trimesh.Trimesh) -> bool:
+def _is_stable(mesh: trimesh.Trimesh) -> bool:
     """Whether the centre of mass is above the hull of what touches the table."""
     low = mesh.vertices[mesh.vertices[:, 2] < mesh.bounds[0, 2] + 1e-4]
     hull = MultiPoint(low[:, :2]).convex_hull

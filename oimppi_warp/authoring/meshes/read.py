@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from oimppi_warp.authoring.meshes.formats import MESHES
-from oimppi_warp.authoring.meshes.parts import tidied
+from oimppi_warp.authoring.meshes.parts import cleaned
 from oimppi_warp.errors import ConfigError, SceneError
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
@@ -62,7 +62,7 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
     mesh = _read(file)
     _check_size(file, mesh, scale)
     mesh.apply_scale(UNITS[scale or "m"])
-    mesh = tidied(mesh)
+    mesh = cleaned(mesh)
     _check_volume(file, mesh)
     parts = mesh.body_count
     if parts > PARTS:
@@ -77,7 +77,7 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
         mesh.invert()
         notes.append("turned inside out")
     if mesh.volume < 1e-3 * mesh.convex_hull.volume:
-        raise _flat(file, f"the mesh encloses {1e6 * mesh.volume:.3g} cm3")
+        raise _flat_error(file, f"the mesh encloses {1e6 * mesh.volume:.3g} cm3")
     return Surface(mesh, parts, tuple(notes))
 
 
@@ -131,10 +131,10 @@ def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
 def _check_volume(file: Path, mesh: trimesh.Trimesh) -> None:
     """Refuse a sheet: whatever its rim is closed with, it stays flat."""
     if len(mesh.faces) < 4 or mesh.bounding_box_oriented.primitive.extents.min() < 1e-4:
-        raise _flat(file, "the mesh is flat")
+        raise _flat_error(file, "the mesh is flat")
 
 
-def _flat(file: Path, what: str) -> SceneError:
+def _flat_error(file: Path, what: str) -> SceneError:
     fix = "give the part a thickness in the program that it comes from"
     return SceneError(what, file=file, allowed="a solid: a surface that encloses a volume", fix=fix)
 
@@ -146,19 +146,19 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
         trimesh.repair.fix_winding(mesh)
         notes.append("faces that looked the wrong way were turned")
     if not mesh.is_watertight:
-        area, holes = float(mesh.area), _rims(mesh)
+        area, holes = float(mesh.area), _hole_count(mesh)
         if holes:
             trimesh.repair.fill_holes(mesh)
         if not mesh.is_watertight:
-            if not _rims(mesh):
-                raise _open(file, "the surface crosses itself: some of its edges have more than two faces")
+            if not _hole_count(mesh):
+                raise _open_error(file, "the surface crosses itself: some of its edges have more than two faces")
             _stitch(mesh)
         share = 1.0 - area / float(mesh.area)
-        missing = f"{_counted(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of it"
+        missing = f"{_count_text(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of it"
         if not mesh.is_watertight or not mesh.is_winding_consistent:
-            raise _open(file, f"the surface is open ({_counted(holes, 'hole')}) and could not be closed")
+            raise _open_error(file, f"the surface is open ({_count_text(holes, 'hole')}) and could not be closed")
         if share > FILLED:
-            raise _open(file, f"the surface is open: {missing}, would have to be made up")
+            raise _open_error(file, f"the surface is open: {missing}, would have to be made up")
         notes.append(f"closed {missing}")
     trimesh.repair.fix_inversion(mesh, multibody=mesh.body_count > 1)
     return notes
@@ -171,7 +171,7 @@ def _stitch(mesh: trimesh.Trimesh) -> None:
     trimesh.repair.fix_winding(mesh)
 
 
-def _open(file: Path, what: str) -> SceneError:
+def _open_error(file: Path, what: str) -> SceneError:
     return SceneError(
         what,
         file=file,
@@ -180,11 +180,11 @@ def _open(file: Path, what: str) -> SceneError:
     )
 
 
-def _rims(mesh: trimesh.Trimesh) -> int:
+def _hole_count(mesh: trimesh.Trimesh) -> int:
     """Number of holes: connected rims of edges that belong to one face only."""
     lone = mesh.edges_sorted[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]
     return len(trimesh.graph.connected_components(lone, min_len=3))
 
 
-def _counted(number: int, noun: str) -> str:
+def _count_text(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"

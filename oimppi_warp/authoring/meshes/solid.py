@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 
 from oimppi_warp.authoring.meshes.convex import Fit, Hull, decompose
 from oimppi_warp.authoring.meshes.moments import moments
-from oimppi_warp.authoring.meshes.pose import Lay, lay
+from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
 from oimppi_warp.authoring.meshes.read import read_surface
 from oimppi_warp.authoring.objects.outlines import FRICTION, checked_friction, checked_mass
 from oimppi_warp.authoring.prims import (
@@ -30,12 +30,12 @@ STEEL: Color = (0.45, 0.47, 0.5)
 LOWEST = 0.008
 """Least height of an object [m]: the tip of the stick is round, and has to touch its side."""
 
-SHOWN_FACES = 20_000
+DISPLAY_FACES = 20_000
 """A surface of more triangles is not kept; its convex pieces are shown instead."""
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class MeshObject:
     """An object from a mesh; its frame is above its centre of mass, seen from above, at half its height.
 
     Attributes:
@@ -81,7 +81,7 @@ class Solid:
         return round(-min(float(corners[:, 2].min()) for corners, _ in self.hulls), 6)
 
     @property
-    def turns(self) -> bool:
+    def yaw_matters(self) -> bool:
         """Whether its yaw can be seen."""
         return True
 
@@ -112,9 +112,9 @@ def import_mesh(
     mass: float | None = None,
     friction: float = FRICTION,
     scale: str | None = None,
-    lying: Lay = "stable",
+    lay: Lay = "stable",
     color: Color = STEEL,
-) -> Solid:
+) -> MeshObject:
     """An object from a mesh: closed, laid on the table, cut into convex pieces.
 
     Args:
@@ -123,7 +123,7 @@ def import_mesh(
         mass: [kg]; ``None``: what wood of its volume weighs.
         friction: Coulomb coefficient with the table.
         scale: Unit of the mesh: mm, cm, m or inch; ``None``: metres.
-        lying: In its most stable pose, or with its z axis up as it was modelled.
+        lay: In its most stable pose, or with its z axis up as it was modelled.
         color: Red, green and blue.
 
     Raises:
@@ -134,7 +134,7 @@ def import_mesh(
     friction = checked_friction(friction)
     found = read_surface(file, scale)
     surface = found.mesh
-    done = lay(surface, lying, file)
+    done = lay_on_table(surface, lay, file)
     height = float(surface.extents[2])
     if height < LOWEST:
         raise SceneError(
@@ -148,8 +148,8 @@ def import_mesh(
     hulls, fit = decompose(surface)
     size = " x ".join(f"{side:.3g}" for side in surface.extents)
     pieces = f"{len(hulls)} convex piece{'' if len(hulls) == 1 else 's'}: {fit}"
-    shown = ((np.asarray(surface.vertices), np.asarray(surface.faces)),) if len(surface.faces) <= SHOWN_FACES else ()
-    return Solid(
+    shown = ((np.asarray(surface.vertices), np.asarray(surface.faces)),) if len(surface.faces) <= DISPLAY_FACES else ()
+    return MeshObject(
         name=plain_name(name or file.stem),
         about=f"a mesh of {size} m, from {file.name}",
         hulls=hulls,

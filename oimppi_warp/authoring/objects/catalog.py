@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from oimppi_warp.authoring.letters.letters import GREEN, letter
-from oimppi_warp.authoring.objects.flat_object import Box, Disc, Thing
+from oimppi_warp.authoring.objects.flat_object import Box, Disc, FlatObject
 from oimppi_warp.authoring.objects.outlines import WOOD
 from oimppi_warp.authoring.prims import Color
 
 RED: Color = (0.62, 0.09, 0.08)
 
-T_BLOCK = Thing(
+T_BLOCK = FlatObject(
     "t_block",
     "TBlock",
     "T block: bar 0.20 x 0.05 x 0.05 m, stem 0.05 x 0.10 x 0.05 m; the frame is at the bar's centre",
@@ -19,7 +19,7 @@ T_BLOCK = Thing(
     0.4,
     (0.16, 0.36, 0.62),
 )
-LAB_T = Thing(
+LAB_T = FlatObject(
     "lab_t",
     "LabT",
     "The laboratory's small T: bar 0.089 x 0.0198 m, stem 0.0198 x 0.0794 m, 0.060 m high; frame at the bar's centre",
@@ -29,7 +29,7 @@ LAB_T = Thing(
     0.3,
     WOOD,
 )
-SOUP_CAN = Thing(
+SOUP_CAN = FlatObject(
     "soup_can",
     "SoupCan",
     "Tomato soup can, the size and weight of YCB object 005",
@@ -44,4 +44,4 @@ LETTER_R = letter("R", mass=0.2)
 LETTER_O = letter("O", mass=0.2)
 LETTER_S = letter("S", mass=0.2, color=GREEN)
 
-THINGS = (T_BLOCK, LAB_T, SOUP_CAN, LETTER_I, LETTER_R, LETTER_O, LETTER_S)
+OBJECTS = (T_BLOCK, LAB_T, SOUP_CAN, LETTER_I, LETTER_R, LETTER_O, LETTER_S)

@@ -71,7 +71,7 @@ class Pushable(Protocol):
         ...
 
     @property
-    def turns(self) -> bool:
+    def yaw_matters(self) -> bool:
         """Whether its yaw can be seen."""
         ...
 
@@ -83,7 +83,7 @@ class Pushable(Protocol):
 
 
 @dataclass(frozen=True)
-class Thing:
+class FlatObject:
     """A flat object: convex pieces that do not overlap, all of one height.
 
     Attributes:
@@ -112,7 +112,7 @@ class Thing:
         return self.height / 2
 
     @property
-    def turns(self) -> bool:
+    def yaw_matters(self) -> bool:
         """Whether its yaw can be seen: a disc's cannot."""
         return not all(isinstance(piece, Disc) for piece in self.pieces)
 

@@ -9,7 +9,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from oimppi_warp.authoring.objects.flat_object import Box, Disc, Thing
+from oimppi_warp.authoring.objects.flat_object import Box, Disc, FlatObject
 from oimppi_warp.authoring.objects.polygons import convex_pieces
 from oimppi_warp.authoring.prims import Color
 from oimppi_warp.errors import ConfigError
@@ -29,7 +29,9 @@ SIDES_OF_PRISM = (3, 24)
 WOOD: Color = (0.72, 0.45, 0.2)
 
 
-def box(length: float, width: float, height: float, *, mass: float | None = None, friction: float = FRICTION) -> Thing:
+def box(
+    length: float, width: float, height: float, *, mass: float | None = None, friction: float = FRICTION
+) -> FlatObject:
     """A box with its side lengths along x, y and z [m].
 
     Raises:
@@ -39,10 +41,10 @@ def box(length: float, width: float, height: float, *, mass: float | None = None
     doc = f"A box of {length:g} x {width:g} x {height:g} m"
     weight = checked_mass(mass, math.prod(sides))
     pieces = (Box((0.0, 0.0), (length, width)),)
-    return Thing(_named("box", sides), "Box", doc, pieces, height, weight, checked_friction(friction), WOOD)
+    return FlatObject(_named("box", sides), "Box", doc, pieces, height, weight, checked_friction(friction), WOOD)
 
 
-def cylinder(radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION) -> Thing:
+def cylinder(radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION) -> FlatObject:
     """An upright cylinder [m].
 
     Raises:
@@ -52,12 +54,12 @@ def cylinder(radius: float, height: float, *, mass: float | None = None, frictio
     doc = f"A cylinder of {radius:g} m radius, {height:g} m high"
     weight = checked_mass(mass, math.pi * radius**2 * height)
     name = _named("cylinder", (radius, height))
-    return Thing(name, "Cylinder", doc, (Disc(radius),), height, weight, checked_friction(friction), WOOD)
+    return FlatObject(name, "Cylinder", doc, (Disc(radius),), height, weight, checked_friction(friction), WOOD)
 
 
 def regular_prism(
     sides: float, radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION
-) -> Thing:
+) -> FlatObject:
     """An upright prism over a regular polygon, one of its sides facing -y.
 
     Args:
@@ -78,10 +80,10 @@ def regular_prism(
     outline = Polygon(radius * np.column_stack([np.cos(angles), np.sin(angles)]))
     doc = f"A prism of {count} sides, {radius:g} m from centre to corner, {height:g} m high"
     name = f"prism_{count}{_named('', (radius, height))}"
-    return flat(name, "Prism", doc, outline, height, mass=mass, friction=friction)
+    return extrusion(name, "Prism", doc, outline, height, mass=mass, friction=friction)
 
 
-def flat(
+def extrusion(
     name: str,
     prim: str,
     doc: str,
@@ -91,7 +93,7 @@ def flat(
     mass: float | None = None,
     friction: float = FRICTION,
     color: Color = WOOD,
-) -> Thing:
+) -> FlatObject:
     """What an outline covers, hollow or not, with a thickness.
 
     Args:
@@ -108,7 +110,7 @@ def flat(
     x0, y0, x1, y1 = outline.bounds
     checked_sides(doc, x1 - x0, y1 - y0, height)
     weight = checked_mass(mass, shapely.area(outline) * height)
-    return Thing(name, prim, doc, convex_pieces(outline), height, weight, checked_friction(friction), color)
+    return FlatObject(name, prim, doc, convex_pieces(outline), height, weight, checked_friction(friction), color)
 
 
 def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:

@@ -13,43 +13,43 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 from matplotlib.patches import Polygon as Patch
 
-from oimppi_warp.authoring.meshes.convex import shadow_of
-from oimppi_warp.authoring.meshes.solid import Solid
+from oimppi_warp.authoring.meshes.convex import vertical_projection
+from oimppi_warp.authoring.meshes.solid import MeshObject
 from oimppi_warp.authoring.objects.flat_object import Pushable
 from oimppi_warp.geometry.footprint import core_points, footprint, limit_surface
 from oimppi_warp.plots.style import FAINT, GOAL, INK, START, STYLE, add_rings, rendered
-from oimppi_warp.record.log import write_whole
+from oimppi_warp.record.log import write_atomically
 from oimppi_warp.scene import PushedObject
 
 STICK = 0.008
 """Radius of the shipped arm's stick [m], for scale."""
 
 
-def draw_portrait(thing: Pushable, body: PushedObject, file: str | Path) -> Path:
+def draw_preview(obj: Pushable, body: PushedObject, file: str | Path) -> Path:
     """Draw an object: its convex pieces, footprint, friction centre and limit surface.
 
     Args:
-        thing: The object.
+        obj: The object.
         body: It, as the planner takes it.
         file: The PNG.
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.4, 3.4), layout="constrained")
         above, side, surface = figure.subplots(1, 3, width_ratios=[1.3, 1.0, 1.0])
-        _draw_above(above, thing, body)
+        _draw_above(above, obj, body)
         _draw_side(side, body)
         _draw_limit_surface(surface, body)
         content = rendered(figure, dpi=110)
-    write_whole(file, content)
+    write_atomically(file, content)
     return Path(file)
 
 
-def _draw_above(axes: Axes, thing: Pushable, body: PushedObject) -> None:
+def _draw_above(axes: Axes, obj: Pushable, body: PushedObject) -> None:
     """The pieces seen from above, over the mesh's own shadow; the stick for scale."""
-    if isinstance(thing, Solid):
-        for corners, triangles in thing.surface:
-            shadow = shadow_of(corners, triangles)
-            rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(shadow)]
+    if isinstance(obj, MeshObject):
+        for corners, triangles in obj.surface:
+            projection = vertical_projection(corners, triangles)
+            rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(projection)]
             add_rings(axes, rings, fc=FAINT, ec="none", zorder=1)
     for piece in footprint(body.colliders):
         shape = piece.polygon()
@@ -60,7 +60,7 @@ def _draw_above(axes: Axes, thing: Pushable, body: PushedObject) -> None:
     x, y = axes.get_xlim()[1], axes.get_ylim()[0]
     axes.add_patch(Circle((x + STICK, y + STICK), STICK, fc=INK, ec="none", label="the stick", zorder=3))
     pieces = len(body.colliders)
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=f"{thing.name}, {body.mass:g} kg")
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=f"{obj.name}, {body.mass:g} kg")
     axes.autoscale_view()
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, fontsize=8)
     axes.set_title(f"{pieces} convex piece{'' if pieces == 1 else 's'}", loc="right", fontsize=8, fontweight="normal")

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdPhysics, UsdShade
 
-from oimppi_warp.authoring.bundle import write_flat
+from oimppi_warp.authoring.bundle import write_flattened
 from oimppi_warp.authoring.objects.outlines import checked_mass
 from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
 from oimppi_warp.geometry.footprint import collider_mesh, height_range
 from oimppi_warp.scene import Collider, PushedObject
 from oimppi_warp.usd.bodies import center_of_mass, largest_friction
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, solid
-from oimppi_warp.usd.conversion.upright import stand_upright
+from oimppi_warp.usd.conversion.upright import align_upright
 from oimppi_warp.usd.inertia import read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
 
@@ -30,7 +30,7 @@ _ROLES = ("OimppiObjectAPI", "PhysicsRigidBodyAPI")
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class StoredObject:
     """An object in a USD file.
 
     Attributes:
@@ -57,7 +57,7 @@ class Stored:
         return round(-float(height_range(self.colliders)[0]), 6)
 
     @property
-    def turns(self) -> bool:
+    def yaw_matters(self) -> bool:
         """Whether its yaw can be seen."""
         return True
 
@@ -68,7 +68,7 @@ class Stored:
             mesh(stage, f"{root}/piece{number}", np.asarray(hull.vertices), hull.faces.tolist(), look)
 
     @property
-    def ready(self) -> bool:
+    def is_ready(self) -> bool:
         """True if a scene may refer to its file as it is: in SI units, z up, weighed, and not moved."""
         stage = SceneStage(self.file)
         root = stage.stage.GetDefaultPrim()
@@ -77,7 +77,7 @@ class Stored:
     def write(self, file: Path, *, note: str = "") -> None:
         """Write the object as it is read, in one file that says already what it is; its textures go beside it."""
         opened = _open(self.file)
-        _weigh(opened, self.mass)
+        _set_mass(opened, self.mass)
         flat = opened.stage.Flatten(addSourceFileComment=False)
         stage = Usd.Stage.Open(flat)
         root = stage.GetDefaultPrim()
@@ -85,10 +85,10 @@ class Stored:
             root.RemoveProperty(name)
         for role in _ROLES:
             root.RemoveAppliedSchema(role)
-        write_flat(flat, file, self.file)
+        write_flattened(flat, file, self.file)
 
 
-def read_object(file: str | Path, *, mass: float | None = None) -> Stored:
+def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
     """An object in a USD file: its default prim, with a mass and convex colliders.
 
     Where its file gives no mass, it is the one asked for, or else that of its shapes by their density.
@@ -103,7 +103,7 @@ def read_object(file: str | Path, *, mass: float | None = None) -> Stored:
     """
     stage = _open(Path(file).expanduser().resolve())
     root = stage.stage.GetDefaultPrim()
-    weighed = _weigh(stage, mass)
+    weighed = _set_mass(stage, mass)
     read_mass(stage, root)
     frame = stage.body_frame(root)
     if frame.GetRow3(2)[2] < 1.0 - 1e-6:
@@ -120,7 +120,7 @@ def read_object(file: str | Path, *, mass: float | None = None) -> Stored:
             raise stage.error(what, prim, allowed=f"a prim below <{root.GetPath()}>", fix="move it there")
     doc = str(stage.stage.GetRootLayer().documentation).partition(". ")[0] or f"the object {stage.file.stem}"
     friction = largest_friction(stage, [root])
-    return Stored(stage.file, stage.file.stem, doc, colliders, friction, mass if weighed else None)
+    return StoredObject(stage.file, stage.file.stem, doc, colliders, friction, mass if weighed else None)
 
 
 def read_body(file: Path) -> PushedObject:
@@ -129,18 +129,18 @@ def read_body(file: Path) -> PushedObject:
     Raises:
         SceneError: It is none.
     """
-    thing, stage = read_object(file), _open(file.resolve())
+    obj, stage = read_object(file), _open(file.resolve())
     root = stage.stage.GetDefaultPrim()
-    _weigh(stage, None)
+    _set_mass(stage, None)
     mass = read_mass(stage, root)
     return PushedObject(
         path=str(root.GetPath()),
         mass=mass,
-        friction=thing.friction,
-        tool_friction=thing.friction,
-        center_of_mass=center_of_mass(stage, root, thing.colliders),
-        colliders=thing.colliders,
-        rest_height=thing.rest_height,
+        friction=obj.friction,
+        tool_friction=obj.friction,
+        center_of_mass=center_of_mass(stage, root, obj.colliders),
+        colliders=obj.colliders,
+        rest_height=obj.rest_height,
         unit_inertia=unit_inertia(root, mass),
     )
 
@@ -161,11 +161,11 @@ def _open(file: Path) -> SceneStage:
     if not root:
         fix = 'name the object\'s root in the file: defaultPrim = "..."'
         raise stage.error("a file without a default prim cannot be referred to", fix=fix)
-    if stage.role("OimppiTaskAPI"):
+    if stage.prims_with("OimppiTaskAPI"):
         allowed = "an object: a default prim with PhysicsMassAPI and colliders, as `oimppi scene import` writes them"
         raise stage.error("a whole scene, not an object", root, allowed=allowed)
     apply_api(root, "OimppiObjectAPI")
-    stand_upright(stage.stage)
+    align_upright(stage.stage)
     return stage
 
 
@@ -174,7 +174,7 @@ def _gives_mass(root: Usd.Prim) -> bool:
     return bool(UsdPhysics.MassAPI(root).GetMassAttr().Get()) if root.HasAPI(UsdPhysics.MassAPI) else False
 
 
-def _weigh(stage: SceneStage, mass: float | None) -> bool:
+def _set_mass(stage: SceneStage, mass: float | None) -> bool:
     """Gives a body without a mass the one asked for, or else that of its shapes by their density.
 
     Args:

@@ -23,8 +23,8 @@ from oimppi_warp.authoring.prims import (
     mesh,
     new_stage,
     physics_material,
-    place,
     quat,
+    set_pose,
     sphere,
     vec3,
 )
@@ -121,7 +121,7 @@ def _write_tool(stage: Usd.Stage, arm: Arm) -> None:
     capsule(stage, f"{path}/collider", *ends, stick.radius, arm.look)
     bind_physics(tool, physics_material(stage, f"/{arm.name}/ToolMaterial", FRICTION))
     tip = UsdGeom.Xform.Define(stage, f"{path}/tip").GetPrim()
-    place(tip, (0.0, 0.0, stick.length))
+    set_pose(tip, (0.0, 0.0, stick.length))
     apply_api(tip, "OimppiToolAPI")
     attribute(tip, "oimppi:radius", Sdf.ValueTypeNames.Double, stick.radius)
 
@@ -190,6 +190,6 @@ def _pose_links(stage: Usd.Stage, arm: Arm) -> None:
     frames = [(np.eye(3), np.zeros(3)), *zip(rotations, positions, strict=True)]
     frames.append((rotations[-1] @ turn, positions[-1] + rotations[-1] @ np.asarray(arm.stick.position)))
     for name, (rotation, position) in zip([*_link_names(arm), "tool"], frames, strict=True):
-        place(stage.OverridePrim(f"/{arm.name}/{name}"), position, matrix_quat(rotation))
+        set_pose(stage.OverridePrim(f"/{arm.name}/{name}"), position, matrix_quat(rotation))
     start = [float(position) for position in arm.start]
     attribute(stage.OverridePrim(f"/{arm.name}"), "oimppi:startJoints", Sdf.ValueTypeNames.DoubleArray, start)

@@ -12,7 +12,7 @@ import numpy as np
 from oimppi_warp.authoring.prims import Look, matrix_quat, z_to
 from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, Visual
 from oimppi_warp.authoring.robots.chain import Chain
-from oimppi_warp.authoring.robots.fitting import fitted
+from oimppi_warp.authoring.robots.fitting import fit_collider
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import rotation_matrix, transform_points
 from oimppi_warp.scene import Collider
@@ -156,7 +156,7 @@ class Articulation:
         if found.vertices is None:
             return found
         try:
-            return fitted(name, transform_points(found.transform, found.vertices))
+            return fit_collider(name, transform_points(found.transform, found.vertices))
         except ValueError as error:
             raise SceneError(f"link {link}: {error}", file=self._file, allowed="solid collision meshes") from None
 

@@ -15,7 +15,7 @@ ROOMY = 1.3
 """Volume of a capsule, as a multiple of the hull's, up to which it is taken for it."""
 
 
-def fitted(name: str, points: np.ndarray) -> Collider:
+def fit_collider(name: str, points: np.ndarray) -> Collider:
     """A convex collider around points [n, 3] [m]; of a fine mesh a hull with few points.
 
     Raises:
@@ -31,7 +31,7 @@ def fitted(name: str, points: np.ndarray) -> Collider:
     best = min(capsules, key=_volume)
     if _volume(best) <= ROOMY * hull.volume:
         return best
-    return Collider(name, "mesh", np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), vertices=_fewer(vertices))
+    return Collider(name, "mesh", np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), vertices=_simplified(vertices))
 
 
 def _axes(hull: trimesh.Trimesh) -> np.ndarray:
@@ -64,7 +64,7 @@ def _volume(capsule: Collider) -> float:
     return np.pi * radius**2 * (2.0 * half + 4.0 / 3.0 * radius)
 
 
-def _fewer(vertices: np.ndarray) -> np.ndarray:
+def _simplified(vertices: np.ndarray) -> np.ndarray:
     """A hull with fewer vertices that holds all of these, shape [n, 3].
 
     Those are kept that are farthest in directions spread evenly over a sphere, and moved outwards until all are inside.

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
-from oimppi_warp.authoring.prims import attribute, matrix_quat, place
+from oimppi_warp.authoring.prims import attribute, matrix_quat, set_pose
 from oimppi_warp.geometry.kinematics import link_frames
 from oimppi_warp.usd.robot import read_robot
 from oimppi_warp.usd.stage import SceneStage
@@ -27,10 +27,10 @@ def pose_robot(stage: Usd.Stage, path: str, joints: Sequence[float]) -> None:
     rotations, positions = link_frames(robot, np.asarray(joints, dtype=float))
     frames = {link.path: frame for link, *frame in zip(robot.links, rotations, positions, strict=True)}
     last = robot.links[-1].path
-    welded = {part: _seen_from(stage, last, part) for part in _bodies(stage, path) - {robot.base.path, *frames}}
+    welded = {part: _relative_pose(stage, last, part) for part in _bodies(stage, path) - {robot.base.path, *frames}}
     frames |= {part: [frames[last][0] @ r, frames[last][1] + frames[last][0] @ p] for part, (r, p) in welded.items()}
     for part, (rotation, position) in frames.items():
-        place(stage.OverridePrim(part), position, matrix_quat(rotation))
+        set_pose(stage.OverridePrim(part), position, matrix_quat(rotation))
     attribute(stage.OverridePrim(path), "oimppi:startJoints", Sdf.ValueTypeNames.DoubleArray, list(joints))
 
 
@@ -40,7 +40,7 @@ def _bodies(stage: Usd.Stage, path: str) -> set[str]:
     return {str(prim.GetPath()) for prim in prims if prim.HasAPI(UsdPhysics.RigidBodyAPI)}
 
 
-def _seen_from(stage: Usd.Stage, link: str, part: str) -> tuple[np.ndarray, np.ndarray]:
+def _relative_pose(stage: Usd.Stage, link: str, part: str) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and position [m] of a prim in the frame of another, as they stand in the file."""
     cache = UsdGeom.XformCache()
     frame = cache.GetLocalToWorldTransform(stage.GetPrimAtPath(part))

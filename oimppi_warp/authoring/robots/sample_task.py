@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from oimppi_warp.authoring.objects.catalog import T_BLOCK
-from oimppi_warp.authoring.objects.flat_object import Box, Thing
+from oimppi_warp.authoring.objects.flat_object import Box, FlatObject
 from oimppi_warp.authoring.project import write_object
 from oimppi_warp.authoring.task import Pose, Task, write
 from oimppi_warp.geometry.reach import Reach, reach_of
@@ -21,31 +21,32 @@ _REACH = 0.717
 _START, _GOAL = np.array([0.30, -0.45]), np.array([0.50, 0.30])
 
 
-def write_trial(robot: Robot, name: str, folder: Path, *, later: Path) -> Path:
+def write_sample_task(robot: Robot, name: str, folder: Path, *, destination: Path) -> Path:
     """Write the task to a folder in whose ``robots`` the robot is; it is read again and checked.
 
     Args:
         robot: The robot.
         name: Of its file.
         folder: Where to.
-        later: Where it is taken to; where another object has the T's name there, the T gets the robot's name added.
+        destination: Where it is taken to; where another object has the T's name there, the T gets the robot's name
+            added.
 
     Raises:
         SceneError: The robot cannot do it, or its file is not as it should be.
     """
     reach = reach_of(robot)
-    thing = _thing(reach)
-    file = write_object(thing, folder)
-    there = later / "objects" / file.name
-    if there.exists() and not filecmp.cmp(file, there, shallow=False):
-        thing = replace(thing, name=f"{thing.name}_{name}")
-        file.rename(file.with_stem(thing.name))
-    start, goal = _places(reach)
+    obj = _t_block(reach)
+    file = write_object(obj, folder)
+    existing = destination / "objects" / file.name
+    if existing.exists() and not filecmp.cmp(file, existing, shallow=False):
+        obj = replace(obj, name=f"{obj.name}_{name}")
+        file.rename(file.with_stem(obj.name))
+    start, goal = _start_and_goal(reach)
     title = f"Push the T across an open table with {name}"
-    return write(Task(f"{name}_open", title, thing, start, goal, robot=name), folder)
+    return write(Task(f"{name}_open", title, obj, start, goal, robot=name), folder)
 
 
-def _thing(reach: Reach) -> Thing:
+def _t_block(reach: Reach) -> FlatObject:
     """The T, smaller for a robot that does not reach far."""
     scale = round(min(reach.radius / _REACH, 1.0), 1)
     if scale == 1.0:
@@ -60,11 +61,11 @@ def _thing(reach: Reach) -> Thing:
     return replace(T_BLOCK, name=name, doc=doc, pieces=pieces, mass=round(T_BLOCK.mass * scale**2, 3))
 
 
-def _places(reach: Reach) -> tuple[Pose, Pose]:
+def _start_and_goal(reach: Reach) -> tuple[Pose, Pose]:
     """Start and goal: those of the first shipped task, as far out as the robot reaches; else across its region."""
     scale = min(reach.radius / _REACH, 1.1) if reach.border is None else 1.0
     start, goal = scale * _START, scale * _GOAL
-    if reach.room(np.array([start, goal])).min() < 0.1:
+    if reach.margin(np.array([start, goal])).min() < 0.1:
         lower, upper = reach.bounds
         middle, size = (lower + upper) / 2, upper - lower
         start, goal = middle - 0.25 * size, middle + 0.25 * size

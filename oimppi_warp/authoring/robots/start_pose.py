@@ -8,8 +8,8 @@ import numpy as np
 
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.errors import SceneError
-from oimppi_warp.geometry.kinematics import collider_spheres, link_frames, tip_frame, turning
-from oimppi_warp.geometry.reach import joints_for
+from oimppi_warp.geometry.kinematics import collider_spheres, link_frames, revolute_joints, tip_frame
+from oimppi_warp.geometry.reach import inverse_kinematics
 from oimppi_warp.scene import Robot
 
 HEIGHT = 0.05
@@ -47,10 +47,10 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
     for distance in _DISTANCES:
         target = np.array([distance * np.cos(_AZIMUTH), distance * np.sin(_AZIMUTH), height])
         for guess in guesses:
-            joints = joints_for(robot, guess, target)
+            joints = inverse_kinematics(robot, guess, target)
             if joints is not None:
-                joints = _readable(robot, joints)
-                best = max(best, (_worth(robot, joints), tuple(joints.tolist())))
+                joints = _rounded(robot, joints)
+                best = max(best, (_score(robot, joints), tuple(joints.tolist())))
         if best[0] > 0.0:
             return replace(arm, start=best[1])
     raise SceneError(
@@ -64,8 +64,8 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
 def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper limits, half a turn to either side for joints that go further, shape [dof] each."""
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
-    turns = turning(robot)
-    return np.where(turns, np.maximum(lower, -np.pi), lower), np.where(turns, np.minimum(upper, np.pi), upper)
+    revolute = revolute_joints(robot)
+    return np.where(revolute, np.maximum(lower, -np.pi), lower), np.where(revolute, np.minimum(upper, np.pi), upper)
 
 
 def _guesses(robot: Robot, random: np.random.Generator) -> list[np.ndarray]:
@@ -74,27 +74,27 @@ def _guesses(robot: Robot, random: np.random.Generator) -> list[np.ndarray]:
     middle, guesses = (lower + upper) / 2, []
     for _ in range(_TRIES):
         bent = np.where(random.random(robot.dof) < 0.6, random.uniform(lower, upper), middle)
-        bent[0] = np.clip(_AZIMUTH, lower[0], upper[0]) if turning(robot)[0] else middle[0]
+        bent[0] = np.clip(_AZIMUTH, lower[0], upper[0]) if revolute_joints(robot)[0] else middle[0]
         guesses.append(bent)
     return [middle, *guesses]
 
 
-def _worth(robot: Robot, joints: np.ndarray) -> float:
+def _score(robot: Robot, joints: np.ndarray) -> float:
     """How good a start is: room over the table, spare way to the limits, no needless twists; not above 0: none."""
     lower, upper = _limits(robot)
-    room = table_room(robot, joints)
+    room = table_clearance(robot, joints)
     spare = float(np.min(np.minimum(joints - lower, upper - joints) / (upper - lower)))
     if (room < ROOM and not is_flat(robot)) or spare < _SPARE:
         return -np.inf
-    twisted = float(np.linalg.norm((joints - (lower + upper) / 2) * turning(robot)))
+    twisted = float(np.linalg.norm((joints - (lower + upper) / 2) * revolute_joints(robot)))
     return 1.0 + min(room, 0.1) + 0.2 * min(spare, 0.2) - 0.02 * twisted
 
 
-def _readable(robot: Robot, joints: np.ndarray) -> np.ndarray:
+def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
     """The same joint positions without whole turns, where the limits allow that, in a few digits."""
     wrapped = np.mod(joints + np.pi, 2.0 * np.pi) - np.pi
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
-    allowed = turning(robot) & (lower <= wrapped) & (wrapped <= upper)
+    allowed = revolute_joints(robot) & (lower <= wrapped) & (wrapped <= upper)
     return np.clip(np.round(np.where(allowed, wrapped, joints), 4) + 0.0, lower, upper)
 
 
@@ -102,10 +102,10 @@ def is_flat(robot: Robot) -> bool:
     """Whether no joint moves the tool up, down or askew: all turn about upright axes or slide across them."""
     rotations = link_frames(robot, np.zeros(robot.dof))[0]
     upright = np.abs(rotations[:, 2, 2])
-    return bool(np.where(turning(robot), upright > 1.0 - 1e-6, upright < 1e-6).all())
+    return bool(np.where(revolute_joints(robot), upright > 1.0 - 1e-6, upright < 1e-6).all())
 
 
-def table_room(robot: Robot, joints: np.ndarray) -> float:
+def table_clearance(robot: Robot, joints: np.ndarray) -> float:
     """Height of the lowest point of the moving links, the stick left out [m]."""
     rotations, positions = link_frames(robot, joints)
     lowest = [1.0]

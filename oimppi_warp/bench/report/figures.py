@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter, StrMethodFormatter
 
-from oimppi_warp.bench.footprints import moved
+from oimppi_warp.bench.footprints import transformed
 from oimppi_warp.bench.paper import REPORTED
 from oimppi_warp.bench.report.tables import shown_methods
 from oimppi_warp.bench.results import PLAN_BINS, Result, ResultSet
@@ -50,7 +50,7 @@ def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
             found[f"ways_{task}"] = (
                 f"{task}. {title}. Ways of the object from above, a dot at the start, the object drawn where it ended; "
                 "failures in red. Dashed: the goal; dotted: its tolerance.",
-                ways_figure(results, task),
+                paths_figure(results, task),
             )
     return found
 
@@ -157,21 +157,21 @@ def plan_figure(results: ResultSet) -> Figure:
     return figure
 
 
-def ways_figure(results: ResultSet, task: str) -> Figure:
+def paths_figure(results: ResultSet, task: str) -> Figure:
     """Ways of the object seen from above, one panel a method."""
-    place = results.places[task]
+    footprints = results.places[task]
     colors = {method: color for method, color in _colors(results).items() if results.of(task, method)}
-    low, high = _frame(place, results.of(task))
+    low, high = _frame(footprints, results.of(task))
     width, height = high - low
     size = 3.0
     figure = Figure(figsize=(0.5 + size * len(colors), 0.6 + min(size * height / width, 5.0)), layout="constrained")
     panels = figure.subplots(1, len(colors), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (method, color) in zip(panels, colors.items(), strict=True):
         runs = results.of(task, method)
-        _draw_place(axes, place)
+        _draw_scene(axes, footprints)
         for run in sorted(runs, key=lambda result: not result.success):
             if run.pose:
-                _draw_run(axes, place, run, color if run.success else FAILED)
+                _draw_run(axes, footprints, run, color if run.success else FAILED)
         axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]")
         rate = summarize_results(runs).success
         axes.set_title(f"{method.upper()}  {rate.count}/{rate.total}", color=color)
@@ -184,38 +184,38 @@ def _colors(results: ResultSet) -> dict[str, str]:
     return method_colors(shown_methods(results))
 
 
-def _draw_place(axes: Axes, place: dict[str, Any]) -> None:
+def _draw_scene(axes: Axes, footprints: dict[str, Any]) -> None:
     """Table, base, obstacles and goal."""
-    lower, upper = np.asarray(place["table"])
+    lower, upper = np.asarray(footprints["table"])
     axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=FAINT, lw=1.0, zorder=0))
-    add_rings(axes, [np.asarray(ring) for ring in place["base"]], fc="#dfe5e9", ec=WALL, lw=0.8, zorder=2)
-    for rings in place["obstacles"]:
+    add_rings(axes, [np.asarray(ring) for ring in footprints["base"]], fc="#dfe5e9", ec=WALL, lw=0.8, zorder=2)
+    for rings in footprints["obstacles"]:
         add_rings(axes, [np.asarray(ring) for ring in rings], fc=WALL, ec="none", zorder=2)
-    goal = place["goal"]
-    add_rings(axes, moved(place["object"], goal), fc="none", ec=GOAL, lw=1.6, ls=(0, (4, 2)), zorder=6)
-    axes.add_patch(Circle((goal[0], goal[1]), place["tolerance"], fill=False, ec=GOAL, lw=0.9, ls=":", zorder=1))
+    goal = footprints["goal"]
+    add_rings(axes, transformed(footprints["object"], goal), fc="none", ec=GOAL, lw=1.6, ls=(0, (4, 2)), zorder=6)
+    axes.add_patch(Circle((goal[0], goal[1]), footprints["tolerance"], fill=False, ec=GOAL, lw=0.9, ls=":", zorder=1))
 
 
-def _draw_run(axes: Axes, place: dict[str, Any], run: Result, color: str) -> None:
-    way = np.vstack([run.start, *run.pose])
-    axes.plot(way[:, 0], way[:, 1], color=color, lw=1.1, alpha=0.8, zorder=4)
-    axes.plot(*way[0, :2], marker="o", ms=2.5, color=color, zorder=4)
-    rings = moved(place["object"], way[-1])
+def _draw_run(axes: Axes, footprints: dict[str, Any], run: Result, color: str) -> None:
+    path = np.vstack([run.start, *run.pose])
+    axes.plot(path[:, 0], path[:, 1], color=color, lw=1.1, alpha=0.8, zorder=4)
+    axes.plot(*path[0, :2], marker="o", ms=2.5, color=color, zorder=4)
+    rings = transformed(footprints["object"], path[-1])
     add_rings(axes, rings, fc=(*to_rgb(color), 0.05), ec=(*to_rgb(color), 0.75), lw=0.8, zorder=3)
 
 
-def _frame(place: dict[str, Any], runs: Sequence[Result]) -> tuple[np.ndarray, np.ndarray]:
+def _frame(footprints: dict[str, Any], runs: Sequence[Result]) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner of what is shown, [2] each."""
-    size = max(np.abs(np.asarray(ring)).max() for ring in place["object"])
-    reach = 0.02 + max(size, place["tolerance"])
-    goal = np.asarray(place["goal"][:2])
+    size = max(np.abs(np.asarray(ring)).max() for ring in footprints["object"])
+    reach = 0.02 + max(size, footprints["tolerance"])
+    goal = np.asarray(footprints["goal"][:2])
     points = [goal - reach, goal + reach, np.array([-0.12, -0.12])]
-    points += [np.asarray(ring) for rings in place["obstacles"] for ring in rings]
+    points += [np.asarray(ring) for rings in footprints["obstacles"] for ring in rings]
     for run in runs:
-        ways = np.vstack([run.start, *run.pose])[:, :2]
-        points += [ways - size, ways + size]
+        paths = np.vstack([run.start, *run.pose])[:, :2]
+        points += [paths - size, paths + size]
     stacked = np.vstack(points)
-    lower, upper = np.asarray(place["table"])
+    lower, upper = np.asarray(footprints["table"])
     return np.maximum(stacked.min(axis=0), lower - 0.15), np.minimum(stacked.max(axis=0), upper + 0.15)
 
 

@@ -94,13 +94,13 @@ def paper_table(results: ResultSet, table: str) -> Table:
         for method in methods:
             if found := results.of(task, method):
                 reported = REPORTED.get((task, method), _NOT_REPORTED)
-                rows.append((task, method.upper(), *_beside(reported, summarize_results(found))))
+                rows.append((task, method.upper(), *_paper_pairs(reported, summarize_results(found))))
     if len(tasks) == len(TABLES[table]):
         for method in methods:
             groups = [summarize_results(results.of(task, method)) for task in tasks]
             if all(group.success.total for group in groups):
                 reported = MEANS.get((table, method), _NOT_REPORTED)
-                rows.append(("mean", method.upper(), *_beside(reported, *groups)))
+                rows.append(("mean", method.upper(), *_paper_pairs(reported, *groups)))
     where = "in simulation" if table == "I" else "on the real arm; ours are simulated"
     return Table(
         f"The paper's Table {table}",
@@ -182,7 +182,7 @@ def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[st
     )
 
 
-def differing(found: Comparison) -> Table:
+def differing_pairs(found: Comparison) -> Table:
     """The pairs that succeed on one side only, named, with the command that runs the failed one again."""
     rows = []
     for pairs, side in ((found.only_first, "A"), (found.only_second, "B")):
@@ -233,7 +233,7 @@ def _groups(results: ResultSet) -> list[tuple[str, str, Statistics]]:
     ]
 
 
-def _beside(reported: Reported, *groups: Statistics) -> tuple[str, ...]:
+def _paper_pairs(reported: Reported, *groups: Statistics) -> tuple[str, ...]:
     """The paper's numbers and the mean of ours, in pairs."""
     total = _reported(reported.total_time_s, 0)
     if reported.preplan_time_s is not None:

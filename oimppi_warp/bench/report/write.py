@@ -9,7 +9,7 @@ from oimppi_warp.bench.report.markdown import write_markdown
 from oimppi_warp.bench.report.page import write_page
 from oimppi_warp.bench.results import ResultSet
 from oimppi_warp.plots.style import rendered
-from oimppi_warp.record.log import write_whole
+from oimppi_warp.record.log import write_atomically
 
 PAGE, MARKDOWN, PICTURES = "report.html", "report.md", "pictures"
 
@@ -20,7 +20,7 @@ def write_report(results: ResultSet, folder: Path) -> tuple[Path, Path]:
     drawn = {name: (caption, rendered(figure, kind="svg")) for name, (caption, figure) in every_figure(results).items()}
     files = {name: (caption, f"{PICTURES}/{name}.svg") for name, (caption, _) in drawn.items()}
     for name, (_, picture) in drawn.items():
-        write_whole(folder / files[name][1], picture)
-    write_whole(folder / PAGE, write_page(results, drawn).encode())
-    write_whole(folder / MARKDOWN, write_markdown(results, files).encode())
+        write_atomically(folder / files[name][1], picture)
+    write_atomically(folder / PAGE, write_page(results, drawn).encode())
+    write_atomically(folder / MARKDOWN, write_markdown(results, files).encode())
     return folder / PAGE, folder / MARKDOWN

@@ -23,7 +23,7 @@ from oimppi_warp.kernels.rollouts.worlds import (
     take_forces,
 )
 from oimppi_warp.observation import Observation
-from oimppi_warp.physics.mujoco_model import SENSED, mapped
+from oimppi_warp.physics.mujoco_model import SENSED, map_model
 from oimppi_warp.physics.newton_model import MIN_FRICTION, ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.planning.engines.dynamics import RolloutTask, Trace, control_type
 from oimppi_warp.planning.engines.newton import NewtonDynamics, contact_softness
@@ -68,7 +68,7 @@ class NewtonWorlds(NewtonDynamics):
         self.solver = SolverMuJoCo(
             built.model, nconmax=contacts, njmax=3 * contacts + _LIMIT_ROWS, separate_worlds=True, **SOLVER_OPTIONS
         )
-        self._map = mapped(self.solver, built)
+        self._map = map_model(self.solver, built)
         model = self.solver.mjw_model
         model.jnt_actfrclimited.assign(self._map.model.jnt_actfrclimited.astype(bool))
         step = task.dt / level.substeps

@@ -9,7 +9,7 @@ import warp as wp
 
 from oimppi_warp.config.settings import ObjectCost, RobotCost, RobotLevel
 from oimppi_warp.geometry.fields import NEAR, Geometry
-from oimppi_warp.geometry.reach import area_of
+from oimppi_warp.geometry.reach import object_bounds
 from oimppi_warp.geometry.tipping import tipping_speed
 from oimppi_warp.kernels.costs.terms import RobotWeights
 from oimppi_warp.kernels.geometry import PoseField
@@ -56,7 +56,7 @@ def environment(scene: Scene, geometry: Geometry, cost: RobotCost) -> Environmen
 
 def table_within(scene: Scene, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the rectangle within which the object's centre keeps all of it on the table, and within reach [m]."""
-    lower, upper = area_of(scene)
+    lower, upper = object_bounds(scene)
     return lower + geometry.size, upper - geometry.size
 
 

@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom
 
 
 @dataclass(frozen=True)
-class Unsound:
+class InvalidProperty:
     """A property that cannot be read: where, what was found, what is allowed, what to do."""
 
     prim: Usd.Prim
@@ -21,16 +21,16 @@ class Unsound:
     fix: str = "write it as its schema says, or take it out"
 
 
-def unsound_properties(stage: Usd.Stage) -> Iterator[Unsound]:
+def invalid_properties(stage: Usd.Stage) -> Iterator[InvalidProperty]:
     """Properties that are not what their schemas say, and places that USD cannot compute."""
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
-        definition, found = prim.GetPrimDefinition(), list[Unsound]()
+        definition, found = prim.GetPrimDefinition(), list[InvalidProperty]()
         for name in prim.GetAuthoredPropertyNames():
             wanted = definition.GetSchemaPropertySpec(name)
             if wanted is not None and not name.startswith("oimppi:"):  # whose readers say more
-                found += _other_than(prim, name, wanted)
+                found += _type_mismatch(prim, name, wanted)
         if prim.IsA(UsdGeom.Xformable) and not found:
-            found += _misplaced(prim)
+            found += _invalid_transform(prim)
         yield from found
 
 
@@ -43,23 +43,25 @@ def usd_reason(error: BaseException) -> str:
     return text.partition(" : ")[2].split("\n")[0].strip(" '")
 
 
-def _other_than(prim: Usd.Prim, name: str, wanted: Sdf.PropertySpec) -> Iterator[Unsound]:
+def _type_mismatch(prim: Usd.Prim, name: str, wanted: Sdf.PropertySpec) -> Iterator[InvalidProperty]:
     try:
         found = prim.GetProperty(name).GetPropertyStack(Usd.TimeCode.Default())
     except Tf.ErrorException as error:
-        yield Unsound(prim, f"{name} cannot be read ({usd_reason(error)})", "one kind of property in all layers")
+        yield InvalidProperty(
+            prim, f"{name} cannot be read ({usd_reason(error)})", "one kind of property in all layers"
+        )
         return
     for spec in found:
         if type(spec) is not type(wanted):
             kind = "an attribute" if isinstance(wanted, Sdf.AttributeSpec) else "a relationship"
-            yield Unsound(prim, f"{name} is not {kind}", f"{kind}, as its schema says")
+            yield InvalidProperty(prim, f"{name} is not {kind}", f"{kind}, as its schema says")
             return
         if isinstance(wanted, Sdf.AttributeSpec) and _kind(spec.typeName) != _kind(wanted.typeName):
-            yield Unsound(prim, f"{name} is of type {spec.typeName}", str(wanted.typeName))
+            yield InvalidProperty(prim, f"{name} is of type {spec.typeName}", str(wanted.typeName))
             return
     value = prim.GetAttribute(name).Get() if isinstance(wanted, Sdf.AttributeSpec) else None
     if value is not None and type(value) is not type(found[0].typeName.defaultValue):
-        yield Unsound(prim, f"{name} is {value!r}", f"a {wanted.typeName}")
+        yield InvalidProperty(prim, f"{name} is {value!r}", f"a {wanted.typeName}")
 
 
 def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
@@ -82,16 +84,16 @@ def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
     return kind, type_name.isArray
 
 
-def _misplaced(prim: Usd.Prim) -> Iterator[Unsound]:
+def _invalid_transform(prim: Usd.Prim) -> Iterator[InvalidProperty]:
     """A place that USD would compute without the operations that it cannot follow."""
     allowed = "names of xformOp attributes of this prim, each of the type of its operation"
     fix = "correct xformOpOrder"
     order = UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or []
     for name in (word.removeprefix("!invert!") for word in order if word != "!resetXformStack!"):
         if not name.startswith("xformOp:") or not prim.HasAttribute(name):
-            yield Unsound(prim, f"xformOpOrder names {name}, which is no operation here", allowed, fix)
+            yield InvalidProperty(prim, f"xformOpOrder names {name}, which is no operation here", allowed, fix)
             return
     try:
         UsdGeom.Xformable(prim).GetOrderedXformOps()
     except Tf.ErrorException as error:
-        yield Unsound(prim, f"xformOpOrder cannot be followed ({usd_reason(error)})", allowed, fix)
+        yield InvalidProperty(prim, f"xformOpOrder cannot be followed ({usd_reason(error)})", allowed, fix)

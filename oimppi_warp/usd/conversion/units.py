@@ -66,7 +66,7 @@ def to_z_up(stage: Usd.Stage) -> None:
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
         return
     for prim in editable_prims(stage):
-        if prim.IsA(UsdGeom.Xformable) and _stands_in_world(prim):
+        if prim.IsA(UsdGeom.Xformable) and _is_in_world_frame(prim):
             turn(UsdGeom.Xformable(prim), TO_Z_UP, "toZUp")
         if prim.IsA(UsdPhysics.Scene):
             gravity = UsdPhysics.Scene(prim).GetGravityDirectionAttr()
@@ -115,7 +115,7 @@ def _scale(attribute: Usd.Attribute, factor: float) -> None:
             attribute.Set(type(value).FromNumpy((numbers * factor).astype(numbers.dtype)), time)
 
 
-def _stands_in_world(prim: Usd.Prim) -> bool:
+def _is_in_world_frame(prim: Usd.Prim) -> bool:
     """Whether nothing above a prim moves it."""
     if UsdGeom.Xformable(prim).GetResetXformStack():
         return True

@@ -15,7 +15,7 @@ from oimppi_warp.usd.conversion.units import editable_prims, turn
 _NEAR = 1e-4
 
 
-def stand_upright(stage: Usd.Stage) -> None:
+def align_upright(stage: Usd.Stage) -> None:
     """Turns the frames of objects to be pushed, where another of their axes than z points up."""
     if any(_wrong_up(prim) is not None for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
         for prim in editable_prims(stage):

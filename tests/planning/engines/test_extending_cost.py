@@ -53,7 +53,7 @@ def twins(tips: np.ndarray) -> np.ndarray:
 
 def rolled(engine: type, samples: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
     """Costs [sample], terms [sample, term], tips after each step [sample, horizon, 3], and the terms' names."""
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     level = best("mppi").robot
     level = replace(level, optimizer=replace(level.optimizer, samples=samples, horizon=STEPS))
     device = device_of(engine)
@@ -63,7 +63,7 @@ def rolled(engine: type, samples: int = 6) -> tuple[np.ndarray, np.ndarray, np.n
     costs = wp.zeros(samples, dtype=float, device=device)
     rollout = dynamics.rollout(packed, costs)
     dynamics.set_state(
-        tasks.observe(scene, joints=tasks.joints_at(scene.robot, (0.4, 0.1, 0.05))), np.array(scene.goal)
+        small_tasks.observe(scene, joints=small_tasks.joints_at(scene.robot, (0.4, 0.1, 0.05))), np.array(scene.goal)
     )
     dynamics.reference.host[:] = np.array(scene.goal)
     run(dynamics.compute, rollout)
@@ -120,8 +120,8 @@ def test_a_term_that_is_taken_out_leaves_nothing_behind(added):
     COST_TERMS.unregister("high")
     COST_TERMS.unregister("off_line")
     assert list(COST_TERMS) == []
-    scene = tasks.shipped("task01")
-    dynamics = QuasistaticDynamics(tasks.rollout_task(scene))
+    scene = small_tasks.shipped("task01")
+    dynamics = QuasistaticDynamics(small_tasks.rollout_task(scene))
     assert dynamics.terms == TERMS
     assert dynamics._kernel is make_robot_rollout(scene.robot.chain, ())
 

@@ -49,11 +49,11 @@ def test_an_engine_in_numpy_is_planned_with(reaching, device):
     scene = tasks.shipped("task01")
     planner = make_planner(scene, best("mppi"), method="mppi", engine="reaching", device=device, threads=1)
     joints = scene.robot.start
-    planner.start(tasks.observe(scene))
+    planner.start(small_tasks.observe(scene))
     off = [np.linalg.norm(tip_frame(scene.robot, joints)[1] - TARGET)]
     for _ in range(40):
-        plan = planner.plan(tasks.observe(scene, joints=joints))
-        joints = joints + tasks.DT * plan.command
+        plan = planner.plan(small_tasks.observe(scene, joints=joints))
+        joints = joints + small_tasks.DT * plan.command
         off.append(np.linalg.norm(tip_frame(scene.robot, joints)[1] - TARGET))
     assert off[0] > 0.15 and off[-1] < 0.03, off
 
@@ -83,7 +83,7 @@ def test_any_callable_that_makes_an_engine_is_one(device: str):
 
     ENGINES.register("mine", engine)
     try:
-        scene = tasks.shipped("task01")
+        scene = small_tasks.shipped("task01")
         commands = []
         for name in ("mine", "quasistatic"):
             planner = make_planner(scene, best("mppi"), method="mppi", engine=name, device=device, seed=4)
@@ -97,6 +97,6 @@ def test_any_callable_that_makes_an_engine_is_one(device: str):
 
 def test_an_engine_that_was_taken_out_is_unknown(reaching, device):
     ENGINES.unregister("reaching")
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     with pytest.raises(ConfigError, match=r"engine 'reaching' does not exist\n.*quasistatic, newton"):
         make_planner(scene, best("mppi"), method="mppi", engine="reaching", device=device)

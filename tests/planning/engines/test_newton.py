@@ -59,11 +59,11 @@ def pushes(device: str) -> tuple[list[Observation], np.ndarray, np.ndarray]:
         tip = tip_before(scene, pose, center, way, aside=rng.uniform(-0.06, 0.06))
         if not 0.25 < np.hypot(*tip) < 0.6:
             continue
-        joints = tasks.joints_at(scene.robot, (tip[0], tip[1], 0.02))
-        controls = tasks.straight(scene.robot, joints, (SPEED * np.cos(way), SPEED * np.sin(way), 0.0), STEPS)
+        joints = small_tasks.joints_at(scene.robot, (tip[0], tip[1], 0.02))
+        controls = small_tasks.straight(scene.robot, joints, (SPEED * np.cos(way), SPEED * np.sin(way), 0.0), STEPS)
         if np.abs(controls).max() > 1.0:
             continue
-        seen = tasks.observe(scene, joints=joints, pose=pose)
+        seen = small_tasks.observe(scene, joints=joints, pose=pose)
         plant = plant_at(scene, seen)
         for control in controls:
             plant.apply(control)
@@ -93,14 +93,14 @@ def test_the_pushes_move_the_object(pushes):
 
 def test_at_the_plants_softness_c_rollouts_are_the_plant(pushes):
     states, controls, plant = pushes
-    found = ends_of(make(NewtonThreads, tasks.shipped("task01"), 1, substeps=10), states, controls)
+    found = ends_of(make(NewtonThreads, small_tasks.shipped("task01"), 1, substeps=10), states, controls)
     assert (off(found, plant) < AS_THE_PLANT).all(), off(found, plant).max(axis=0)
 
 
 @pytest.mark.parametrize("substeps", [3, 4, 5])
 def test_at_longer_steps_the_object_goes_as_far_as_in_the_plant(pushes, substeps):
     states, controls, plant = pushes
-    found = ends_of(make(NewtonThreads, tasks.shipped("task01"), 1, substeps=substeps), states, controls)
+    found = ends_of(make(NewtonThreads, small_tasks.shipped("task01"), 1, substeps=substeps), states, controls)
     assert (np.median(off(found, plant), axis=0) < MEDIAN).all(), np.median(off(found, plant), axis=0)
     start = np.array([seen.object_pose for seen in states])
     travel = off(plant, start)[:, 0]
@@ -111,15 +111,15 @@ def test_at_longer_steps_the_object_goes_as_far_as_in_the_plant(pushes, substeps
 
 def test_batched_worlds_are_the_c_rollouts(pushes):
     states, controls, _ = pushes
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     found = [ends_of(make(engine, scene, 1), states[:3], controls[:3]) for engine in ENGINES]
     assert (off(*found) < SINGLE_PRECISION).all(), off(*found)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_without_contact_the_arm_moves_as_in_the_plant(engine):
-    scene = tasks.shipped("task01")
-    seen = tasks.observe(scene)
+    scene = small_tasks.shipped("task01")
+    seen = small_tasks.observe(scene)
     controls = np.tile([0.1, -0.1, 0.05, 0.1, 0.05, 0.2], (STEPS, 1))
     dynamics = make(engine, scene, 1)
     roll(dynamics, seen, controls[None])
@@ -142,10 +142,10 @@ def test_contacts_are_the_softer_the_longer_the_step():
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_object_that_rests_on_an_obstacle_presses_on_it_with_its_weight(engine):
-    scene = tasks.shipped("task02")
+    scene = small_tasks.shipped("task02")
     cube = scene.obstacles[0].colliders[0]
     on_top = np.array([*cube.transform[:2], 0.0])
-    seen = tasks.observe(scene, pose=on_top)
+    seen = small_tasks.observe(scene, pose=on_top)
     seen.object_transform[2] += 2 * cube.size[2]
     dynamics = make(engine, scene, 1, steps=6)
     roll(dynamics, seen, np.zeros((1, 6, 6)))
@@ -156,10 +156,10 @@ def test_an_object_that_rests_on_an_obstacle_presses_on_it_with_its_weight(engin
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_tool_that_presses_on_the_table_feels_what_it_feels_in_the_plant(engine):
-    scene = tasks.shipped("task01")
-    joints = tasks.joints_at(scene.robot, (0.4, 0.2, 0.004))
-    controls = tasks.straight(scene.robot, joints, (0.0, 0.0, -0.02), 12)
-    seen = tasks.observe(scene, joints=joints)
+    scene = small_tasks.shipped("task01")
+    joints = small_tasks.joints_at(scene.robot, (0.4, 0.2, 0.004))
+    controls = small_tasks.straight(scene.robot, joints, (0.0, 0.0, -0.02), 12)
+    seen = small_tasks.observe(scene, joints=joints)
     dynamics = make(engine, scene, 1, steps=12)
     roll(dynamics, seen, controls[None])
     plant = plant_at(scene, seen)
@@ -171,7 +171,7 @@ def test_a_tool_that_presses_on_the_table_feels_what_it_feels_in_the_plant(engin
 
 
 def test_sensors_change_nothing_else_of_the_model():
-    world = World(tasks.shipped("task02"))
+    world = World(small_tasks.shipped("task02"))
     plain, sensing = world.mujoco, world.mujoco_sensing
     assert plain.model.nsensor == 0
     assert len(sensing.sensors) == sensing.model.nsensor == 5 and set(sensing.sensors) == set(range(len(SENSED)))
@@ -188,7 +188,7 @@ def test_sensors_change_nothing_else_of_the_model():
 @pytest.mark.parametrize("engine", ENGINES)
 def test_samples_do_not_depend_on_each_other(engine, pushes):
     states, controls, _ = pushes
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     among = make(engine, scene, 3)
     roll(among, states[0], np.stack([controls[1], controls[0], np.zeros_like(controls[0])]))
     alone = make(engine, scene, 1)
@@ -199,7 +199,7 @@ def test_samples_do_not_depend_on_each_other(engine, pushes):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_plan_does_not_depend_on_the_one_before(engine, pushes):
     states, controls, _ = pushes
-    dynamics = make(engine, tasks.shipped("task01"), 2)
+    dynamics = make(engine, small_tasks.shipped("task01"), 2)
     first = roll(dynamics, states[0], controls[:2]).copy()
     roll(dynamics, states[1], controls[1:3])
     assert_same(roll(dynamics, states[0], controls[:2]), first, cuda=ORDER)
@@ -207,7 +207,7 @@ def test_a_plan_does_not_depend_on_the_one_before(engine, pushes):
 
 def test_the_number_of_threads_changes_no_bit(pushes):
     states, controls, _ = pushes
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     found = [roll(make(NewtonThreads, scene, PUSHES, threads=n), states[0], controls) for n in (1, 2, 3)]
     np.testing.assert_array_equal(found[0], found[1])
     np.testing.assert_array_equal(found[0], found[2])
@@ -215,14 +215,14 @@ def test_the_number_of_threads_changes_no_bit(pushes):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_diverged_rollout_is_lost(engine):
-    scene = tasks.shipped("task01")
-    seen = replace(tasks.observe(scene), joint_velocity=np.full(6, 1e12))
+    scene = small_tasks.shipped("task01")
+    seen = replace(small_tasks.observe(scene), joint_velocity=np.full(6, 1e12))
     assert not np.isfinite(roll(make(engine, scene, 2, steps=4), seen, np.zeros((2, 4, 6)))).any()
 
 
 def test_too_small_a_contact_buffer_is_an_error(pushes, capfd):
     states, controls, _ = pushes
-    dynamics = make(NewtonWorlds, tasks.shipped("task01"), 2, steps=3, contacts=1)
+    dynamics = make(NewtonWorlds, small_tasks.shipped("task01"), 2, steps=3, contacts=1)
     data = dynamics.solver.mjw_data
     data.naconmax = 2  # Newton makes room for what touches at the start
     roll(dynamics, states[0], controls[:2, :3])
@@ -303,11 +303,11 @@ def certain_but(**changes: object) -> Draws:
 )  # fmt: skip
 def test_a_draw_changes_what_it_says(engine, change, pushes):
     states, controls, plant = pushes
-    dynamics = make(engine, tasks.shipped("task01"), 1, draws=certain_but(**change))
+    dynamics = make(engine, small_tasks.shipped("task01"), 1, draws=certain_but(**change))
     # The push that turns the object furthest shows a difference best.
     which = int(np.argmax(off(plant, np.array([seen.object_pose for seen in states]))[:, 1]))
     roll(dynamics, states[which], controls[which : which + 1])
-    alone = make(engine, tasks.shipped("task01"), 1)
+    alone = make(engine, small_tasks.shipped("task01"), 1)
     roll(alone, states[which], controls[which : which + 1])
     same, other = ends(dynamics)
     assert (off(same[None], ends(alone)) < (1e-5, 1e-4)).all()
@@ -320,7 +320,7 @@ def test_a_draw_changes_what_it_says(engine, change, pushes):
 
 def test_both_engines_draw_the_same_worlds(pushes):
     states, controls, _ = pushes
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     draws = draw(Uncertainty(draws=2, friction=0.3, mass=0.3, tool=0.004), samples=2, seed=4)
     found = []
     for engine in ENGINES:

@@ -69,7 +69,7 @@ def test_shared_draws_are_as_many_as_each_sample_meets():
 @pytest.mark.parametrize("shared", [True, False])
 def test_a_robust_plan_heeds_the_worst_draw(shared, device):
     """The same samples cost at least as much in the worst draw as on the average, and more for some."""
-    scene = tasks.shipped("task02")
+    scene = small_tasks.shipped("task02")
     found = {}
     for measure in ("mean", "worst"):
         config = best("mppi")

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.compute.step import Launch
 from oimppi_warp.config.fields import ExtraWeights, setting
@@ -76,7 +76,7 @@ def test_a_setting_of_another_optimizer_says_which_one_is_chosen():
 
 
 def test_an_optimizer_refuses_settings_of_another():
-    dynamics, _, _ = tasks.object_level(tasks.shipped("task01"))
+    dynamics, _, _ = small_tasks.object_level(small_tasks.shipped("task01"))
     with pytest.raises(ConfigError, match="optimizer 'cem': its settings are Mppi"):
         make_optimizer(dynamics, Mppi(kind="cem"), seed=0)
 

@@ -32,7 +32,7 @@ def timed(stage: Usd.Stage) -> None:
 
 
 double, double2 = Sdf.ValueTypeNames.Double, Sdf.ValueTypeNames.Double2
-DOUBTFUL = {
+LINT_CASES = {
     "a misspelt attribute": (
         author("/World", "oimppi:tolerence", double2, Gf.Vec2d(0.1)),
         ("/World", "an attribute that nothing reads: oimppi:tolerence", "did you mean oimppi:tolerance?"),

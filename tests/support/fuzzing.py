@@ -1,6 +1,6 @@
 """Scenes with random damage, and a process that reads them one after the other: USD may take the process down.
 
-    PYTHONPATH=tests python -m support.fuzzed SEED FIRST COUNT FOLDER
+    PYTHONPATH=tests python -m support.fuzzing SEED FIRST COUNT FOLDER
 
 It prints a line before and after each stage. A stage that takes longer than :data:`LIMIT` ends the process.
 """
@@ -62,7 +62,7 @@ class Outcome:
 @cache
 def base(name: str) -> str:
     """The text of a shipped scene with its robot and its objects, but without what only shows."""
-    from support.elsewhere import flat, measured_in, with_y_up
+    from support.foreign_scenes import flat, measured_in, with_y_up
 
     stage = flat(name.partition(" ")[0])
     shown = [prim.GetPath() for prim in stage.Traverse() if prim.GetName() in ("skin", "Goal", "Camera", "Sky", "Sun")]
@@ -185,14 +185,14 @@ def read(file: Path, *, whole: bool) -> str:
     from oimppi_warp.authoring.checks.check import check_scene
     from oimppi_warp.geometry.feasibility import task_mistakes
     from oimppi_warp.usd import inspect_scene
-    from oimppi_warp.usd.lint import stage_doubts
+    from oimppi_warp.usd.lint import lint_stage
 
     if whole:
         problems = check_scene(file)
         return "refused" if any(problem.severity == "error" for problem in problems) else "scene"
     found = inspect_scene(file)
     if found.stage is not None:
-        list(stage_doubts(found.stage))
+        list(lint_stage(found.stage))
     if found.scene is None:
         assert found.mistakes
         return "refused"

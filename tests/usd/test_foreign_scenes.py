@@ -18,7 +18,7 @@ from oimppi_warp.geometry.feasibility import object_outline
 from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.geometry.footprint import footprint, limit_surface, outline
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
-from oimppi_warp.geometry.reach import joints_for
+from oimppi_warp.geometry.reach import inverse_kinematics
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.physics.newton_model import ROLES
 from oimppi_warp.physics.world import World
@@ -46,7 +46,7 @@ def pushed(scene: Scene, seconds: float = 1.5) -> tuple[np.ndarray, np.ndarray]:
     """Joint positions and object transforms while the first joint pushes the object, shapes [step, dof], [step, 7]."""
     plant, robot = SimulatedPlant(World(scene)), scene.robot
     tip = np.array([*tip_frame(robot, robot.start)[1][:2], 0.012])
-    joints = joints_for(robot, robot.start, tip)
+    joints = inverse_kinematics(robot, robot.start, tip)
     joints = robot.start if joints is None else joints  # a robot that cannot lower its tool has it low already
     velocity = -0.5 * np.eye(robot.dof)[0]
     away = (tip_jacobian(robot, joints)[:2] @ velocity) / np.linalg.norm(tip_jacobian(robot, joints)[:2] @ velocity)

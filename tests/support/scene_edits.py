@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
-from support.elsewhere import reframed
+from support.foreign_scenes import reframed
 
 Y_TO_Z = Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), 90.0)
 

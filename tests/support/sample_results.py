@@ -1,4 +1,4 @@
-"""Trials and results that need no planner, made from the episodes of ``synthetic``."""
+"""Trials and results that need no planner, made from the episodes of ``synthetic_episode``."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import fields, replace
 from functools import cache
 from typing import Any
 
-from support.synthetic import make_log
+from support.synthetic_episode import make_log
 
-from oimppi_warp.bench.footprints import place_of
+from oimppi_warp.bench.footprints import scene_footprints
 from oimppi_warp.bench.results import Result, ResultSet, make_result
 from oimppi_warp.bench.suite import RUN
 from oimppi_warp.bench.trial import Trial
@@ -60,7 +60,7 @@ def make_one(
 
 @cache
 def place(task: str) -> dict[str, Any]:
-    return place_of(load_scene(task))
+    return scene_footprints(load_scene(task))
 
 
 def make_set(results: list[Result], *, planned: int | None = None, suite: str = "made") -> ResultSet:
