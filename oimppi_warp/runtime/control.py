@@ -99,6 +99,8 @@ class _Thinker:
 def lock_step(plant: Plant, planner: Plans, estimator: Estimator | None, *, dof: int) -> Generator[Beat]:
     """Beats without end in which the world waits for the planner.
 
+    A beat applies ``u`` and observes ``x_{t+1}``: Algorithm 2, lines 7 and 8, and Algorithm 3, lines 13 and 14.
+
     Args:
         plant: What is moved.
         planner: What plans.
