@@ -108,7 +108,7 @@ def make_place_arm(chain: str) -> wp.Function:
 
     @wp.func(module=f"oimppi_warp.kernels.kinematics_{chain}")
     def place_arm(arm: Arm, surroundings: Surroundings, tip: wp.vec3, q: vec) -> Placed:
-        """Tip, tilt and clearance of the arm; the clearance is phi_3 of equation 4, the gap of robot and environment.
+        """Tip, tilt and clearance of the arm; the clearance is ``phi_3(x_r) >= 0`` of equation 4.
 
         Args:
             arm: The arm.

@@ -251,7 +251,10 @@ class Planner:
         return math.nan
 
     def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
-        """A square root of the noise's covariance Sigma_u (equation 9) in joint space, shape [dof, dof]."""
+        """A square root of the noise's covariance in joint space: ``root root^T = Sigma_u`` (equation 9).
+
+        Shape [dof, dof].
+        """
         robot = self.config.robot
         if robot.noise_space == "joint":
             return robot.joint_noise * np.eye(self.scene.robot.dof)
