@@ -60,12 +60,24 @@ LEAST_GRADIENT = wp.constant(0.1)
 
 @wp.func
 def mobility(model: ObjectModel) -> wp.vec3:
-    """Mobility ``D`` of equation 5, its diagonal in units of ``1 / (mu m g)``: ``(1, 1, 1 / c^2)``.
+    """Diagonal of the mobility ``D``, in units of ``1 / (mu m g)``: ``(1, 1, 1 / radius^2)``.
 
-    ``c`` is the limit surface's radius: friction torque over friction force [m]. A wrench ``w`` about the friction
-    centre moves the object with the twist ``D w / (mu m g)``.
+    A wrench ``w`` about the friction centre moves the object with the twist ``x_o' = D w``,
+    ``D = diag(mu m g, mu m g, c r mu m g)^-1`` (equation 5). The paper's ``c r`` is ``radius^2`` here, with the limit
+    surface's radius: friction torque over friction force [m].
     """
     return wp.vec3(1.0, 1.0, 1.0 / (model.radius * model.radius))
+
+
+@wp.func
+def phi_1(model: ObjectModel, pose: wp.vec3, point: wp.vec2) -> float:
+    """Gap between a point of the robot and the object, negative inside [m]: ``phi_1 = d_B(R^T (x_r - p_o))``.
+
+    This is equation 7, with the object's signed distance field ``d_B``, its pose ``(p_o, theta)``, the rotation ``R``
+    by theta, and the point ``x_r``. A round tool's gap is smaller by its radius.
+    """
+    local = rotate(wp.cos(pose[2]), -wp.sin(pose[2]), point - wp.vec2(pose[0], pose[1]))
+    return planar_field(model.body, local)[0]
 
 
 @wp.func
@@ -74,6 +86,11 @@ def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_r
 
     The object yields along the limit surface just as far as the tool would otherwise enter it. The contact sticks while
     the force stays in the friction cone and slides along the cone's edge otherwise.
+
+    In the paper's symbols: the object moves by ``x_o <- x_o + D w_o dt`` (equation 2, with ``h_o = dt D``) under the
+    tool's part of the wrench, ``w_o = grad phi_1 lambda_1`` (equation 3) with friction added, where
+    ``0 <= lambda_1 _|_ phi_1 >= 0`` (equation 4): no force without contact, and no overlap after it. phi_1 is that of
+    equation 7, less the tool's radius and looked up with its gradient; lambda_1 itself is not worked out.
     """
     moved = pose
     c = wp.cos(pose[2])
@@ -120,8 +137,9 @@ def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_r
 def settle(model: ObjectModel, pose: wp.vec3, dt: float) -> Settled:
     """Moves an object that entered an obstacle back to its surface, the shortest way by the mobility ``D``.
 
-    This is the complementarity of phi_2 and lambda_2 (equation 4) by projection: with ``x' = D w`` (equation 5) the
-    force that moves the object by phi_2 within ``dt`` is ``phi_2 / (dt g^T D g)``, ``g`` the gradient of phi_2.
+    This is ``0 <= lambda_2 _|_ phi_2 >= 0`` (equation 4) by projection. The obstacles' part of the wrench is
+    ``w_o = grad phi_2 lambda_2`` (equation 3), which moves the object by ``dt D w_o`` (equation 6); so the force that
+    moves it by phi_2 within ``dt`` is ``lambda_2 = -phi_2 / (dt g^T D g)``, ``g`` the gradient of phi_2.
     """
     out = Settled()
     out.pose = pose

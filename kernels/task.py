@@ -2,10 +2,10 @@
 
 import warp as wp
 
-from oimppi_warp.kernels.costs.terms import CROSSING, RobotWeights, Stage
-from oimppi_warp.kernels.geometry import PoseField, planar_field, pose_field, rotate
-from oimppi_warp.kernels.kinematics import Arm, ArmPlacement, Environment
-from oimppi_warp.kernels.pushing import ObjectModel
+from oimppi_warp.kernels.costs.terms import OVER, RobotWeights, Stage
+from oimppi_warp.kernels.geometry import PoseField, pose_field
+from oimppi_warp.kernels.kinematics import Arm, Placed, Surroundings
+from oimppi_warp.kernels.pushing import ObjectModel, phi_1
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,10 +40,7 @@ class RobotTask:
 @wp.func
 def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
     """Returns whether the tool is over the object, seen from above."""
-    c = wp.cos(pose[2])
-    s = wp.sin(pose[2])
-    local = rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1]))
-    return planar_field(task.model.body, local)[0] < task.environment.tool_radius
+    return phi_1(task.model, pose, wp.vec2(tip[0], tip[1])) < task.surroundings.tool_radius
 
 
 @wp.func

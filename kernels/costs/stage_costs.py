@@ -1,4 +1,4 @@
-"""The stage costs of both levels (equations 15 to 19 of the paper), the single source for every engine.
+"""The stage costs of both levels, the paper's l_o, l_r and l_c with our additions: the single source for every engine.
 
 A term of the robot level is one function of the weights and the stage, added by :func:`term` under its name. Its
 weights are fields of ``RobotCost`` (``config/settings.py``). Poses are planar (x, y, yaw) of the object's friction
@@ -27,14 +27,43 @@ def squared(x: float) -> float:
 
 @wp.func
 def pose_distance_squared(a: wp.vec3, b: wp.vec3, w_theta: float) -> float:
-    """Squared distance of two planar poses (equation 16) [m^2]; for planar poses its arc cosine is the yaw error."""
+    """Squared distance of two planar poses: ``d^2(a, b) = |p_a - p_b|^2 + w_theta angle^2`` (equation 16) [m^2].
+
+    The paper's ``angle = acos((trace(R_a^T R_b) - 1) / 2)`` is the size of the yaw error where poses are planar.
+    """
     return squared(a[0] - b[0]) + squared(a[1] - b[1]) + w_theta * squared(wrap_angle(a[2] - b[2]))
 
 
 @wp.func
 def contact_cost(force: float, f_0: float) -> float:
-    """Hinge on the contact force of object and environment (second term of equation 15) [N^2]."""
+    """Hinge cost of the contact force of object and environment: ``max(lambda_2 - f_0, 0)^2`` (equation 15) [N^2]."""
     return squared(wp.max(force - f_0, 0.0))
+
+
+@wp.func
+def psi_align(tip: wp.vec2, center: wp.vec2, target: wp.vec2, gamma_0: float) -> float:
+    """By how much the tool is not behind the object, as seen in the direction in which the object should move.
+
+    ``psi_align = max(gamma_0 - cos angle(p_o - p_ee, p_o* - p_o), 0)`` (equation 18), with the tip p_ee, the object's
+    centre p_o and the target p_o* that the object should move to.
+    """
+    push = center - tip
+    way = target - center
+    cosine = wp.dot(push, way) / wp.max(wp.length(push) * wp.length(way), 1.0e-6)
+    return wp.max(gamma_0 - cosine, 0.0)
+
+
+@wp.func
+def psi_tilt(up: wp.vec3) -> float:
+    """Tilt of the tool from vertical: ``psi_tilt = sqrt(roll^2 + pitch^2)`` (equation 19) [rad].
+
+    ``roll = atan(R32 / R33)`` and ``pitch = atan(-R31 / sqrt(R32^2 + R33^2))``; ``up`` is the third row of the tip's
+    rotation. The tip's z axis points out of the tool, so the paper's upright frame is the tip's turned by pi about x,
+    which changes the sign of R32 and R33.
+    """
+    roll = wp.atan2(-up[1], -up[2])
+    pitch = wp.atan2(-up[0], wp.sqrt(up[1] * up[1] + up[2] * up[2]))
+    return wp.sqrt(roll * roll + pitch * pitch)
 
 
 @wp.func
@@ -52,7 +81,10 @@ def outside_ring(pose: wp.vec3, ring: wp.vec2) -> float:
 
 @wp.func
 def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, clearance: float, to_go: float) -> float:
-    """Stage cost of the object level (equation 15 and our additions)."""
+    """Stage cost of the object level: ``l_o = w_d d^2(x_o, g) + w_f max(lambda_2 - f_0, 0)^2`` (equation 15), and ours.
+
+    ``d^2`` is that of equation 16. Ours are the clearance phi_2, the cost-to-go and the ring in which the arm pushes.
+    """
     return (
         w.w_d * pose_distance_squared(pose, goal, w.w_theta)
         + w.w_f * contact_cost(force, w.f_0)
@@ -80,25 +112,34 @@ def term(name: str):
 
 @term("goal")
 def goal_term(w: RobotWeights, s: Stage) -> float:
-    """Way to the goal: ``w_d d(x, x_goal)^2`` (first term of equation 15, d of equation 16) ``+ w_to_go V(x)``."""
+    """Object away from its goal: ``w_d d^2(x_o, g)``, the first term of l_o (equation 15), and ours.
+
+    Ours is ``w_to_go V(x_o)``, with the cost-to-go V.
+    """
     return w.w_d * pose_distance_squared(s.pose, s.goal, w.w_theta) + w.w_to_go * s.to_go
 
 
 @term("contact")
 def contact_term(w: RobotWeights, s: Stage) -> float:
-    """Contact with obstacles: ``w_f max(lambda_2 - f_0, 0)^2`` (equation 15), ``w_margin max(margin - phi_2, 0)^2``."""
+    """Object in contact with obstacles: ``w_f max(lambda_2 - f_0, 0)^2``, the second term of l_o (equation 15).
+
+    Ours is ``w_margin max(margin - phi_2, 0)^2``.
+    """
     return w.w_f * contact_cost(s.force, w.f_0) + w.w_margin * shortfall(s.gap, w.margin)
 
 
 @term("reference")
 def reference_term(w: RobotWeights, s: Stage) -> float:
-    """The coupling cost l_c: ``w_reference d(x, x_ref)^2``, with d of equation 16."""
+    """Object away from its plan: ``w_reference l_c``, the coupling cost ``l_c = d^2(x_o, x_o*)`` of equation 14."""
     return w.w_reference * pose_distance_squared(s.pose, s.reference, w.w_theta)
 
 
 @term("approach")
 def approach_term(w: RobotWeights, s: Stage) -> float:
-    """Tool and object apart: ``w_ee max(|x_ee - x_o|^2 - r_0^2, 0)`` (equation 17); none while repositioning."""
+    """Tool and object apart: ``w_ee max(|p_ee - p_o|^2 - r_0^2, 0)``, the first term of l_r (equation 17).
+
+    ``p_o`` is at half the object's height. There is none while repositioning.
+    """
     cost = float(0.0)
     if s.waypoint[3] <= 0.0:
         center = wp.vec3(s.pose[0], s.pose[1], 0.5 * s.top)
@@ -108,34 +149,26 @@ def approach_term(w: RobotWeights, s: Stage) -> float:
 
 @term("align")
 def align_term(w: RobotWeights, s: Stage) -> float:
-    """Tool not behind the object: ``w_align max(gamma_0 - cos(x_o - x_ee, x_target - x_o), 0)`` (equations 17 and 18).
+    """Tool not behind the object: ``w_align psi_align``, the second term of l_r (equation 17), with equation 18.
 
     Closer than ``align_fade`` to the target the direction loses its meaning, and the cost its weight; 0 turns that off.
     There is none while repositioning.
     """
     cost = float(0.0)
     if s.waypoint[3] <= 0.0:
-        push = wp.vec2(s.pose[0], s.pose[1]) - wp.vec2(s.tip[0], s.tip[1])
-        way = wp.vec2(s.target[0], s.target[1]) - wp.vec2(s.pose[0], s.pose[1])
-        length = wp.length(way)
-        cosine = wp.dot(push, way) / wp.max(wp.length(push) * length, 1.0e-6)
+        center = wp.vec2(s.pose[0], s.pose[1])
+        target = wp.vec2(s.target[0], s.target[1])
         share = float(1.0)
         if w.align_fade > 0.0:
-            share = wp.min(length / w.align_fade, 1.0)
-        cost = w.w_align * (share * wp.max(w.gamma_0 - cosine, 0.0))
+            share = wp.min(wp.length(target - center) / w.align_fade, 1.0)
+        cost = w.w_align * (share * psi_align(wp.vec2(s.tip[0], s.tip[1]), center, target, w.gamma_0))
     return cost
 
 
 @term("tilt")
 def tilt_term(w: RobotWeights, s: Stage) -> float:
-    """Tilt of the tool from vertical: ``w_tilt sqrt(roll^2 + pitch^2)`` (equations 17 and 19).
-
-    The third row of the tip's rotation is ``up``. The tip's z axis points out of the tool, so the paper's upright frame
-    is the tip's turned by pi about x, which changes the sign of R32 and R33.
-    """
-    roll = wp.atan2(-s.up[1], -s.up[2])
-    pitch = wp.atan2(-s.up[0], wp.sqrt(s.up[1] * s.up[1] + s.up[2] * s.up[2]))
-    return w.w_tilt * wp.sqrt(roll * roll + pitch * pitch)
+    """Tool tilted from vertical: ``w_tilt psi_tilt``, the third term of l_r (equation 17), with equation 19."""
+    return w.w_tilt * psi_tilt(s.up)
 
 
 # Not in the paper
@@ -228,6 +261,10 @@ def terms_vector(extra: int = 0) -> type:
 @lru_cache
 def make_robot_cost(extra: ExtraTerms) -> wp.Function:
     """The stage cost ``(w: RobotWeights, s: Stage)`` of the robot level: a vector of all terms, weighted.
+
+    Its sum is ``l_o + l_r + l_c`` of equation 14, and our additions: l_o is ``goal`` and ``contact``, l_c is
+    ``reference``, and ``l_r = w_ee max(|p_ee - p_o|^2 - r_0^2, 0) + w_align psi_align + w_tilt psi_tilt`` (equation 17)
+    is ``approach``, ``align`` and ``tilt``.
 
     Args:
         extra: Cost terms from outside the package, whose weights are ``w.extra``.

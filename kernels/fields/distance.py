@@ -100,6 +100,8 @@ def object_clearance(
 ):
     """phi_2 at the nodes of a pose field: clearance of the body to obstacles and to the table's edge [m].
 
+    ``phi_2(x_o)`` is the gap of object and environment in equation 4; it may not become negative.
+
     Clearances beyond ``furthest`` are cut off there.
     """
     t, i, j = wp.tid()

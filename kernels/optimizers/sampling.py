@@ -1,4 +1,4 @@
-"""Drawing perturbed control sequences around a nominal one (equation 9)."""
+"""Drawing perturbed control sequences around a nominal one."""
 
 from functools import lru_cache
 
@@ -27,11 +27,12 @@ def make_sample_controls(size: int) -> wp.Kernel:
         # out:
         controls: wp.array2d[vec],
     ):
-        """``u = clip(nominal + basis noise_map z)`` with standard normal ``z`` for every knot.
+        """Samples: the nominal and a perturbation, ``u = u_nominal + eps`` with ``eps ~ N(0, Sigma_u)`` (equation 9).
 
-        The first two samples are the nominal and zero where ``special`` is 1. Shapes: ``nominal`` [horizon],
-        ``noise_map`` [1] (a square root of Sigma_u), ``basis`` [horizon, knot], ``bound`` [1], ``counter`` [1] (plans
-        made so far: each draws its own noise), ``controls`` [sample, horizon].
+        ``eps = basis noise_map z`` with standard normal ``z`` for every knot, and ``u`` is clipped to ``bound``. The
+        first two samples are the nominal and zero where ``special`` is 1. Shapes: ``nominal`` [horizon], ``noise_map``
+        [1] (a square root of Sigma_u), ``basis`` [horizon, knot], ``bound`` [1], ``counter`` [1] (plans made so far:
+        each draws its own noise), ``controls`` [sample, horizon].
         """
         k = first + wp.tid()
         horizon = controls.shape[1]

@@ -1,4 +1,4 @@
-"""Weights of the samples and the update of the nominal controls (equations 11 and 12)."""
+"""Weights of the samples, the update of the nominal controls, and their shift by one step."""
 
 from functools import lru_cache
 
@@ -39,6 +39,9 @@ def weigh_samples(
     stats: wp.array[WeightStats],
 ):
     """Softmin weights of the costs, summing to one; launched with one block (on the CPU: one thread).
+
+    ``omega_k = exp(-(S_k - S_min) / lambda) / sum_j exp(-(S_j - S_min) / lambda)`` (equation 12), with the costs S, the
+    smallest of them S_min and the temperature lambda.
 
     Where ``most`` is above zero, the temperature is moved until the effective sample size lies in [fewest, most].
     A cost that is not finite loses its sample; when all are lost, all weights are zero. Shapes: ``costs`` and
@@ -115,7 +118,8 @@ def make_update_nominal(size: int) -> wp.Kernel:
     ):
         """The weighted mean of the samples' controls; zero where every sample was lost.
 
-        Since weights sum to one, this is the nominal plus the weighted perturbations of equation 11. A block for each
+        Equation 11 is ``u_nominal <- u_nominal + sum_k omega_k eps_k``. Since weights sum to one, that is the mean
+        ``sum_k omega_k u_k`` of the samples ``u_k = u_nominal + eps_k``, but for what clipping took. A block for each
         step. Shapes: ``controls`` [sample, horizon], ``weights`` [sample], ``nominal`` [horizon].
         """
         h, i = wp.tid()
@@ -145,7 +149,10 @@ def make_shift_nominal(size: int) -> wp.Kernel:
         counter: wp.array[int],
         taken: wp.array[vec],
     ):
-        """Takes the first control out and repeats the last (or ends with zero); launched with one thread."""
+        """Takes the first control out and repeats the last (or ends with zero); launched with one thread.
+
+        This is ``U <- shift(U)`` of Algorithm 2, line 7, and of Algorithm 3, lines 6 and 13.
+        """
         taken[0] = nominal[0]
         last = nominal.shape[0] - 1
         for h in range(last):

@@ -1,4 +1,4 @@
-"""Rollouts of the object level: the object moved by a virtual wrench (equations 5 and 6)."""
+"""Rollouts of the object level: the object moved by a virtual wrench."""
 
 import warp as wp
 
@@ -26,6 +26,10 @@ def object_rollout(
 ):
     """Cost of each wrench sequence, and its poses where ``poses`` has room for them.
 
+    The object moves by ``x_o <- x_o + dt D w_o`` (equation 6, which is equation 2 with ``f_o = x_o`` and
+    ``h_o = dt D``), then out of obstacles by :func:`settle`. The cost is ``S_o = sum_h l_o``, equation 10 for the
+    objective of equation 13; there is no terminal cost l_f.
+
     Shapes: ``start`` [1], ``goal`` [1], ``wrenches`` [sample, horizon] (N, N, N m), ``costs`` [sample],
     ``poses`` [sample, horizon + 1] or empty.
     """
@@ -50,6 +54,6 @@ def object_rollout(
 
 @wp.kernel
 def follow_path(path: wp.array2d[wp.vec3], reference: wp.array[wp.vec3]):
-    """Makes a path [1, horizon + 1] the reference [n]; its last pose is held."""
+    """Makes a path [1, horizon + 1] the reference [n]; its last pose is held (Algorithm 2, line 4)."""
     i = wp.tid()
     reference[i] = path[0, wp.min(i, path.shape[1] - 1)]

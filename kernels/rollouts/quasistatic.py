@@ -5,10 +5,9 @@ from functools import lru_cache
 import warp as wp
 
 from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
-from oimppi_warp.kernels.costs.terms import NOT_PUSHED, ExtraTerms, module_of
-from oimppi_warp.kernels.geometry import planar_field, rotate
+from oimppi_warp.kernels.costs.terms import FREE, ExtraTerms, module_of
 from oimppi_warp.kernels.kinematics import make_place_arm
-from oimppi_warp.kernels.pushing import ObjectModel, push, settle
+from oimppi_warp.kernels.pushing import ObjectModel, phi_1, push, settle
 from oimppi_warp.kernels.rollouts.uncertainty import Draw
 from oimppi_warp.kernels.task import RobotTask, above_penalty, make_stage, over_object
 
@@ -50,6 +49,12 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
         poses: wp.array2d[wp.vec3],
     ):
         """Cost of each rollout of a joint velocity sequence; its terms, tips and poses where those have room for them.
+
+        The arm moves by ``x_r <- x_r + dt u_r``: equation 1 with ``f_r = x_r`` and ``g_r = dt``. Its force term
+        ``h_r w_r`` is a stall: a step against what cannot yield is not taken, which also stands for
+        ``0 <= lambda_3 _|_ phi_3 >= 0`` (equation 4). Velocities and positions within their limits are the set C of
+        equation 8. The object moves by :func:`push` and :func:`settle` (equation 2). The cost is
+        ``S = sum_h l_o + l_r + l_c`` (equation 10, l_c as in equation 14); there is no terminal cost l_f.
 
         Shapes: ``draws`` [draw] (rollout n is in draw n modulo their number), ``start_joints`` and ``start_object``
         [1], ``controls`` [sample, horizon] [rad/s], ``costs`` [sample * per_sample], ``terms`` [rollout] or empty,
@@ -121,10 +126,8 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                     rise = wp.max(tip[2] - old.tip[2], 0.0) / dt
                     if force > 0.0:
                         # The obstacle pushed back: what is left between tool and object is a jam.
-                        c = wp.cos(new_pose[2])
-                        s = wp.sin(new_pose[2])
-                        local = rotate(c, -s, wp.vec2(tip[0] - new_pose[0], tip[1] - new_pose[1]))
-                        pressed = wp.max(environment.tool_radius - planar_field(body.body, local)[0], 0.0)
+                        gap_to_tool = phi_1(body, new_pose, wp.vec2(tip[0], tip[1]))
+                        pressed = wp.max(surroundings.tool_radius - gap_to_tool, 0.0)
                         stalled = pressed > 2.0e-3
             if stalled:
                 q = old_q

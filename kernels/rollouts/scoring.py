@@ -63,6 +63,8 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
     ):
         """Cost of each rollout, its terms, tips and poses.
 
+        The cost is ``S = sum_h l_o + l_r + l_c`` (equation 10, l_c as in equation 14); there is no terminal cost l_f.
+
         Shapes: ``controls`` [sample, horizon] [rad/s], ``start_joints`` [1]: before them, ``joints`` and ``objects``
         (position, quaternion wxyz) [rollout, horizon]: states after each control step, ``costs`` and ``terms``
         [rollout], ``tips`` and ``poses`` [rollout, horizon].

@@ -32,7 +32,7 @@ def best(method: str = "cloi") -> Config:
 
 
 def paper(method: str = "cloi") -> Config:
-    """The preset ``paper``: Algorithms 1-3 and equations 9-19 as printed, with the paper's K and horizons.
+    """The preset ``paper``: its algorithms and equations as printed, with its K and horizons (`docs/paper.md`).
 
     The paper prints K, both horizons, white noise in joint space, one update a step and a reference read by time. Where
     it gives no figure, those of the baseline are taken that its authors built on (tud-airlab/mppi-isaac) and of their
@@ -41,8 +41,8 @@ def paper(method: str = "cloi") -> Config:
     for align, 20 for the tip's height. The coupling cost l_c is printed without a weight; it shares the goal's, whose
     d^2 it has. Nowhere given, hence ours: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise. The terms that stand
     for the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_arm_clearance``) and for the table's edge
-    (``w_edge``) stay; our other additions are off. There is no terminal cost l_f, which the paper leaves open, and
-    SOI's plan ends in the exact goal.
+    (``w_edge``) stay; our other additions are off. There is no terminal cost l_f
+    (equations 8, 10, 13 and 14), which the paper leaves open, and SOI's plan ends in the exact goal.
     """
     samples = 1200
     horizon = {"mppi": 25, "soi": 25}.get(method, 15)

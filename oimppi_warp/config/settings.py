@@ -54,7 +54,7 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Mppi(Sampling):
-    """MPPI (the paper's Algorithm 1, equations 9 to 12)."""
+    """MPPI (the paper's Algorithm 1)."""
 
     kind: str = label("mppi", "Name of the optimizer.")
     temperature: float = setting(
@@ -121,7 +121,7 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class RobotLevel:
-    """The robot level: joint velocities that make the object follow its plan (equations 14 and 17)."""
+    """The robot level: joint velocities that make the object follow its plan (equation 14)."""
 
     optimizer: Sampling = group(Mppi(), "Optimizer of the robot level.")
     noise_space: Literal["joint", "tool"] = setting(
@@ -154,7 +154,7 @@ class RobotLevel:
 
 @dataclass(frozen=True)
 class ObjectLevel:
-    """The object level: a wrench that moves the object to its goal by itself (equations 5, 6 and 15)."""
+    """The object level: a wrench that moves the object to its goal by itself (equation 13)."""
 
     optimizer: Sampling = group(Mppi(horizon=60, temperature=0.5, knots=5), "Optimizer of the object level.")
     speed_limit: tuple[float, float, float] = setting(
@@ -191,7 +191,7 @@ _RING = (
 
 @dataclass(frozen=True)
 class ObjectCost:
-    """Weights of the object's stage cost at the object level (equations 15 and 16)."""
+    """Weights of the object's stage cost l_o at the object level (equation 15)."""
 
     w_d: float = setting(1.0, "Weight of the squared distance to the goal (equation 16).", unit="1/m^2")
     w_theta: float = setting(0.03, "Square of the length that a yaw error of 1 rad counts as in it.", unit="m^2/rad^2")
@@ -210,7 +210,7 @@ class ObjectCost:
 
 @dataclass(frozen=True)
 class RobotCost:
-    """Weights of the stage cost at the robot level (equations 15 to 19); what is not in the paper says so."""
+    """Weights of the robot level's stage cost ``l_o + l_r + l_c`` (equation 14); what is not in the paper says so."""
 
     w_d: float = setting(5.0, "Weight of the object's squared distance to the goal (equation 16).", unit="1/m^2")
     w_theta: float = setting(

@@ -1,9 +1,10 @@
 """Distance fields of a scene: made once by kernels, kept in a cache by content, looked up by every rollout.
 
 - ``phi_2(x, y, yaw)``: clearance of the object to obstacles, the robot's base and the table's edge (the paper's gap
-  function of object and environment), over poses of the object's friction centre.
-- ``d_B(x, y)``: signed distance to the object's outline, in the frame of its friction centre (the paper's Example 1).
-- the obstacles' distance over space, for the arm and the tool (the paper's phi_3).
+  function of object and environment, in equation 4), over poses of the object's friction centre.
+- ``d_B(x, y)``: signed distance to the object's outline, in the frame of its friction centre (the paper's Example 1,
+  in equation 7).
+- the obstacles' distance over space, for the arm and the tool (the paper's phi_3, in equation 4).
 """
 
 from __future__ import annotations

@@ -48,11 +48,11 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class LimitSurface:
-    """Ellipsoidal limit surface of an object on the table (the paper's equation 5).
+    """Ellipsoidal limit surface of an object on the table.
 
-    Under quasi-static motion a wrench ``w`` (at ``center``, object frame) moves the object with twist ``D w``,
-    ``D = diag(1, 1, 1 / (c r))  / (mu m g)`` in the paper's symbols. The ellipsoid's axes are the friction force
-    ``mu m g`` and the friction torque ``radius * mu m g``, so that ``c r`` is ``radius ** 2``.
+    Under quasi-static motion a wrench ``w`` (at ``center``, object frame) moves the object with the twist
+    ``x_o' = D w``, ``D = diag(mu m g, mu m g, c r mu m g)^-1`` (equation 5). The ellipsoid's axes are the friction
+    force ``mu m g`` and the friction torque ``radius * mu m g``, so that the paper's ``c r`` is ``radius ** 2`` here.
 
     Attributes:
         center: Friction centre in the object's frame, shape [2] [m].
@@ -66,7 +66,10 @@ class LimitSurface:
 
     @property
     def mobility(self) -> np.ndarray:
-        """Diagonal of the mobility ``D`` (equation 5), shape [3] [m/(N s), m/(N s), rad/(N m s)]."""
+        """Diagonal of the mobility ``D = diag(mu m g, mu m g, radius^2 mu m g)^-1`` (equation 5), shape [3].
+
+        The units are m/(N s), m/(N s) and rad/(N m s).
+        """
         return np.array([1.0, 1.0, 1.0 / self.radius**2]) / self.force
 
 
@@ -180,7 +183,7 @@ def outline(pieces: Iterable[Piece]) -> BaseGeometry:
 
 
 def limit_surface(body: PushedObject, *, support: Literal["corners", "area"] = "corners") -> LimitSurface:
-    """Limit surface of an object that rests on its footprint.
+    """Limit surface of an object that rests on its footprint: ``mu m g`` and ``c r`` of equation 5.
 
     The torque limit is the integral of ``mu p |r - r_c|`` over the support, that is ``mu m g`` times the mean distance
     of the support to the friction centre, which is the centre of mass seen from above. What counts is where the

@@ -17,13 +17,13 @@ from oimppi_warp.scene import Scene
 class ClosedLoopPlanner(Planner):
     """CLOI-MPPI (Algorithm 2): the object plan is updated from every observation.
 
-    Algorithm 2 and where it is::
+    Algorithm 2, its lines and where they are::
 
-        while not converged:                                  Planner.plan, in every control step
-            (A) update W with Algorithm 1 and S_o                 object_launches: ObjectLevel
-                extract x_{t:t+H^o}^{o*} from the nominal         follow_path
-            (B) update U with Algorithm 1 and S                   Planner
-                apply u; shift; observe x_{t+1}
+        1     while not converged:                                Planner.plan, in every control step
+        2, 3      (A) update W with Algorithm 1 and S_o               object_launches: ObjectLevel
+        4             extract x_{t:t+H^o}^{o*} from the nominal       follow_path
+        5, 6      (B) update U with Algorithm 1 and S                 Planner
+        7, 8          apply u; shift; observe x_{t+1}                 Optimizer.shift, lock_step
 
     Both levels are one list of launches, which is one graph on CUDA.
     """

@@ -1,4 +1,4 @@
-"""The object level: how the object should move, as if a wrench could be put on it (equations 5, 6, 15 and 16)."""
+"""The object level: how the object should move, as if a wrench could be put on it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from oimppi_warp.planning.optimizers.optimizer import make_optimizer
 
 class ObjectLevel:
     """An optimizer over the object alone; all poses are of the object's friction centre.
+
+    It solves ``min over w_o of sum_h l_o(x_o)``, where the object moves by equation 6 and keeps out of obstacles,
+    ``phi_2 >= 0`` (equation 13, without its terminal cost l_f).
 
     Attributes:
         launches: One update and the path that the nominal then takes, as launches.

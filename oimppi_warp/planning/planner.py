@@ -1,6 +1,6 @@
 """The robot level, common to all methods: joint velocities that make the object follow a reference.
 
-Alone it is plain MPPI (the paper's Algorithm 1), whose reference is the goal.
+Alone it is plain MPPI, whose reference is the goal.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ _DAMPING = 0.05
 
 class Planner:
     """Plain MPPI, and the base of the methods that plan the object's motion.
+
+    It solves ``min over u_r of sum_h l_o(x_o) + l_r(x_r) + l_c(x_o, x_o*)`` with the coupling cost
+    ``l_c = d^2(x_o, x_o*)`` of object and reference (equation 14), and plain MPPI ``min over u_r of sum_h l_o + l_r``
+    (equation 8); of both, the terminal cost l_f is left out. What the controls lead to, an engine rolls out.
 
     A control step (:meth:`plan`) writes the inputs, runs one :meth:`Compute.step` and reads the outputs. A method is a
     subclass that says where the reference comes from. It overrides :meth:`set_reference`, and :meth:`start`,
@@ -156,6 +160,8 @@ class Planner:
     def plan(self, observation: Observation) -> Plan:
         """Plans from an observation; each call is one control step.
 
+        It is one pass through Algorithm 2, lines 2 to 7, or Algorithm 3, lines 11 to 13.
+
         From an observation that cannot be true (numbers that are not finite, an object far away, joints far beyond
         their limits) nothing is planned: the command is zero, and :attr:`Plan.problem` says why.
 
@@ -245,7 +251,10 @@ class Planner:
         return math.nan
 
     def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
-        """A square root of the noise's covariance in joint space, shape [dof, dof]."""
+        """A square root of the noise's covariance in joint space: ``root root^T = Sigma_u`` (equation 9).
+
+        Shape [dof, dof].
+        """
         robot = self.config.robot
         if robot.noise_space == "joint":
             return robot.joint_noise * np.eye(self.scene.robot.dof)

@@ -182,8 +182,8 @@ class Repositioner:
     def _alignment(self, wanted: np.ndarray) -> np.ndarray:
         """Returns how well one push at each point of the outline gives a motion in the object's frame, shape [point].
 
-        It is the cosine of the angle between the wanted twist and ``D w`` (equation 5), in the metric of ``D``, of the
-        best force in the friction cone.
+        It is the cosine of the angle between the wanted twist and the twist ``x_o' = D w`` of equation 5, in the metric
+        of ``D``, for the best force in the friction cone.
         """
         root = np.sqrt(self._surface.mobility * self._surface.force)  # of D, up to its scale
         twist = wanted / root

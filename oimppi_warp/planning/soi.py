@@ -24,15 +24,17 @@ _ARRIVED = 0.01
 class SequentialPlanner(Planner):
     """SOI-MPPI (Algorithm 3): one object plan to the goal before the robot moves, then tracked.
 
-    Algorithm 3 and where it is::
+    Algorithm 3, its lines and where they are::
 
-        (A) while not converged:                              start, plan_object
-                update W with Algorithm 1 and S_o                 ObjectLevel
-                simulate W to obtain x_{t+1}^o; shift W
-            extract x_{0:H}^{o*}
-        (B) while not converged:                              Planner.plan, in every control step
-                extract the segment x_{t:t+H^r}^{o*}              set_reference
-                update U with Algorithm 1 and S; apply u; shift
+        1, 2      (A) set x_0^o as observed                           start
+        3             while not converged:                            plan_object
+        4                 update W with Algorithm 1 and S_o               ObjectLevel
+        5, 6              simulate W to obtain x_{t+1}^o; shift W         ObjectLevel
+        7             extract x_{0:H}^{o*}                            plan_object
+        8 to 10   (B) while not converged:                            Planner.plan, in every control step
+        11                extract the segment x_{t:t+H^r}^{o*}            set_reference
+        12                update U with Algorithm 1 and S                 Planner
+        13, 14            apply u; shift; observe x_{t+1}                 Optimizer.shift, lock_step
 
     With ``reference="time"`` the segment begins at the pose planned for this time, as in the paper. With
     ``reference="progress"`` it begins where the object is: :class:`PlanFollower`, which is not in the paper.
@@ -67,7 +69,10 @@ class SequentialPlanner(Planner):
         wp.load_module(cost_to_go, device="cpu")
 
     def start(self, observation: Observation) -> float:
-        """Plans the object's motion to the goal; returns the wall time, the cost-to-go included [s]."""
+        """Plans the object's motion to the goal; returns the wall time, the cost-to-go included [s].
+
+        This is part (A) of Algorithm 3, from the object's pose as it is observed.
+        """
         super().start(observation)
         began = time.perf_counter()
         self._object.optimizer.reset()
@@ -78,9 +83,9 @@ class SequentialPlanner(Planner):
         return time.perf_counter() - began + self._object.setup_seconds
 
     def plan_object(self, pose: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Part (A): returns the object plan [n, 3] from a pose [3] to the goal, and whether it converged.
+        """Returns the object plan [n, 3] from a pose [3] to the goal, and whether it converged.
 
-        Its last pose is the goal itself in either case.
+        These are lines 3 to 7 of Algorithm 3. The last pose is the goal itself in either case.
         """
         path, converged = [pose], False
         while not converged and len(path) <= self.config.object.plan_steps:
@@ -89,13 +94,16 @@ class SequentialPlanner(Planner):
         return np.array([*path, self.goal]), converged
 
     def _improve(self, pose: np.ndarray) -> np.ndarray:
-        """Updates the wrenches from a pose [3]; returns the path [horizon + 1, 3] under the new nominal."""
+        """Updates the wrenches from a pose [3]; returns the path [horizon + 1, 3] under the new nominal.
+
+        These are lines 4 to 6 of Algorithm 3: update, simulate, shift.
+        """
         self._object.set_state(pose)
         self._object_step()
         return self._object.path.host[0].astype(float)
 
     def set_reference(self, pose: np.ndarray) -> None:
-        """Extracts the segment to be tracked: from this time on, or from the object's pose on."""
+        """Extracts the segment to be tracked, from this time on or from the object's pose on (Algorithm 3, line 11)."""
         if self._follower is not None:
             self._follower.set_state(pose)
             return

@@ -101,6 +101,8 @@ def lock_step(
 ) -> Generator[ControlStep]:
     """Control steps without end in which the world waits for the planner.
 
+    A beat applies ``u`` and observes ``x_{t+1}``: Algorithm 2, lines 7 and 8, and Algorithm 3, lines 13 and 14.
+
     Args:
         plant: What is moved.
         planner: What plans.

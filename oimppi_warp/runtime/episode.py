@@ -176,6 +176,8 @@ class Episode:
     def steps(self) -> Generator[ControlStep]:
         """The same step by step: each control period as it has passed, until the episode ends.
 
+        This is ``while not converged`` of Algorithm 2, line 1, and of Algorithm 3, line 10.
+
         Raises:
             RuntimeError: The episode was run before.
             FloatingPointError: The plant diverged.

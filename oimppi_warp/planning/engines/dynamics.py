@@ -37,6 +37,8 @@ class Dynamics(Protocol):
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         """Prepares writing the cost of each control sequence from the state that is set when it runs.
 
+        It rolls out and evaluates S: lines 5 and 6 of Algorithm 1.
+
         Args:
             controls: [sample, horizon] of vectors [m].
             costs: [sample], written.

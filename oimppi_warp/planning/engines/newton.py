@@ -38,6 +38,10 @@ def contact_softness(step: float) -> tuple[float, float]:
 class NewtonDynamics(ScoredDynamics):
     """Arm, contact and object in Newton's model of the scene; controls are joint velocities [rad/s].
 
+    MuJoCo steps the arm (``x_r <- f_r + g_r u_r + h_r w_r``, equation 1) and the object (``x_o <- f_o + h_o w_o``,
+    equation 2) under the contact forces between them and with the environment, friction included (equation 3). That a
+    force acts only in contact, and that nothing overlaps (equation 4), holds up to the softness of its contacts.
+
     Args:
         task: What it is made for.
 

@@ -1,4 +1,4 @@
-"""Object level: the object moved by a virtual wrench, kept out of obstacles by projection (equations 5 and 6)."""
+"""Object level: the object moved by a virtual wrench, kept out of obstacles by projection."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from oimppi_warp.planning.engines.packing import fill_weights, no_field, object_
 
 class ObjectDynamics:
     """The paper's object model; controls are wrenches (f_x, f_y [N], torque [N m]).
+
+    The object moves by ``x_o <- x_o + dt D w_o`` (equation 6), then out of obstacles.
 
     Args:
         geometry: Shapes of the scene.

@@ -14,7 +14,8 @@ from oimppi_warp.planning.optimizers.optimizer import Optimizer
 class Mppi(Optimizer):
     """The nominal becomes the mean of the samples, weighted by ``w_k ~ exp(-(S_k - min S) / lambda)``.
 
-    ``S_k`` is a sample's cost and lambda the temperature (equations 11 and 12).
+    ``S_k`` is a sample's cost and lambda the temperature; the weights are those of equation 12, the mean is the update
+    of equation 11. With :meth:`Optimizer.improve`, which samples and rolls out before, this is Algorithm 1.
     """
 
     Settings = settings.Mppi
@@ -25,7 +26,7 @@ class Mppi(Optimizer):
         self._settings = settings
 
     def update(self) -> Sequence[Launch]:
-        """Prepares the weights and the weighted mean; see :meth:`Optimizer.update`."""
+        """Prepares the weights and the weighted mean (Algorithm 1, line 7); see :meth:`Optimizer.update`."""
         settings = self._settings
         few, many = (share * settings.samples for share in settings.effective_samples)
         weigh = self.compute.launch_blocks(

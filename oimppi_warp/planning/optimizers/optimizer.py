@@ -95,7 +95,10 @@ class Optimizer(ABC):
 
     @cached_property
     def improve(self) -> list[Launch]:
-        """Launches of one plan from the dynamics' present state: ``iterations`` updates of the nominal."""
+        """Launches of one plan from the dynamics' present state: ``iterations`` updates of the nominal.
+
+        An update is Algorithm 1: sample (lines 1 to 4), roll out and evaluate S (lines 5 and 6), update (line 7).
+        """
         rollout, update = self.dynamics.rollout(self.controls, self.costs), self.update()
         launches: list[Launch] = []
         for i in range(self.settings.iterations):
@@ -104,7 +107,10 @@ class Optimizer(ABC):
 
     @cached_property
     def shift(self) -> Launch:
-        """Launch that takes the command out of the nominal and moves everything on by one step."""
+        """Launch that takes the command out of the nominal and moves everything on by one step.
+
+        Apply ``u <- u_nominal`` and ``U <- shift(U)``: Algorithm 2, line 7, and Algorithm 3, lines 6 and 13.
+        """
         launches = self.advance()
         if len(launches) == 1:
             return launches[0]
@@ -116,7 +122,13 @@ class Optimizer(ABC):
         return in_order
 
     def sample(self, seed: int) -> Sequence[Launch]:
-        """Prepares drawing ``controls`` around the nominal (equation 9); ``seed`` is a signed 32-bit number."""
+        """Prepares drawing ``controls`` around the nominal: ``u = u_nominal + eps``, ``eps ~ N(0, Sigma_u)``.
+
+        This is equation 9, and lines 1 to 4 of Algorithm 1.
+
+        Args:
+            seed: A signed 32-bit number.
+        """
         kernel = make_sample_controls(self.dynamics.size)
         inputs = [self.nominal, self.noise.array, self.basis, self.bound, self.counter, seed]
         inputs.append(int(self.settings.special_samples))
