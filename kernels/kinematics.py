@@ -107,7 +107,7 @@ def make_place_arm(chain: str) -> wp.Function:
     slides = sum(1 << j for j, kind in enumerate(chain) if kind == "P")
 
     @wp.func(module=f"oimppi_warp.kernels.kinematics_{chain}")
-    def place_arm(arm: Arm, surroundings: Surroundings, tip: wp.vec3, q: vec) -> Placed:
+    def place_arm(arm: Arm, environment: Environment, tip: wp.vec3, q: vec) -> ArmPlacement:
         """Tip, tilt and clearance of the arm; the clearance is ``phi_3(x_r) >= 0`` of equation 4.
 
         Args:

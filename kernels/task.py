@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from oimppi_warp.kernels.costs.terms import OVER, RobotWeights, Stage
+from oimppi_warp.kernels.costs.terms import CROSSING, RobotWeights, Stage
 from oimppi_warp.kernels.geometry import PoseField, pose_field
-from oimppi_warp.kernels.kinematics import Arm, Placed, Surroundings
+from oimppi_warp.kernels.kinematics import Arm, ArmPlacement, Environment
 from oimppi_warp.kernels.pushing import ObjectModel, phi_1
 
 wp.set_module_options({"enable_backward": False})
@@ -40,7 +40,7 @@ class RobotTask:
 @wp.func
 def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
     """Returns whether the tool is over the object, seen from above."""
-    return phi_1(task.model, pose, wp.vec2(tip[0], tip[1])) < task.surroundings.tool_radius
+    return phi_1(task.model, pose, wp.vec2(tip[0], tip[1])) < task.environment.tool_radius
 
 
 @wp.func
@@ -53,7 +53,7 @@ def above_penalty(task: RobotTask, tip: wp.vec3) -> float:
 
 
 @wp.func
-def make_stage(task: RobotTask, h: int, placed: ArmPlacement, pose: wp.vec3) -> Stage:
+def stage_at(task: RobotTask, h: int, placed: ArmPlacement, pose: wp.vec3) -> Stage:
     """The stage after control step ``h`` as far as it follows from where arm and object are; the rest is zero."""
     stage = Stage()
     stage.tip = placed.tip

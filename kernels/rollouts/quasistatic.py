@@ -5,11 +5,11 @@ from functools import lru_cache
 import warp as wp
 
 from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
-from oimppi_warp.kernels.costs.terms import FREE, ExtraTerms, module_of
+from oimppi_warp.kernels.costs.terms import NOT_PUSHED, ExtraTerms, module_of
 from oimppi_warp.kernels.kinematics import make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, phi_1, push, settle
 from oimppi_warp.kernels.rollouts.uncertainty import Draw
-from oimppi_warp.kernels.task import RobotTask, above_penalty, make_stage, over_object
+from oimppi_warp.kernels.task import RobotTask, above_penalty, over_object, stage_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -127,7 +127,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                     if force > 0.0:
                         # The obstacle pushed back: what is left between tool and object is a jam.
                         gap_to_tool = phi_1(body, new_pose, wp.vec2(tip[0], tip[1]))
-                        pressed = wp.max(surroundings.tool_radius - gap_to_tool, 0.0)
+                        pressed = wp.max(environment.tool_radius - gap_to_tool, 0.0)
                         stalled = pressed > 2.0e-3
             if stalled:
                 q = old_q
@@ -135,7 +135,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
             else:
                 pose = new_pose
 
-            stage = make_stage(task, h, placed, pose)
+            stage = stage_at(task, h, placed, pose)
             stage.velocity = wp.vec2(tip[0] - old.tip[0], tip[1] - old.tip[1]) / dt
             stage.force = force
             stage.arm_clearance = arm_clearance

@@ -8,7 +8,7 @@ from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
 from oimppi_warp.kernels.costs.terms import NOT_PUSHED, ExtraTerms, module_of
 from oimppi_warp.kernels.geometry import rotate
 from oimppi_warp.kernels.kinematics import make_place_arm
-from oimppi_warp.kernels.task import RobotTask, above_penalty, make_stage, over_object
+from oimppi_warp.kernels.task import RobotTask, above_penalty, over_object, stage_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -93,7 +93,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
             s = wp.sin(yaw)
             middle = rotate(c, s, task.model.center) + wp.vec2(float(at[0]), float(at[1]))
             pose = wp.vec3(middle[0], middle[1], yaw)
-            stage = make_stage(task, h, placed, pose)
+            stage = stage_at(task, h, placed, pose)
             if placed.tip[2] >= task.model.top:
                 if over_object(task, placed.tip, pose):
                     stage.above = above_penalty(task, placed.tip)

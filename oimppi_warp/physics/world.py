@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 
-from oimppi_warp.physics.mujoco_model import MujocoModel, translated
+from oimppi_warp.physics.mujoco_model import MujocoModel, translate_scene
 from oimppi_warp.physics.newton_model import NewtonModel, build_model
 from oimppi_warp.scene import Scene
 
@@ -32,4 +32,4 @@ class World:
     @cached_property
     def mujoco_sensing(self) -> MujocoModel:
         """:attr:`mujoco` with sensors of the contact forces, for rollouts."""
-        return translated(self.scene, sensing=True)
+        return translate_scene(self.scene, sensing=True)

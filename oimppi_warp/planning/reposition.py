@@ -201,7 +201,7 @@ class Repositioner:
         """Returns whether the tool cannot stand at positions [n, 2], shape [n]."""
         points = shapely.points(positions)
         near = shapely.distance(points, self._blocks) < self._radius + _MARGIN if self._blocks else False
-        return near | (self._reach.room(positions) < _ROOM)
+        return near | (self._reach.margin(positions) < _ROOM)
 
 
 def _boundary(shape: shapely.Geometry) -> tuple[np.ndarray, np.ndarray]:

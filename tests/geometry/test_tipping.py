@@ -28,15 +28,15 @@ def test_a_can_tips_where_its_radius_over_friction_says():
 
 @pytest.mark.parametrize("name", ["task01", "task03", "task05"])
 def test_flat_objects_never_tip_and_have_the_terms_off(name: str, device: str):
-    scene = tasks.shipped(name)
+    scene = small_tasks.shipped(name)
     assert not can_tip(scene.object)
-    weights = robot_weights(scene, build_geometry(scene, device), tasks.effective_cost(scene))
+    weights = robot_weights(scene, build_geometry(scene, device), small_tasks.effective_cost(scene))
     assert weights.w_overhang == weights.w_rush == 0.0
 
 
 def test_a_can_that_may_tip_has_them_on(device: str):
-    scene = tasks.shipped("lab01")
-    weights = robot_weights(scene, build_geometry(scene, device), tasks.effective_cost(scene))
+    scene = small_tasks.shipped("lab01")
+    weights = robot_weights(scene, build_geometry(scene, device), small_tasks.effective_cost(scene))
     assert weights.w_overhang == RobotCost().w_overhang
     assert weights.topple_speed == pytest.approx(RobotCost().rush * tipping_speed(scene.object))
 

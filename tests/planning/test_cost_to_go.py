@@ -72,7 +72,9 @@ def cost_per_metre(gap: float, distance: float) -> float:
 )
 def test_the_cost_to_go_is_dijkstras(way, device):
     found = build_to_go(field_of(walled()), way, yaw_length=YAW_LENGTH, push_ring=RING, device=device).values.numpy()
-    expected = reference.to_go(walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, toll=toll)
+    expected = reference.to_go(
+        walled(), way, step=0.01, yaw_length=YAW_LENGTH, near=0.04, cost_per_metre=cost_per_metre
+    )
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
@@ -99,12 +101,12 @@ def test_a_goal_where_the_arm_pushes_badly_is_far_away(device: str):
 def test_sweeping_no_further_changes_a_cost_to_go_that_is_done(device: str):
     field = field_of(walled())
     to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device=device)
-    tolls = kernels.Tolls()
-    tolls.yaw_length, tolls.comfort, tolls.crowded, tolls.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
-    tolls.reach_lower, tolls.reach_upper, tolls.far = 0.0, 1e3, 10.0
+    travel = kernels.TravelCost()
+    travel.yaw_length, travel.comfort, travel.crowded, travel.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
+    travel.ring_inner, travel.ring_outer, travel.far = 0.0, 1e3, 10.0
     change = wp.zeros(1, dtype=float, device=device)
     for direction in range(8):
-        inputs = [field, tolls, direction]
+        inputs = [field, travel, direction]
         wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go.values, change], device=device)
         assert change.numpy()[0] < 1e-3
 
@@ -133,7 +135,7 @@ def followed(to_go: PoseField, pose: np.ndarray, goal: np.ndarray, *, step: floa
     start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device=DEVICE) for p in (pose, goal))
     way = wp.zeros((1, steps + 1), dtype=wp.vec3, device=DEVICE)
     wp.launch(
-        kernels.follow_down,
+        kernels.descend,
         dim=1,
         inputs=[to_go, no_plan(), start, end, YAW_LENGTH, step],
         outputs=[way],
@@ -182,9 +184,7 @@ def test_a_way_down_leads_through_a_gap_as_narrow_as_the_grid(device: str):
     to_go = build_to_go(field, goal, yaw_length=0.01, device=device)
     start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device=device) for p in (pose, goal))
     way = wp.zeros((1, 121), dtype=wp.vec3, device=device)
-    wp.launch(
-        kernels.follow_down, dim=1, inputs=[to_go, no_plan(), start, end, 0.01, 0.006], outputs=[way], device=device
-    )
+    wp.launch(kernels.descend, dim=1, inputs=[to_go, no_plan(), start, end, 0.01, 0.006], outputs=[way], device=device)
     np.testing.assert_allclose(way.numpy()[0, -1], goal, atol=1e-3)
     left = np.linalg.norm(way.numpy()[0, :, :2] - goal[:2], axis=1)
     assert (left[5:] < left[:-5] + 1e-6).all(), "it does not turn around"
@@ -201,7 +201,7 @@ def test_a_way_leads_along_a_plan_past_a_shorter_one(device: str):
     packed = wp.array(plan.astype(np.float32), dtype=wp.vec3, device=device)
     found = wp.zeros((1, 200), dtype=wp.vec3, device=device)
     inputs = [to_go, packed, start, end, YAW_LENGTH, 0.006]
-    wp.launch(kernels.follow_down, dim=1, inputs=inputs, outputs=[found], device=device)
+    wp.launch(kernels.descend, dim=1, inputs=inputs, outputs=[found], device=device)
     way = found.numpy()[0].astype(float)
     np.testing.assert_allclose(way[-1], goal, atol=1e-3)
     off = [np.linalg.norm(plan[:, :2] - p[:2], axis=1).min() for p in way]

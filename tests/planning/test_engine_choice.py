@@ -150,7 +150,7 @@ def test_shipped_engines_are_known_for_every_method_that_was_measured():
 
 
 def test_a_planner_knows_its_engine_and_why(device: str):
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     asked = make_planner(scene, best("mppi"), method="mppi", engine="quasistatic", device=device)
     assert (asked.engine, asked.engine_reason) == ("quasistatic", "")
     chosen = make_planner(scene, best("mppi"), method="mppi", engine="auto", device=device)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support import reference
 from support.device import DEVICE, to_the_bit
-from support.tasks import (
+from support.small_tasks import (
     DT,
     Pushing,
     block,

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 from support.device import run
 from support.pushes import SPEED, tip_before
 
@@ -34,7 +34,7 @@ TRAVEL_RATIO = (0.95, 1.05)
 @pytest.fixture(scope="module")
 def pushes(device: str) -> np.ndarray:
     """Random pushes: friction centre at first, at last in the plant, and at last in the engine; shape [n, 3, 3]."""
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     geometry = build_geometry(scene, device)
     level = RobotLevel(optimizer=replace(RobotLevel().optimizer, horizon=STEPS))
     engine = QuasistaticDynamics(small_tasks.rollout_task(scene, level=level, geometry=geometry))
@@ -57,7 +57,7 @@ def pushes(device: str) -> np.ndarray:
         mujoco.mj_forward(plant.model, plant.data)
         for control in controls:
             plant.apply(control)
-        engine.set_state(tasks.observe(scene, joints=joints, pose=pose), center)
+        engine.set_state(small_tasks.observe(scene, joints=joints, pose=pose), center)
         nominal = wp.array(controls.astype(np.float32), dtype=control_type(6), device=device)
         run(engine.compute, engine.trace(nominal, wp.zeros(1, dtype=float, device=device)))
         trace = engine.traced()

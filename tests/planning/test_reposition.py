@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.device import DEVICE
-from support.tasks import DT, block, box, task
+from support.small_tasks import DT, block, box, task
 
 from oimppi_warp.config.settings import Reposition
 from oimppi_warp.geometry.fields import build_geometry

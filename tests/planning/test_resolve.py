@@ -34,7 +34,7 @@ def few(preset: str):
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("name", SCENES)
 def test_the_settings_that_are_recorded_are_those_that_the_kernels_get(name: str, preset: str, device: str):
-    scene = tasks.shipped(name)
+    scene = small_tasks.shipped(name)
     resolved = resolve(few(preset), scene)
     recorded = from_record(to_json(asdict(resolved.config)))
     assert recorded == resolved.config
@@ -80,11 +80,11 @@ def test_a_can_is_not_turned_and_the_record_says_so():
 
 def test_the_ring_of_reach_goes_with_the_robot():
     asked = best("cloi").cost.push_ring
-    assert resolve(best("cloi"), tasks.shipped("task01")).config.cost.push_ring == asked
-    point = resolve(best("cloi"), tasks.shipped("point01"))
+    assert resolve(best("cloi"), small_tasks.shipped("task01")).config.cost.push_ring == asked
+    point = resolve(best("cloi"), small_tasks.shipped("point01"))
     assert point.config.cost.push_ring[0] == 0.0 and point.config.cost.push_ring[1] > 100.0
     assert point.changes["cost.push_ring"].asked == asked
-    arm7 = resolve(best("cloi"), tasks.shipped("arm7_01")).config.cost.push_ring
+    arm7 = resolve(best("cloi"), small_tasks.shipped("arm7_01")).config.cost.push_ring
     assert arm7[0] / asked[0] == pytest.approx(arm7[1] / asked[1])
 
 

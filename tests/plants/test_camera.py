@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from support import tasks
+from support import small_tasks
 
 from oimppi_warp.physics.world import World
 from oimppi_warp.plants.camera import Camera
@@ -14,7 +14,7 @@ from oimppi_warp.scene import Collider, Link
 
 def with_one_ball(center: tuple[float, float, float], radius: float):
     """The world of lab 01 with the whole arm one ball on its fixed base [m]."""
-    scene = tasks.shipped("lab01")
+    scene = small_tasks.shipped("lab01")
     ball = Collider("/ball", "sphere", np.array([*center, 0.0, 0.0, 0.0, 1.0]), (radius,))
     links = tuple(replace(link, colliders=()) for link in scene.robot.links)
     return World(replace(scene, robot=replace(scene.robot, base=Link("/base", 1.0, (ball,)), links=links)))

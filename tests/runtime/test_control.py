@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import tasks
+from support import small_tasks
 from support.device import DEVICE, to_the_bit
 
 from oimppi_warp.config.overrides import set_option

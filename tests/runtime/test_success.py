@@ -29,6 +29,6 @@ def test_the_can_reaches_its_goal_in_the_lab(name: str, method: str, device: str
     found = []
     for seed in SEEDS:
         scene = load_scene(name)
-        scene = scene.with_start(draw_start(scene, seed))
+        scene = scene.with_start(sample_start(scene, seed))
         found.append(summarize(Episode(scene, lab(method), method=method, device=device, seed=seed, plant="lab").run()))
     assert sum(metrics.success for metrics in found) >= 9, [m.run.seed for m in found if not m.success]

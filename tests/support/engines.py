@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import warp as wp
-from support import tasks
+from support import small_tasks
 from support.device import DEVICE, run
 
 from oimppi_warp.config.settings import RobotLevel
@@ -39,7 +39,7 @@ def make(
     mppi = replace(RobotLevel().optimizer, samples=samples, horizon=steps)
     level = RobotLevel(optimizer=mppi, substeps=substeps)
     device = device_of(engine)
-    return engine(tasks.rollout_task(scene, level=level, device=device, threads=threads, draws=draws), **more)
+    return engine(small_tasks.rollout_task(scene, level=level, device=device, threads=threads, draws=draws), **more)
 
 
 def device_of(engine: type) -> str:

@@ -16,4 +16,4 @@ def episode(name: str, method: str, *, seed: int, options: tuple[str, ...] = ())
     config = best(method)
     for option in options:
         config = set_option(config, option)
-    return Episode(scene.with_start(draw_start(scene, seed)), config, method=method, device=DEVICE, seed=seed)
+    return Episode(scene.with_start(sample_start(scene, seed)), config, method=method, device=DEVICE, seed=seed)

@@ -124,12 +124,12 @@ def to_go(
     step: float,
     yaw_length: float,
     near: float,
-    toll: Callable[[float, float], float],
+    cost_per_metre: Callable[[float, float], float],
 ) -> np.ndarray:
     """Shortest way to a way [n, 3] and along it to its end, by Dijkstra over 26 neighbours.
 
-    The grid ``clearance`` [yaw, x, y] has its first node at the base's axis; ``toll`` is of clearance and distance to
-    that axis. Within ``near`` of the way straight distances hold, and a metre along it costs half.
+    The grid ``clearance`` [yaw, x, y] has its first node at the base's axis; ``cost_per_metre`` is of clearance and
+    distance to that axis. Within ``near`` of the way straight distances hold, and a metre along it costs half.
     """
     shape, turn = clearance.shape, 2.0 * np.pi / clearance.shape[0]
     index = np.arange(clearance.size).reshape(shape)
@@ -146,7 +146,11 @@ def to_go(
             if 0 <= ii < shape[1] and 0 <= jj < shape[2] and (tt, ii, jj) != (t, i, j):
                 length = np.linalg.norm([step * (di - 1), step * (dj - 1), yaw_length * turn * (dt - 1)])
                 edges.append(
-                    (index[tt, ii, jj], index[t, i, j], length * toll(float(clearance[t, i, j]), step * np.hypot(i, j)))
+                    (
+                        index[tt, ii, jj],
+                        index[t, i, j],
+                        length * cost_per_metre(float(clearance[t, i, j]), step * np.hypot(i, j)),
+                    )
                 )
     rows, columns, weights = (np.array(part) for part in zip(*edges, strict=True))
     graph = scipy.sparse.coo_array((weights, (rows, columns)), shape=(source + 1, source + 1)).tocsr()

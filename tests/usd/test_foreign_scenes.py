@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import shapely
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils
-from support.edits import TURNS, Y_TO_Z, box_mesh, corner_mesh, frames_turned, odd_obstacles, scaled_cube
-from support.elsewhere import differences, flat, measured_in, reframed, with_y_up, written
+from support.foreign_scenes import differences, flat, measured_in, reframed, with_y_up, written
 from support.physics import assert_shapes_agree, link_transforms
+from support.scene_edits import TURNS, Y_TO_Z, box_mesh, corner_mesh, frames_turned, odd_obstacles, scaled_cube
 
 from oimppi_warp.authoring.checks.check import check_scene
 from oimppi_warp.errors import SceneError

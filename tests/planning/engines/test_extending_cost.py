@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from support import outside_terms, tasks
+from support import outside_terms, small_tasks
 from support.device import DEVICE, run
 from support.engines import device_of
 from support.reference import RELATIVE_TOLERANCE
@@ -57,7 +57,7 @@ def rolled(engine: type, samples: int = 6) -> tuple[np.ndarray, np.ndarray, np.n
     level = best("mppi").robot
     level = replace(level, optimizer=replace(level.optimizer, samples=samples, horizon=STEPS))
     device = device_of(engine)
-    dynamics = engine(tasks.rollout_task(scene, level=level, device=device, threads=1))
+    dynamics = engine(small_tasks.rollout_task(scene, level=level, device=device, threads=1))
     controls = np.random.default_rng(2).uniform(-0.6, 0.6, (samples, STEPS, 6)).astype(np.float32)
     packed = wp.array(controls, dtype=control_type(6), device=device)
     costs = wp.zeros(samples, dtype=float, device=device)
@@ -96,9 +96,9 @@ def nominal(weight: float) -> tuple[np.ndarray, dict[str, float]]:
     """Tool tips [horizon + 1, 3] of the plan after some updates, and the terms of its cheapest sample."""
     COST_TERMS.register("off_line", CostTerm(outside_terms.off_line, weight))
     try:
-        scene = tasks.shipped("task01")
+        scene = small_tasks.shipped("task01")
         planner = make_planner(scene, best("mppi"), method="mppi", engine="quasistatic", device=DEVICE, seed=1)
-        seen = tasks.observe(scene)
+        seen = small_tasks.observe(scene)
         planner.start(seen)
         plans = [planner.plan(seen) for _ in range(6)]
         assert plans[-1].terms.shape == (len(planner.dynamics.terms),)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 from support.device import assert_same
 
 from oimppi_warp.compute.step import Launch
@@ -46,7 +46,7 @@ def reaching() -> Iterator[None]:
 
 
 def test_an_engine_in_numpy_is_planned_with(reaching, device):
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     planner = make_planner(scene, best("mppi"), method="mppi", engine="reaching", device=device, threads=1)
     joints = scene.robot.start
     planner.start(small_tasks.observe(scene))
@@ -59,9 +59,9 @@ def test_an_engine_in_numpy_is_planned_with(reaching, device):
 
 
 def test_what_an_engine_leaves_out_has_a_default(reaching, device):
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     planner = make_planner(scene, best("cloi"), method="cloi", engine="reaching", device=device, threads=1)
-    seen = tasks.observe(scene)
+    seen = small_tasks.observe(scene)
     planner.start(seen)
     plan = planner.plan(seen)
     horizon = planner.config.robot.optimizer.horizon
@@ -87,8 +87,8 @@ def test_any_callable_that_makes_an_engine_is_one(device: str):
         commands = []
         for name in ("mine", "quasistatic"):
             planner = make_planner(scene, best("mppi"), method="mppi", engine=name, device=device, seed=4)
-            planner.start(tasks.observe(scene))
-            commands.append(planner.plan(tasks.observe(scene)).command)
+            planner.start(small_tasks.observe(scene))
+            commands.append(planner.plan(small_tasks.observe(scene)).command)
         assert [task.scene.name for task in made] == ["task01"]
         assert_same(commands[0], commands[1], cuda=1e-4)
     finally:

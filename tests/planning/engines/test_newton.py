@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 from support.device import assert_same, run
 from support.engines import STEPS, device_of, ends, make, plant_at, roll
 from support.pushes import SPEED, tip_before
@@ -49,7 +49,7 @@ def off(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def pushes(device: str) -> tuple[list[Observation], np.ndarray, np.ndarray]:
     """Random pushes on the open table: states, controls [n, horizon, dof], and where the plant has the object then."""
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     surface = build_geometry(scene, device).surface
     rng = np.random.default_rng(11)
     states, commands, found = [], [], []
@@ -233,7 +233,7 @@ def test_too_small_a_contact_buffer_is_an_error(pushes, capfd):
 
 def test_a_whole_rollout_of_worlds_is_one_graph(pushes, device):
     states, controls, _ = pushes
-    dynamics = make(NewtonWorlds, tasks.shipped("task01"), 2, steps=8)
+    dynamics = make(NewtonWorlds, small_tasks.shipped("task01"), 2, steps=8)
     costs = wp.zeros(2, dtype=float, device=device)
     packed = wp.array(controls[:2, :8].astype(np.float32), dtype=control_type(6), device=device)
     rollout = dynamics.rollout(packed, costs)
@@ -249,13 +249,13 @@ def test_a_whole_rollout_of_worlds_is_one_graph(pushes, device):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_costs_are_those_of_the_quasistatic_engine_on_the_same_motion(engine, device):
-    scene = tasks.shipped("task01")
-    seen = tasks.observe(scene)
+    scene = small_tasks.shipped("task01")
+    seen = small_tasks.observe(scene)
     controls = np.tile([0.05, 0.02, 0.02, 0.0, 0.02, 0.05], (STEPS, 1))
     dynamics = make(engine, scene, 1)
     cost = roll(dynamics, seen, controls[None])[0]
     mppi = replace(RobotLevel().optimizer, samples=1, horizon=STEPS)
-    twin = QuasistaticDynamics(tasks.rollout_task(scene, level=RobotLevel(optimizer=mppi), threads=1))
+    twin = QuasistaticDynamics(small_tasks.rollout_task(scene, level=RobotLevel(optimizer=mppi), threads=1))
     costs = wp.zeros(1, dtype=float, device=device)
     packed = wp.array(controls[None].astype(np.float32), dtype=control_type(6), device=device)
     rollout = twin.rollout(packed, costs)
@@ -270,7 +270,7 @@ def test_costs_are_those_of_the_quasistatic_engine_on_the_same_motion(engine, de
 def test_the_trace_is_of_the_cheapest_sample(engine, pushes):
     states, controls, _ = pushes
     device = device_of(engine)
-    dynamics = make(engine, tasks.shipped("task01"), 3)
+    dynamics = make(engine, small_tasks.shipped("task01"), 3)
     costs = wp.zeros(3, dtype=float, device=device)
     packed = wp.array(controls[:3].astype(np.float32), dtype=control_type(6), device=device)
     rollout, take = dynamics.rollout(packed, costs), dynamics.trace(packed[0], costs)

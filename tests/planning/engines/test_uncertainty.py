@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from support import tasks
+from support import small_tasks
 from support.device import DEVICE
 
 from oimppi_warp.config.presets import best
@@ -82,7 +82,7 @@ def test_a_robust_plan_heeds_the_worst_draw(shared, device):
             engine="quasistatic",
             device=device,
         )
-        planner.plan(tasks.observe(scene))
+        planner.plan(small_tasks.observe(scene))
         found[measure] = planner.optimizer.costs.numpy()
     assert (found["worst"] >= found["mean"] - 1e-3).all()
     assert (found["worst"] > found["mean"] + 1e-3).any()

@@ -86,7 +86,7 @@ def test_an_optimizer_refuses_settings_of_another():
 
 @pytest.mark.parametrize("scene", ["task01", "point01"])
 def test_cem_pushes_the_object_nearer_to_its_goal_than_an_arm_that_stands_still(scene: str, device: str):
-    loaded = tasks.shipped(scene)
+    loaded = small_tasks.shipped(scene)
     config = best("cloi")
     for option in ("robot.optimizer=cem", "object.optimizer=cem", "episode.max_sim_seconds=9", "episode.tight=false"):
         config = set_option(config, option)
@@ -169,9 +169,9 @@ def test_an_optimizer_from_outside_is_chosen_set_and_plans(search: str, device: 
         set_option(config, "robot.optimizer.spread=9")
     for level in ("robot", "object"):
         config = set_option(config, f"{level}.optimizer.samples=200")
-    scene = tasks.shipped("task01")
+    scene = small_tasks.shipped("task01")
     planner = make_planner(scene, config, method="cloi", engine="quasistatic", device=device, seed=1)
-    seen = tasks.observe(scene)
+    seen = small_tasks.observe(scene)
     planner.start(seen)
     plan = planner.plan(seen)
     assert isinstance(planner.optimizer, RandomSearch)
