@@ -39,7 +39,7 @@ demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a mi
 view: $(LOCK_ENV) ## watch it push in the browser, and change things while it runs
 	$(BIN)/oimppi view task02 --start 1
 
-test: $(EXTRAS_ENV) ## the tests, under ten minutes on two cores
+test: $(EXTRAS_ENV) ## the tests, on all cores
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
 
 nightly: $(EXTRAS_ENV) ## the tests that take longer: whole episodes over many seeds, kernels for a GPU that is not here
