@@ -82,7 +82,7 @@ class Estimator:
         self._arm = pack_arm(scene.robot, velocity_bound(scene, config.robot), "cpu")
         self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
         self._model.clearance = geometry.obstruction
-        self._surroundings = environment(scene, geometry, config.cost)
+        self._environment = environment(scene, geometry, config.cost)
         self._contact_steps = config.robot.contact_steps
         self._kernel = make_track_object(scene.robot.chain)
         vec = control_type(scene.robot.dof)
@@ -281,7 +281,7 @@ class Estimator:
     def _roll(self, track: _Track, joints: wp.array, begin: int, end: int) -> None:
         """Fill a track's poses and gaps after entry ``begin`` and before ``end``."""
         self._range.numpy()[:] = (begin, end)
-        inputs = [self._arm, self._model, self._surroundings, joints, self._range, self._contact_steps]
+        inputs = [self._arm, self._model, self._environment, joints, self._range, self._contact_steps]
         wp.launch(self._kernel, dim=1, inputs=inputs, outputs=[track.poses, track.gaps], device="cpu")
 
     def _new_track(self, size: int) -> _Track:
