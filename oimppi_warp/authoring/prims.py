@@ -91,7 +91,7 @@ def _finish(gprim: UsdGeom.Gprim, color: Color | None, collide: bool, opacity: f
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), Usd.TimeCode.Default())
     gprim.CreateExtentAttr(extent)
     if color is None:
-        gprim.CreatePurposeAttr(UsdGeom.Tokens.waypoint)
+        gprim.CreatePurposeAttr(UsdGeom.Tokens.guide)
     else:
         gprim.CreateDisplayColorAttr([Gf.Vec3f(*color)])
     if opacity < 1.0:

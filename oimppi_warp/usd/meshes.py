@@ -86,7 +86,7 @@ def _replace(stage: Usd.Stage, prim: Usd.Prim, points: np.ndarray) -> None:
         shape = UsdGeom.Sphere.Define(stage, path)
         shape.CreateRadiusAttr(float(radius))
         shape.AddTranslateOp().Set(Gf.Vec3d(*np.asarray(center).tolist()))
-    shape.CreatePurposeAttr(UsdGeom.Tokens.waypoint)
+    shape.CreatePurposeAttr(UsdGeom.Tokens.guide)
     UsdPhysics.CollisionAPI.Apply(shape.GetPrim())
     material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
     if material:

@@ -191,7 +191,7 @@ def test_many_parts_are_no_more_pieces_than_one(hollow):
         parts.append(part.apply_translation((0.3 * (number % 5), 0.3 * (number // 5), 0.0)))
     hulls, fit = decompose(trimesh.util.concatenate(parts))
     assert len(hulls) == min(PIECES, 20 + hollow)
-    assert fit.close == (hollow == 3)
+    assert fit.is_close == (hollow == 3)
 
 
 def test_the_three_errors_are_those_of_a_hull_in_place_of_an_l():

@@ -178,8 +178,8 @@ def test_the_ring_in_which_an_arm_pushes_grows_with_its_reach(name, scale, devic
     config = set_option(best("cloi"), "robot.optimizer.samples=16")
     planner: Planner = make_planner(shipped(name), config, method="mppi", device=device, engine="quasistatic")
     for given, found in ((config.cost, planner.config.cost), (config.object_cost, planner.config.object_cost)):
-        expected = (scale * given.reach[0], scale * given.reach[1]) if scale else (0.0, 1e3)
-        assert found.reach == pytest.approx(expected)
+        expected = (scale * given.push_ring[0], scale * given.push_ring[1]) if scale else (0.0, 1e3)
+        assert found.push_ring == pytest.approx(expected)
 
 
 # The quasi-static engine

@@ -350,7 +350,7 @@ def lengths(low: float, high: float, count: int) -> st.SearchStrategy[str]:
     return numbers.map(lambda n: "x".join(f"{value:.3f}" for value in n))
 
 
-OBJECTS = st.one_of(
+ANY_OBJECT = st.one_of(
     st.sampled_from(["t-block", "lab-t", "soup-can"]),
     st.sampled_from("ABCDEFGHIJKLMNOPQRSTUVWXYZ").map("letter:{}".format),
     st.text("AEIOLTV", min_size=2, max_size=3).map("text:{}".format),
@@ -359,11 +359,11 @@ OBJECTS = st.one_of(
     st.tuples(st.integers(3, 24), lengths(0.03, 0.07, 2)).map(lambda given: "prism:{}x{}".format(*given)),
 )
 OBSTACLES = st.one_of(
-    lengths(0.03, 0.15, 3).map("box:{}".format), lengths(0.02, 0.06, 2).map("cylinder:{}".format), OBJECTS
+    lengths(0.03, 0.15, 3).map("box:{}".format), lengths(0.02, 0.06, 2).map("cylinder:{}".format), ANY_OBJECT
 )
 TASKS = st.fixed_dictionaries(
     {
-        "object": OBJECTS,
+        "object": ANY_OBJECT,
         "start": poses(),
         "goal": poses(),
         "mass": st.floats(0.05, 2.0),

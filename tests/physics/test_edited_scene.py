@@ -389,10 +389,10 @@ def test_an_obstacle_is_dragged_without_any_file(scene):
     view = object.__new__(LiveView)
     view._session = Asked(replace(scene, file=Path("/nowhere/at/all.usda")))
     before = scene.obstacle(CUBE).center
-    view._let_go(CUBE, np.array([0.6, 0.2, 0.3]), np.array([*before[:2], 0.0]))
+    view._dropped(CUBE, np.array([0.6, 0.2, 0.3]), np.array([*before[:2], 0.0]))
     moved = view._session.wanted.scene.obstacle(CUBE)
     np.testing.assert_allclose(moved.center, [0.6, 0.2, before[2]], atol=1e-12)
-    view._let_go("/World/Gone", np.zeros(3), np.zeros(3))
+    view._dropped("/World/Gone", np.zeros(3), np.zeros(3))
     assert "no obstacle </World/Gone>" in view._session.problem
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import newton
+import newton_usd_schemas  # noqa: F401  # registers Newton's attributes before a stage is opened
 import numpy as np
 import pytest
 import warp as wp

@@ -92,8 +92,8 @@ def test_a_goal_where_the_arm_pushes_badly_is_far_away(device: str):
     goal, pose = np.array([0.121, 0.093, 1.0]), np.array([0.05, 0.093, 1.0])
     field = field_of(np.full((8, 14, 11), 0.05))
     near, far = (
-        pose_field_at(build_to_go(field, goal, yaw_length=YAW_LENGTH, reach=reach, device=device), pose)
-        for reach in ((0.0, np.inf), (0.0, 0.10))
+        pose_field_at(build_to_go(field, goal, yaw_length=YAW_LENGTH, push_ring=ring, device=device), pose)
+        for ring in ((0.0, np.inf), (0.0, 0.10))
     )
     assert far > 2.0 * near
 
