@@ -72,7 +72,7 @@ class Pushable(Protocol):
 
     @property
     def yaw_matters(self) -> bool:
-        """Whether the object's yaw is visible."""
+        """True if the object's yaw is visible."""
         ...
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
@@ -113,7 +113,7 @@ class FlatObject:
 
     @property
     def yaw_matters(self) -> bool:
-        """Whether the object's yaw is visible: a disc's is not."""
+        """True if the object's yaw is visible, which a disc's is not."""
         return not all(isinstance(piece, Disc) for piece in self.pieces)
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:

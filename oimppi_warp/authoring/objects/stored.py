@@ -58,7 +58,7 @@ class StoredObject:
 
     @property
     def yaw_matters(self) -> bool:
-        """Whether the object's yaw is visible."""
+        """True if the object's yaw is visible."""
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
