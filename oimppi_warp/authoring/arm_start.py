@@ -44,8 +44,7 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
 
 
 def inverse_kinematics_from_start(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
-    """Returns joint positions with the tip at a point [3] [m] and the tool pointing down, or ``None`` if none are
-    found.
+    """Returns joint positions with the tip at a point [3] [m] and the tool pointing down, or ``None`` if none exist.
 
     The search begins at the robot's start pose with its first joint turned towards the point.
     """
@@ -83,9 +82,7 @@ def _is_clear(scene: Scene, joints: np.ndarray) -> bool:
 
 
 def _overlap(link: tuple[Collider, np.ndarray, np.ndarray], other: Collider) -> bool:
-    """Returns whether a link's shape and an obstacle overlap both in plan view and in height, a conservative 3D
-    test.
-    """
+    """Returns whether a link's shape and an obstacle overlap in plan view and in height, a conservative 3D test."""
     collider, rotation, position = link
     points, radius = core_points(collider)
     points = points @ rotation.T + position

@@ -60,8 +60,7 @@ class Shape:
             (``"height"``, ``"size"``, ``"font"``, ``"scale"``, ``"lay"``).
         noun: Name of such shapes in the message for an option that needs them: ``"letters"``.
         make_obstacle: Makes an obstacle with a prim of its own type: ``make_obstacle(name, pose, *given)``; ``None``:
-            the
-            object itself becomes a static obstacle.
+            the object itself becomes a static obstacle.
     """
 
     about: str

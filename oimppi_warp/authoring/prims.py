@@ -66,9 +66,7 @@ def set_planar_pose(prim: Usd.Prim, pose: Vector, height: float) -> None:
 
 
 def _add_operation(prim: Usd.Prim, kind: UsdGeom.XformOp.Type, value: Gf.Vec3d | Gf.Quatf | float) -> None:
-    """Adds a transform operation in the prim's precision, or in the attribute's own if another file defines it
-    already.
-    """
+    """Adds a transform operation in the prim's precision, or in that of an attribute defined by another file."""
     there = prim.GetAttribute(f"xformOp:{UsdGeom.XformOp.GetOpTypeToken(kind)}")
     own = UsdGeom.XformOp.PrecisionFloat if isinstance(value, Gf.Quatf) else UsdGeom.XformOp.PrecisionDouble
     precision = UsdGeom.XformOp(there).GetPrecision() if there else own

@@ -53,11 +53,9 @@ def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> 
     """Write a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
 
     The files are first written to a draft folder, read back and checked, and moved only if they are valid. A robot or
-    an
-    object that is already in the folder is used as it is. If a different object has the same name, the new one is
-    written
-    under a name that includes the task's. If the arm would start inside the object or an obstacle, another start is
-    used.
+    an object that is already in the folder is used as it is. If a different object has the same name, the new one is
+    written under a name that includes the task's. If the arm would start inside the object or an obstacle, another
+    start is used.
 
     Args:
         task: The task; its robot is a USD file, or the name of one that is shipped or in the folder's ``robots/``.

@@ -1,6 +1,4 @@
-"""The capital letters A to Z as strokes of a broad pen: 22 mm wide, 103 mm high, with outer corners of bends cut
-off.
-"""
+"""The capital letters A to Z as strokes of a broad pen: 22 mm wide, 103 mm high, outer corners of bends cut off."""
 
 from __future__ import annotations
 

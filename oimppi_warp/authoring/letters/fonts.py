@@ -44,9 +44,7 @@ def glyph_outline(character: str, font: str, cap: float) -> BaseGeometry:
 
 
 def _filled(rings: list[shapely.Polygon]) -> BaseGeometry:
-    """Returns the area enclosed by contours: those with the largest contour's orientation are filled, others are
-    holes.
-    """
+    """Returns the area within contours: those oriented as the largest one are filled, the others are holes."""
     ways = [ring.exterior.is_ccw for ring in rings]
     outer = ways[max(range(len(rings)), key=lambda i: rings[i].area)]
     whole = [shapely.make_valid(ring) for ring in rings]

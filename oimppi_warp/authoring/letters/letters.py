@@ -161,8 +161,6 @@ def _row_of(text: str, font: str | None) -> BaseGeometry:
 
 
 def _file_name_part(text: str) -> str:
-    """Converts text for use in a file name: lower-case letters, digits and underscores; other characters by code
-    number.
-    """
+    """Converts text for a file name to lower-case letters, digits and underscores, and the code numbers of others."""
     found = (c if re.fullmatch(r"[a-z0-9]", c) else "_" if c == " " else f"u{ord(c):x}" for c in text.lower())
     return "".join(found)

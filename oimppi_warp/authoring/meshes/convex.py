@@ -37,7 +37,7 @@ _ON_SURFACE = 8000  # for sampling a distance
 
 @dataclass(frozen=True)
 class Fit:
-    """How closely convex pieces match the mesh that they represent.
+    """Closeness of convex pieces to the mesh that they represent.
 
     Attributes:
         volume: Volume of their union relative to the mesh's, minus one.
@@ -146,8 +146,7 @@ def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Returns the depths of points [n, 3] below a surface, negative above it, shape [n] [m]; exact for the triangles
-    nearby.
+    """Returns depths of points [n, 3] below a surface, negative above it, shape [n] [m]; exact for triangles nearby.
 
     Where an edge or a corner is nearest, its triangles are equally distant; the one whose plane the point is farthest
     from decides the side.

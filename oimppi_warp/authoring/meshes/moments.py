@@ -47,9 +47,7 @@ def _may_overlap(mesh: trimesh.Trimesh) -> bool:
 
 
 def winding(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Returns winding numbers of a closed surface about points, from its triangles' solid angles (van Oosterom,
-    Strackee).
-    """
+    """Returns winding numbers of a closed surface about points, from solid angles (van Oosterom, Strackee)."""
     turns = np.zeros(len(points))
     for chunk in np.array_split(np.arange(len(points)), max(1, len(points) * len(mesh.faces) // 2_000_000)):
         a, b, c = np.moveaxis(mesh.triangles[None] - points[chunk, None, None], 2, 0)

@@ -86,8 +86,7 @@ def _around(mesh: trimesh.Trimesh, ends: np.ndarray, faces: np.ndarray, against:
     """Returns the order of faces around their common edge, starting outside the solid.
 
     A face that runs against the edge has its inside at larger angles about it, a face that runs along it at smaller
-    ones:
-    together they open and close like brackets.
+    ones: together they open and close like brackets.
     """
     a, b = mesh.vertices[ends]
     along = (b - a) / np.linalg.norm(b - a)

@@ -17,8 +17,7 @@ UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
 """Units that a mesh may be in, in metres."""
 
 SIZES = (0.03, 0.5)
-"""Smallest and largest allowed length of an object's longest side [m]: the stick is 0.016 m wide, the arm reaches 0.7
-m."""
+"""Range of the length of an object's longest side [m]: the stick is 0.016 m wide, the arm reaches 0.7 m."""
 
 PARTS = 20
 """Maximum number of separate parts of one object."""

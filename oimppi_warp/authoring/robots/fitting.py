@@ -52,9 +52,7 @@ def _capsule(name: str, points: np.ndarray, axis: np.ndarray) -> Collider:
 
 
 def _circle(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Finds a small ball around points [n, 3] in a plane: from the midpoint of the farthest two, moved towards
-    outliers.
-    """
+    """Finds a small ball around points [n, 3] in a plane, moving the midpoint of the farthest two towards outliers."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     for step in range(1, 200):  # Badoiu and Clarkson: the farthest point pulls, ever less
         center = center + (points[np.argmax(((points - center) ** 2).sum(axis=1))] - center) / (step + 1)

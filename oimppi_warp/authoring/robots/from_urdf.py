@@ -31,8 +31,7 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
 
     Raises:
         SceneError: The file cannot be read, is not a tree of links, branches, has a joint that a planner cannot drive,
-            or
-            refers to a mesh that is missing.
+            or refers to a mesh that is missing.
     """
     root = _parse(file)
     chain = serial_chain(_tree(file, root), file=file, flange=flange)

@@ -29,8 +29,7 @@ def write_sample_task(robot: Robot, name: str, folder: Path, *, destination: Pat
         name: Name of the task's file.
         folder: Folder to write to.
         destination: Folder that the files are moved to later; if another object there has the T's name, the robot's
-            name
-            is added to the T's.
+            name is added to the T's.
 
     Raises:
         SceneError: The robot cannot do the task, or its file is invalid.

@@ -62,9 +62,7 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
 
 
 def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Returns lower and upper limits, reduced to half a turn either side for joints that go further, shape [dof]
-    each.
-    """
+    """Returns lower and upper limits, at most half a turn either way for joints that go further, shape [dof] each."""
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
     revolute = revolute_joints(robot)
     return np.where(revolute, np.maximum(lower, -np.pi), lower), np.where(revolute, np.minimum(upper, np.pi), upper)
@@ -82,9 +80,7 @@ def _guesses(robot: Robot, random: np.random.Generator) -> list[np.ndarray]:
 
 
 def _score(robot: Robot, joints: np.ndarray) -> float:
-    """Rates a start by table clearance, margin to the limits and absence of needless twists; not above 0 if
-    unusable.
-    """
+    """Rates a start by table clearance, margin to the limits and lack of twists; not above 0 if it is unusable."""
     lower, upper = _limits(robot)
     room = table_clearance(robot, joints)
     spare = float(np.min(np.minimum(joints - lower, upper - joints) / (upper - lower)))
@@ -121,9 +117,7 @@ def table_clearance(robot: Robot, joints: np.ndarray) -> float:
 
 
 def _check_height(robot: Robot, joints: np.ndarray, height: float, file: object) -> None:
-    """Raises SceneError if a robot without vertical motion has a tilted tool, or one at a height where it cannot
-    push.
-    """
+    """Raises SceneError if a robot without vertical motion has a tilted tool, or one at a wrong height for pushing."""
     if tip_frame(robot, joints)[0][2, 2] > -1.0 + 1e-6:
         raise SceneError("its stick does not point down", file=file, allowed="down", fix="choose another --tool-axis")
     low, high = PUSHING
