@@ -146,9 +146,7 @@ def check_roles(stage: SceneStage) -> None:
 
 
 def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
-    """Returns the object's frame in the world without scale, which belongs to its shapes: a scaled Cube may be a
-    body.
-    """
+    """Returns the object's world frame without scale, which belongs to its shapes: a scaled Cube may be a body."""
     frame = stage.frame(prim)
     if not is_orthogonal(frame) or scales(frame).min() < 1e-9 or frame.GetDeterminant() <= 0.0:
         raise stage.error(

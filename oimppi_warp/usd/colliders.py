@@ -171,9 +171,7 @@ def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
 
 
 def solid(collider: Collider) -> trimesh.Trimesh:
-    """Returns the solid that determines mass, in the body's frame; a mesh's is enclosed by its faces and may be
-    hollow.
-    """
+    """Returns the solid that determines mass, in the body's frame; a mesh's faces enclose it, with any hollows."""
     if collider.vertices is None or collider.faces is None:
         return collider_mesh(collider)
     points = transform_points(collider.transform, collider.vertices)

@@ -98,9 +98,7 @@ def _task_warnings(scene: Scene) -> Iterator[Problem]:
             fix="give oimppi:spread, from which seeds draw starts, or list oimppi:starts",
         )
     body = scene.object
-    if tipping_height(body) > 0.0 and can_tip(
-        body
-    ):  # at zero height its centre of mass is wrong, which has its own warning
+    if tipping_height(body) > 0.0 and can_tip(body):  # at zero its centre of mass is wrong: a separate warning
         top = body.rest_height + height_range(body.colliders)[1]
         yield _warning(
             scene,

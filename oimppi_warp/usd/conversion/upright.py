@@ -56,8 +56,6 @@ def _turn_frame(body: Usd.Prim, by: Gf.Matrix4d) -> None:
     moments = mass.GetDiagonalInertiaAttr().Get()
     if center is not None and np.isfinite(center).all():
         mass.CreateCenterOfMassAttr(Gf.Vec3f(back.Transform(Gf.Vec3d(center))))
-    if moments is not None and any(
-        moments
-    ):  # otherwise inertia comes from the shapes; without principal axes, they are the frame's
+    if moments is not None and any(moments):  # else from the shapes; principal axes default to the frame's
         own = axes if axes is not None and axes.GetLength() > 0.5 else Gf.Quatf(1.0)
         mass.CreatePrincipalAxesAttr(Gf.Quatf(back.ExtractRotationQuat() * Gf.Quatd(own)))
