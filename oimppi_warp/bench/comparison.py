@@ -131,9 +131,7 @@ def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """Return the p of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947): a fair coin for each differing
-    pair.
-    """
+    """Return the p of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947): a fair coin per differing pair."""
     if only_first + only_second == 0:
         return 1.0
     from scipy.stats import binomtest

@@ -12,8 +12,7 @@ from oimppi_warp.bench.results import Result, ResultSet
 from oimppi_warp.bench.statistics import Rate, Statistics, summarize_results
 
 PLANNED_AHEAD = 0.5
-"""Minimum mean wall time of planning before the first step for it to be reported [s]; cost fields take a tenth of
-it."""
+"""Minimum mean wall time of planning ahead for it to be reported [s]; cost fields take a tenth of it."""
 
 _NOT_REPORTED = Reported("", math.nan)
 
