@@ -44,7 +44,7 @@ def with_mppi(config: Config, *, samples: int, horizon: int = 25, **level: Any) 
 
 
 class Benchmark:
-    """All measurements on one scene.
+    """Runs all measurements on one scene.
 
     Args:
         scene: The task.
@@ -215,7 +215,7 @@ class Benchmark:
 
 
 def raw_rollouts(scene: Scene, loop: PlannerLoop) -> Callable[[], None]:
-    """Return raw ``mujoco.rollout`` of a Newton plan: same model without sensors, states, controls and threads."""
+    """Return a ``mujoco.rollout`` call for a Newton plan: same model without sensors, states, controls and threads."""
     import mujoco
     import numpy as np
     from mujoco import rollout

@@ -33,7 +33,7 @@ class ShapeOptions:
     """Options for making an object, beyond those in its spec.
 
     Attributes:
-        mass: [kg]; ``None``: a shipped object's own, otherwise that of wood of the same volume.
+        mass: Mass [kg]; ``None``: a shipped object's own, otherwise that of wood of the same volume.
         friction: Coulomb coefficient with the table; ``None``: a shipped object's own, otherwise 0.4.
         height: Thickness of letters and words [m]; ``None``: 0.05.
         size: Height of a capital letter in its plane [m]; ``None``: 0.103, or less if a long word requires it.

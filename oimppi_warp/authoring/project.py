@@ -145,7 +145,7 @@ def _check_target(name: str, file: Path, force: bool) -> None:
 
 
 def _own_objects(scene: Path, task: str) -> frozenset[Path]:
-    """Returns the objects used only by a task's earlier scene, named after the task; found from its folder."""
+    """Returns the objects that only a task's earlier scene uses and that are named after the task; relative paths."""
     others = set().union(*(_objects_in(other) for other in scene.parent.glob("*.usd*") if other != scene))
     return frozenset(file for file in _objects_in(scene) - others if f"_{task}" in file.stem)
 

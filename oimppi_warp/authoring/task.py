@@ -78,7 +78,7 @@ Obstacle = Block | Pillar | StaticObject
 
 @dataclass(frozen=True)
 class Task:
-    """One scene; poses are (x [m], y [m], yaw [rad]).
+    """A task and its scene; poses are (x [m], y [m], yaw [rad]).
 
     Attributes:
         name: Name of the scene's file.

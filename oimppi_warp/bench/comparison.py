@@ -64,7 +64,7 @@ class Comparison:
 
 
 def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
-    """Compare two result sets: all pairs together, then each task and method.
+    """Compare two result sets: all pairs together, then by task and method.
 
     Raises:
         ConfigError: They have no combination of task, method and start in common.

@@ -15,7 +15,7 @@ _HERE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 def define_collider(stage: Usd.Stage, path: str, collider: Collider) -> Usd.Prim:
-    """Adds a collider to a stage, in the frame of the prim above.
+    """Adds a collider to a stage, in the frame of its parent prim.
 
     Args:
         stage: In metres, z up.

@@ -24,7 +24,7 @@ RESOLUTION = 1e-4
 """Accuracy to which the minimum clearance of the widest path is determined [m]."""
 
 NEIGHBOR_RANGE = 0.01
-"""Obstacles farther from the object than the nearest one by more than this do not count as its neighbours [m]."""
+"""Things farther from the object than the nearest one by more than this do not count as its neighbours [m]."""
 
 Node = tuple[int, int, int]
 
@@ -47,7 +47,7 @@ class Bottleneck:
 
 
 class FreePaths:
-    """The paths to a scene's goal over the grid of phi_2.
+    """Searches paths to a scene's goal on the grid of phi_2.
 
     Args:
         scene: The task; neither its start nor its goal overlaps anything.

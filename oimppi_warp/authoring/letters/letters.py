@@ -47,7 +47,7 @@ def letter(
         letter: One of A to Z; with a font, any character of that font.
         size: Height of a capital letter in its plane [m].
         height: Thickness [m].
-        mass: [kg]; ``None``: computed from the density of wood.
+        mass: Mass [kg]; ``None``: computed from the density of wood.
         friction: Coulomb coefficient with the table.
         font: Name of an installed font, or path of a font file; without it, the built-in alphabet.
         color: Red, green and blue.
@@ -89,7 +89,7 @@ def word(
         size: Height of a capital letter [m]; ``None``: that of the shipped letters, reduced if necessary so that the
             word is no longer than :data:`LONGEST`.
         height: Thickness [m].
-        mass: [kg]; ``None``: computed from the density of wood.
+        mass: Mass [kg]; ``None``: computed from the density of wood.
         friction: Coulomb coefficient with the table.
         font: Name of an installed font, or path of a font file; without it, the built-in alphabet.
         color: Red, green and blue.

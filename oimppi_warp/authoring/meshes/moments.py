@@ -17,7 +17,7 @@ class Moments:
     """Moments of a solid of uniform density.
 
     Attributes:
-        volume: [m^3].
+        volume: Volume [m^3].
         center: Centre of mass, shape [3] [m].
         inertia: Inertia about the centre per kilogram, shape [3, 3] [m^2].
     """

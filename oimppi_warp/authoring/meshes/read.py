@@ -31,7 +31,7 @@ FACES = 200_000
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A closed surface.
+    """A closed surface read from a mesh file.
 
     Attributes:
         mesh: The triangle mesh [m].

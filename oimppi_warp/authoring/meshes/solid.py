@@ -43,7 +43,7 @@ class MeshObject:
         about: Its size and origin.
         hulls: Convex pieces in the object's frame: corners [n, 3] [m] and triangles [m, 3] each.
         surface: Display surface in the same form; empty: the pieces are displayed.
-        mass: [kg].
+        mass: Mass [kg].
         friction: Coulomb coefficient with the table.
         center: Centre of mass, shape [3] [m].
         inertia: About the centre of mass, shape [3, 3] [kg m^2].
@@ -120,7 +120,7 @@ def import_mesh(
     Args:
         file: STL, OBJ, GLB, PLY or OFF; its whole content becomes one object.
         name: Name of the object; ``None``: the file's name.
-        mass: [kg]; ``None``: that of wood of the same volume.
+        mass: Mass [kg]; ``None``: that of wood of the same volume.
         friction: Coulomb coefficient with the table.
         scale: Unit of the mesh: mm, cm, m or inch; ``None``: metres.
         lay: In its most stable pose, or with its z axis up, as modelled.

@@ -84,15 +84,15 @@ class Pushable(Protocol):
 
 @dataclass(frozen=True)
 class FlatObject:
-    """A flat object: convex pieces that do not overlap, all of one height.
+    """A flat object: convex pieces of equal height that do not overlap.
 
     Attributes:
         name: Name of the object's file.
         prim: Name of the object's prim.
         doc: Description.
         pieces: Each a box, a disc, or a convex polygon (counter-clockwise, [n, 2]).
-        height: [m].
-        mass: [kg].
+        height: Height [m].
+        mass: Mass [kg].
         friction: Coulomb coefficient with the table.
         color: Linear RGB.
     """

@@ -65,8 +65,8 @@ def regular_prism(
     Args:
         sides: Number of the polygon's sides.
         radius: Distance from the polygon's centre to its corners [m].
-        height: [m].
-        mass: [kg]; ``None``: computed from the density of wood.
+        height: Height [m].
+        mass: Mass [kg]; ``None``: computed from the density of wood.
         friction: Coulomb coefficient with the table.
 
     Raises:
@@ -100,7 +100,7 @@ def extrusion(
         name, prim, doc: Name of the object's file, name of its prim, and description.
         outline: Polygons, seen from above, about the object's origin [m].
         height: Thickness [m].
-        mass: [kg]; ``None``: computed from the density of wood.
+        mass: Mass [kg]; ``None``: computed from the density of wood.
         friction: Coulomb coefficient with the table.
         color: Red, green and blue.
 

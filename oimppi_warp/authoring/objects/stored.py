@@ -69,7 +69,7 @@ class StoredObject:
 
     @property
     def is_ready(self) -> bool:
-        """Returns whether a scene can reference the file as it is: SI units, z up, a mass, and no transform."""
+        """True if a scene can reference the file as it is: in SI units, z up, with a mass and without a transform."""
         stage = SceneStage(self.file)
         root = stage.stage.GetDefaultPrim()
         return stage.stage.GetSessionLayer().empty and _gives_mass(root) and not _operations(root)

@@ -38,7 +38,7 @@ class ArmLink:
     """A rigid link.
 
     Attributes:
-        mass: [kg].
+        mass: Mass [kg].
         center: Centre of mass in the link's frame [m].
         inertia: Inertia about the centre of mass, in the link's axes, shape [3, 3] [kg m^2].
         colliders: Shapes in the link's frame; a collider's path is the name of its prim.
@@ -57,11 +57,11 @@ class ArmJoint:
     """A joint: its frame in the parent link's frame, and its limits.
 
     Attributes:
-        position: [m].
-        turn: Quaternion xyzw.
+        position: Origin of the joint frame [m].
+        turn: Orientation, as a quaternion xyzw.
         lower, upper: Position limits [rad; m for a sliding joint].
-        effort: [N m; N].
-        velocity: [rad/s; m/s].
+        effort: Effort limit [N m; N].
+        velocity: Velocity limit [rad/s; m/s].
         kind: Whether it turns or slides.
     """
 
@@ -79,10 +79,10 @@ class Stick:
     """The tool: a round stick that points along z of its mounting frame.
 
     Attributes:
-        length, radius: [m].
-        mass: [kg].
+        length, radius: Length and radius [m].
+        mass: Mass [kg].
         position: Position of its base in the last link's frame [m].
-        turn: Quaternion xyzw.
+        turn: Orientation, as a quaternion xyzw.
     """
 
     length: float

@@ -20,9 +20,9 @@ class Limits:
     """Limits of a joint; infinite where not specified.
 
     Attributes:
-        lower, upper: [rad; m for a sliding joint].
-        effort: [N m; N].
-        velocity: [rad/s; m/s].
+        lower, upper: Position limits [rad; m for a sliding joint].
+        effort: Effort limit [N m; N].
+        velocity: Velocity limit [rad/s; m/s].
     """
 
     lower: float
@@ -33,7 +33,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class TreeJoint:
-    """A joint of the tree.
+    """A joint in the tree of links.
 
     Attributes:
         name: Its name.

@@ -54,7 +54,7 @@ def _capsule(name: str, points: np.ndarray, axis: np.ndarray) -> Collider:
 def _circle(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Finds a small ball around points [n, 3] in a plane, moving the midpoint of the farthest two towards outliers."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
-    for step in range(1, 200):  # Badoiu and Clarkson: the farthest point pulls, ever less
+    for step in range(1, 200):  # Badoiu and Clarkson: move towards the farthest point, by less each time
         center = center + (points[np.argmax(((points - center) ** 2).sum(axis=1))] - center) / (step + 1)
     return center, float(np.sqrt(((points - center) ** 2).sum(axis=1).max()))
 

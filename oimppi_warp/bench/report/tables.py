@@ -19,7 +19,7 @@ _NOT_REPORTED = Reported("", math.nan)
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
+    """A table of text cells.
 
     Attributes:
         title: Its heading.
