@@ -1,6 +1,6 @@
-"""The pictures of docs/authoring.md, made by doing what the page says; a few minutes.
+"""Makes the pictures of docs/authoring.md by following the page's instructions; takes a few minutes.
 
-Usage: ``python tools/authoring_pictures.py [FOLDER]``, where the pictures go, ``docs/images`` if not given.
+Usage: ``python tools/authoring_pictures.py [FOLDER]``; the pictures go to FOLDER, by default ``docs/images``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))  # the package as it stands beside this script
+sys.path.insert(0, str(ROOT))  # imports the package from this checkout
 
 import matplotlib  # noqa: E402
 import numpy as np  # noqa: E402
@@ -27,13 +27,13 @@ from oimppi_warp.cli.main import main as oimppi  # noqa: E402
 from oimppi_warp.plots.style import STYLE, add_rings, rendered  # noqa: E402
 
 WIDTH = 640
-"""Of a picture of a way [pixels]."""
+"""Width of a picture [pixels]."""
 
 COLORS = ["#34558b", "#d08c60", "#5f8a6b", "#8fb4d8", "#7d5a7f", "#efc9a5", "#b3cfa8", "#c9b3cb"]
 
 
 def follow(page: str) -> None:
-    """Do what the page says in the present folder; only the viewer is left out."""
+    """Run the page's commands and code in the current folder, except the viewer."""
     blocks = re.findall(r"^```(\w+) ?([\w.]*)\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
     for kind, name, text in blocks:
         if kind == "python":
@@ -48,14 +48,14 @@ def follow(page: str) -> None:
 
 
 def small(picture: Path, target: Path) -> None:
-    """A picture at the width of the page, of few colours."""
+    """Save a picture at the width of the page, with a reduced palette."""
     image = Image.open(picture).convert("RGB")
     image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
     image.quantize(96).save(target, optimize=True)
 
 
 def alphabet() -> bytes:
-    """The letters A to Z, each convex piece in a colour of its own."""
+    """Draw the letters A to Z, with each convex piece in a different colour."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 1.35))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -72,7 +72,7 @@ def alphabet() -> bytes:
 
 
 def main() -> int:
-    """Make them; exit status 0."""
+    """Make the pictures; returns exit status 0."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else ROOT / "docs" / "images").absolute()
     folder.mkdir(parents=True, exist_ok=True)
     here = Path.cwd()

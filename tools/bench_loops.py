@@ -1,4 +1,4 @@
-"""What the benchmark of plan time runs: planners in closed loop on their own prediction, against each other."""
+"""Planners in closed loop on their own predictions, timed against each other by the benchmark of plan time."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from oimppi_warp.planning.planner import Planner
 from oimppi_warp.scene import Scene
 
 WARM_UP = 3
-"""Plans that are not counted."""
+"""Number of initial plans that are not timed."""
 STAGES = ("sample", "rollout", "weigh", "update")
 """Stages of one update, in the order of ``Optimizer.improve``."""
 
 
 @dataclass
 class Timing:
-    """Times of one thing that was repeated.
+    """Times of a repeated operation.
 
     Attributes:
-        ms: Wall time of each [ms].
-        stage_ms: Median time of each stage [ms]; ``other`` is what is left of the median, Python above all.
-        problems: Why it does not count.
+        ms: Wall time of each repetition [ms].
+        stage_ms: Median time of each stage [ms]; ``other`` is the rest of the median, mainly Python.
+        problems: Reasons why the timing is invalid.
     """
 
     ms: list[float] = field(default_factory=list)
@@ -42,11 +42,11 @@ class Timing:
 
     @property
     def median(self) -> float:
-        """[ms]."""
+        """Median wall time [ms]."""
         return statistics.median(self.ms)
 
     def figures(self) -> dict[str, Any]:
-        """For the record."""
+        """Return the timing's entries in the benchmark record."""
         stages = {name: round(ms, 3) for name, ms in self.stage_ms.items()}
         spread = {"p95_ms": round(float(np.quantile(self.ms, 0.95)), 3), "repeats": len(self.ms)}
         problems = {"problems": self.problems} if self.problems else {}
@@ -54,7 +54,7 @@ class Timing:
 
 
 class PlannerLoop:
-    """A planner whose arm and object follow its own plan, so that plans without and with contact are timed.
+    """A planner whose arm and object follow its own plan, so that plans with and without contact are timed.
 
     Args:
         scene: The task.
@@ -75,7 +75,7 @@ class PlannerLoop:
         self.planner.start(self.first)
 
     def __call__(self) -> None:
-        """One plan, and on to where it leads."""
+        """Compute one plan, and move to the state that it predicts."""
         plan = self.planner.plan(self.seen)
         self.stopped = plan.problem
         if plan.problem:
@@ -87,7 +87,7 @@ class PlannerLoop:
         self.seen = replace(self.seen, joint_position=joints, object_pose=pose, object_transform=transform)
 
     def problems(self) -> list[str]:
-        """What is wrong with the latest plan."""
+        """Return the problems of the latest plan."""
         if self.stopped:
             return [f"nothing was planned: {self.stopped}"]
         update = self.optimizer.found()
@@ -95,14 +95,14 @@ class PlannerLoop:
         return found + ([] if update.effective_samples > 0.999 else ["no effective sample"])
 
     def stages(self, repeats: int) -> dict[str, float]:
-        """Median time of each stage of the robot level in the present state [ms]."""
+        """Return the median time of each stage of the robot level in the present state [ms]."""
         trace = self.planner.dynamics.trace(self.optimizer.nominal, self.optimizer.costs)
         launches = [*zip(STAGES, self.optimizer.improve, strict=False), ("trace", trace)]
         return {name: time_of(launch, repeats, self.planner.compute.device) for name, launch in launches}
 
 
 class ObjectLoop:
-    """The object level alone, the object following its own plan."""
+    """The object level alone, with the object following its own plan."""
 
     def __init__(self, scene: Scene, config: Config, *, device: str, threads: int | None = None) -> None:
         from oimppi_warp.geometry.fields import build_geometry, to_center
@@ -117,18 +117,18 @@ class ObjectLoop:
         self.pose = start
 
     def __call__(self) -> None:
-        """One plan, and on to where it leads."""
+        """Compute one plan, and move the object to the pose that it predicts."""
         self.level.set_state(self.pose)
         self._step()
         self.pose = self.level.path.host[0, 1].astype(float)
 
     def problems(self) -> list[str]:
-        """What is wrong with the latest plan."""
+        """Return the problems of the latest plan."""
         update = self.optimizer.found()
         return [] if not update.lost and update.effective_samples > 0.999 else ["lost samples, or none effective"]
 
     def stages(self, repeats: int) -> dict[str, float]:
-        """Median time of each stage in the present state [ms]."""
+        """Return the median time of each stage in the present state [ms]."""
         names = (*STAGES, "trace", "shift")
         return {
             name: time_of(launch, repeats, self.device)
@@ -137,7 +137,7 @@ class ObjectLoop:
 
 
 def race(runners: dict[str, Callable[[], None]], repeats: int) -> dict[str, Timing]:
-    """Times several things in turns, so that what else the machine does meets all of them alike."""
+    """Time several operations in turns, so that other load on the machine affects all of them alike."""
     timings = {name: Timing() for name in runners}
     for step in range(WARM_UP + repeats):
         for name, run in runners.items():
@@ -156,7 +156,7 @@ def race(runners: dict[str, Callable[[], None]], repeats: int) -> dict[str, Timi
 
 
 def time_of(launch: Callable[[], None], repeats: int, device: str = "cpu") -> float:
-    """Median time of something [ms]."""
+    """Return the median time of an operation [ms]."""
     found = []
     for _ in range(repeats):
         began = time.perf_counter()
@@ -167,13 +167,13 @@ def time_of(launch: Callable[[], None], repeats: int, device: str = "cpu") -> fl
 
 
 def first_observation(scene: Scene) -> Observation:
-    """The scene's start, as a plant would report it."""
+    """Return an observation of the scene's start, as a plant would report it."""
     transform = planar_transform(scene.start, scene.object.rest_height)
     return Observation(0.0, scene.robot.start, np.zeros(scene.robot.dof), np.array(scene.start), transform)
 
 
 def solves(engine: str, device: str, config: Config) -> bool:
-    """Whether planning on an engine brings the T of the open table to a goal 15 cm away, in the simulator."""
+    """Return whether planning with an engine pushes the T on the open table to a goal 15 cm away, in the simulator."""
     from oimppi_warp.record.metrics import summarize
     from oimppi_warp.runtime.episode import Episode
     from oimppi_warp.usd import load_scene

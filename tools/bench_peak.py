@@ -1,4 +1,4 @@
-"""The arithmetic of the fused rollout kernel, and what a core can do at the most."""
+"""Operation counts of the fused rollout kernel, and the peak performance of a core."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Chains = wp.types.vector(length=_CHAINS, dtype=float)
 
 @wp.kernel(enable_backward=False)
 def chains(factor: _Chains, offset: _Chains, out: wp.array[float]):  # type: ignore
-    """Independent chains of multiply-adds, enough of them to hide how long one takes."""
+    """Computes independent chains of multiply-adds, enough of them to hide the latency of one."""
     i = wp.tid()
     a = offset * float(i)  # pyright: ignore
     for _ in range(1000):
@@ -24,10 +24,10 @@ def chains(factor: _Chains, offset: _Chains, out: wp.array[float]):  # type: ign
 
 
 def operations_per_step(joints: int) -> dict[str, int]:
-    """Floating-point operations that one simulated step does at the least, by part of the kernel.
+    """Return the minimum number of floating-point operations in one simulated step, by part of the kernel.
 
-    Counted in the source; a sine, cosine, root, arc tangent or division counts as one. Left out is what depends on
-    where things are: spheres of links near table or obstacles, look-ups, contact and settling.
+    Counted in the source; a sine, cosine, root, arc tangent or division counts as one. Operations that depend on poses
+    are excluded: spheres of links near table or obstacles, look-ups, contact and settling.
     """
     rotation_times_vector, rotation_times_rotation = 15, 45
     return {
@@ -41,7 +41,7 @@ def operations_per_step(joints: int) -> dict[str, int]:
 
 
 def kernel_peak() -> float:
-    """Operations a second of one core in a Warp kernel, by chains of multiply-adds [1/s]."""
+    """Measure operations per second of one core in a Warp kernel, with chains of multiply-adds [1/s]."""
     out = wp.zeros(200, dtype=float, device="cpu")
     found = []
     for _ in range(7):
@@ -52,7 +52,7 @@ def kernel_peak() -> float:
 
 
 def vector_peak() -> float:
-    """Operations a second of one core with its vector units, by a product of matrices in single precision [1/s]."""
+    """Measure operations per second of one core with its vector units, by a single-precision matrix product [1/s]."""
     a = np.random.default_rng(0).random((768, 768), dtype=np.float32)
     found = []
     for _ in range(9):

@@ -1,7 +1,8 @@
-"""How long one plan takes: every engine and device present, its stages, sweeps, and the bounds of both engines.
+"""Measures the time of one plan: every engine and device present, its stages, sweeps, and the bounds of both engines.
 
-What is compared is timed in turns within one run. A run counts only if its plans are sane (finite costs, an effective
-sample) and if planning so solves a task in the simulator. ``docs/performance.md`` explains the figures.
+Variants to be compared are timed in turns within one run. A run counts only if its plans are sane (finite costs, an
+effective
+sample) and if planning with them solves a task in the simulator. ``docs/performance.md`` explains the figures.
 
 Usage: ``python tools/bench_plan.py [--scene task02] [--repeats 60] [--quick] [--brief] [--json FILE]``
 """
@@ -20,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"  # before NumPy is loaded: its threads only get into each other's way here
+    os.environ[_name] = "1"  # set before NumPy is loaded: its threads only compete with each other here
 
 if TYPE_CHECKING:
     from bench_loops import PlannerLoop, Timing
@@ -29,26 +30,26 @@ if TYPE_CHECKING:
     from oimppi_warp.scene import Scene
 
 BUDGET_MS = {"robot level": 15.0, "object level": 8.0}
-"""What one plan may take in the median on one core [ms]."""
+"""Maximum median time of one plan on one core [ms]."""
 MOST_TO_RAW = 1.25
-"""What a plan of the Newton engine may take, as a multiple of raw ``mujoco.rollout``."""
+"""Maximum time of a plan of the Newton engine, as a multiple of raw ``mujoco.rollout``."""
 MOST_TO_ONE_CORE = 0.6
-"""What a quasi-static plan may take on two cores or more, as a multiple of its time on one."""
+"""Maximum time of a quasi-static plan on two or more cores, as a multiple of its time on one."""
 
 
 def with_mppi(config: Config, *, samples: int, horizon: int = 25, **level: Any) -> Config:
-    """The settings with this K and H at the robot level, and these of ``RobotLevel``."""
+    """Return the settings with this K and H at the robot level, and these fields of ``RobotLevel``."""
     mppi = replace(config.robot.optimizer, samples=samples, horizon=horizon, iterations=1)
     return replace(config, robot=replace(config.robot, optimizer=mppi, **level))
 
 
 class Benchmark:
-    """All measurements on one scene.
+    """Runs all measurements on one scene.
 
     Args:
         scene: The task.
-        repeats: Plans to time of each kind.
-        quick: Small and few, only to see that everything runs.
+        repeats: Number of plans to time of each kind.
+        quick: Whether to use few, small problems, only to check that everything runs.
     """
 
     def __init__(self, scene: Scene, *, repeats: int, quick: bool) -> None:
@@ -64,13 +65,13 @@ class Benchmark:
         self.problems: list[str] = []
 
     def loop(self, config: Config, engine: str, threads: int, device: str = "cpu", method: Any = "mppi") -> PlannerLoop:
-        """A planner in closed loop with itself."""
+        """Create a planner in closed loop with itself."""
         from bench_loops import PlannerLoop
 
         return PlannerLoop(self.scene, config, method=method, engine=engine, device=device, threads=threads)
 
     def race(self, what: str, runners: dict[str, Callable[[], None]], repeats: int | None = None) -> dict[str, Timing]:
-        """Times things in turns, and keeps what is wrong with them."""
+        """Time operations in turns, and record any problems with them."""
         from bench_loops import race
 
         found = race(runners, repeats or self.repeats)
@@ -78,7 +79,7 @@ class Benchmark:
         return found
 
     def quasistatic(self) -> dict[str, Any]:
-        """Both levels and a CLOI step, on one core and on all."""
+        """Time both levels and a CLOI step, on one core and on all."""
         from bench_loops import ObjectLoop
 
         config = with_mppi(self.config, samples=self.samples)
@@ -103,7 +104,7 @@ class Benchmark:
         return found
 
     def newton(self) -> dict[str, Any]:
-        """A plan of the Newton engine on the CPU beside raw rollouts of the same steps with the same threads."""
+        """Time a plan of the Newton engine on the CPU against raw rollouts of the same steps with the same threads."""
         config = with_mppi(self.config, samples=self.samples)
         loop = self.loop(config, "newton", self.cores)
         for _ in range(20):  # until there is contact
@@ -124,7 +125,7 @@ class Benchmark:
         }
 
     def sweeps(self) -> dict[str, list[dict[str, float]]]:
-        """Plan time over K, H and substeps."""
+        """Time plans over a range of K, H and substeps."""
         few = self.quick
         sizes = (128, 256) if few else (128, 256, 512, 1024, 2048, 4096, 8192, 16384)
         plan: list[tuple[str, str, dict[str, Any]]] = []
@@ -145,7 +146,7 @@ class Benchmark:
         return found
 
     def randomized(self) -> dict[str, Any]:
-        """The price of four draws of the world."""
+        """Measure the cost of four random draws of the world."""
         from oimppi_warp.config.settings import Uncertainty
 
         certain = with_mppi(self.config, samples=self.samples)
@@ -159,7 +160,7 @@ class Benchmark:
         return {name: timing.figures() for name, timing in timings.items()} | {"ratio": round(ratio, 2)}
 
     def arithmetic(self, rollout_ms: float) -> dict[str, Any]:
-        """What the fused kernel computes against what a core can."""
+        """Compare the fused kernel's operation rate with the peak of a core."""
         from bench_peak import kernel_peak, operations_per_step, vector_peak
 
         parts = operations_per_step(self.scene.robot.dof)
@@ -175,7 +176,7 @@ class Benchmark:
         }
 
     def memory(self) -> dict[str, float]:
-        """Bytes for each rollout, or world."""
+        """Return the memory used per rollout, or per world [bytes]."""
         from oimppi_warp.compute.step import Compute
         from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
 
@@ -190,7 +191,7 @@ class Benchmark:
         }
 
     def devices(self) -> dict[str, Any]:
-        """Every engine on every CUDA device that is there."""
+        """Time every engine on every available CUDA device."""
         import warp as wp
 
         found: dict[str, Any] = {}
@@ -202,7 +203,7 @@ class Benchmark:
         return found
 
     def solved(self) -> dict[str, bool]:
-        """Which engines solve a short task."""
+        """Return which engines solve a short task."""
         from bench_loops import solves
 
         found = {}
@@ -214,7 +215,7 @@ class Benchmark:
 
 
 def raw_rollouts(scene: Scene, loop: PlannerLoop) -> Callable[[], None]:
-    """``mujoco.rollout`` of what a Newton plan rolls out: same model without sensors, states, controls and threads."""
+    """Return a ``mujoco.rollout`` call for a Newton plan: same model without sensors, states, controls and threads."""
     import mujoco
     import numpy as np
     from mujoco import rollout
@@ -244,7 +245,7 @@ def raw_rollouts(scene: Scene, loop: PlannerLoop) -> Callable[[], None]:
 
 
 def _array_bytes(owner: Any) -> int:
-    """Bytes of all Warp arrays of a dataclass, nested ones included."""
+    """Returns the total size in bytes of all Warp arrays of a dataclass, including nested ones."""
     import warp as wp
 
     total = 0
@@ -257,7 +258,7 @@ def _array_bytes(owner: Any) -> int:
 
 
 def machine() -> dict[str, str | int]:
-    """What the figures were measured on."""
+    """Describe the machine that the measurements were made on."""
     import warp as wp
 
     from oimppi_warp.compute.step import core_count
@@ -272,7 +273,7 @@ def machine() -> dict[str, str | int]:
 
 
 def main() -> int:
-    """Measures, prints, writes; returns 1 where a run does not count."""
+    """Measure, print and write the results; returns 1 if a run does not count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="task02", help="a shipped scene or a USD file")
     parser.add_argument("--repeats", type=int, default=60, help="plans to time")

@@ -1,4 +1,4 @@
-"""How long a run takes to its first plan: with cold caches and with warm ones."""
+"""Measures the time from starting a run to its first plan, with cold and with warm caches."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 
 def start_seconds(engine: str, *, repeats: int = 3) -> dict[str, float]:
-    """Wall time of a run of one control step in a process of its own [s], cold once and warm in the median."""
+    """Time a run of one control step in a separate process [s]: cold once, and the median of warm runs."""
     with TemporaryDirectory() as folder:
         found = [_run(engine, Path(folder)) for _ in range(1 + repeats)]
     return {"cold_s": round(found[0], 2), "warm_s": round(sorted(found[1:])[repeats // 2], 2)}

@@ -1,4 +1,4 @@
-"""The benchmark's record as tables: in the terminal, and as Markdown for ``docs/performance.md``.
+"""Formats the benchmark's record as tables, for the terminal and as Markdown for ``docs/performance.md``.
 
 Usage: ``python tools/bench_tables.py docs/results/performance.json`` prints the Markdown.
 """
@@ -15,7 +15,7 @@ Table = tuple[str, list[str], list[list[str]]]
 
 
 def tables(record: dict[str, Any]) -> list[Table]:
-    """All tables of a record."""
+    """Build all tables of a record."""
     found: list[Table] = []
     cores, samples = record["machine"]["cores"], record["samples"]
     levels = record["quasistatic"]
@@ -74,7 +74,7 @@ def tables(record: dict[str, Any]) -> list[Table]:
 
 
 def print_tables(record: dict[str, Any]) -> None:
-    """All tables, for a terminal."""
+    """Print all tables to the terminal."""
     from rich.console import Console
     from rich.table import Table as Grid
 
@@ -89,7 +89,7 @@ def print_tables(record: dict[str, Any]) -> None:
 
 
 def markdown(record: dict[str, Any]) -> str:
-    """All tables, as Markdown."""
+    """Format all tables as Markdown."""
     parts = []
     for title, columns, rows in tables(record):
         lines = [f"| {' | '.join(cells)} |" for cells in (columns, ["---", *["---:"] * (len(columns) - 1)], *rows)]

@@ -1,6 +1,6 @@
-"""Try the wheel: build it through the source distribution, install it elsewhere, load a scene and launch a kernel.
+"""Test the wheel: build it from the source distribution, install it elsewhere, load a scene and launch a kernel.
 
-The new environment sees the packages of this one (from the locks) but not the checkout. Run it as
+The new environment can import the packages of this one (from the locks) but not the checkout. Run it as
 ``python tools/check_wheel.py``; it exits with an error at the first step that fails.
 """
 
@@ -41,11 +41,11 @@ print(f"installed in {{home}}: {{len(names)}} scenes, {{len(suites)}} suites, ph
 
 
 IGNORED = shutil.ignore_patterns(".*", "build", "dist", "runs", "*.egg-info", "__pycache__")
-"""What a clean checkout has not: environments, caches and what was built before."""
+"""Files absent from a clean checkout: environments, caches and build output."""
 
 
 def run(*command: object, cwd: Path, env: dict[str, str] | None = None) -> str:
-    """Run a command and return what it printed; its failure ends this script."""
+    """Run a command and return its output; on failure, exit this script."""
     done = subprocess.run([str(part) for part in command], cwd=cwd, env=env, capture_output=True, text=True)
     if done.returncode:
         sys.exit(f"{done.stdout}{done.stderr}\nfailed: {command[0]} {command[1]}")
@@ -53,7 +53,7 @@ def run(*command: object, cwd: Path, env: dict[str, str] | None = None) -> str:
 
 
 def build(source: Path, out: Path, kind: str) -> Path:
-    """Call the build backend (``sdist`` or ``wheel``) in ``source``; returns the file it made."""
+    """Call the build backend (``sdist`` or ``wheel``) in ``source``, and return the file it made."""
     code = f"import setuptools.build_meta as backend; backend.build_{kind}({str(out)!r})"
     run(sys.executable, "-c", code, cwd=source)
     (made,) = out.glob("*.tar.gz" if kind == "sdist" else "*.whl")
@@ -61,7 +61,7 @@ def build(source: Path, out: Path, kind: str) -> Path:
 
 
 def main() -> None:
-    """Build, install, try."""
+    """Build and install the wheel, then test it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         checkout, out, unpacked = folder / "checkout", folder / "out", folder / "unpacked"
@@ -83,7 +83,7 @@ def main() -> None:
         run(sys.executable, *pip, cwd=folder)
         (site / "locked.pth").write_text(sysconfig.get_path("purelib") + "\n")
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-        environment["OIMPPI_CACHE"] = str(folder / "cache")  # an empty one: the kernel is launched, not looked up
+        environment["OIMPPI_CACHE"] = str(folder / "cache")  # empty, so that the kernel is compiled
         print(run(python, "-c", SMOKE_TEST.format(prefix=str(site)), cwd=folder, env=environment), end="")
         print(run(python, "-m", "oimppi_warp", "scenes", cwd=folder, env=environment), end="")
 

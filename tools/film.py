@@ -15,7 +15,7 @@ from oimppi_warp.usd import load_scene
 
 
 def main() -> int:
-    """Make the film; exit status 0."""
+    """Make the film; returns exit status 0."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("record", type=Path)
     parser.add_argument("file", type=Path)

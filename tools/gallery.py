@@ -28,20 +28,20 @@ from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.session import Session
 
 SIZE = (720, 450)
-"""Of a picture [pixel]."""
+"""Size of a picture [pixel]."""
 EYE, LOOK_AT, FIELD = (1.2, -0.71, 0.84), (0.3, -0.02, 0.15), 0.85
-"""Where the camera stands and looks, with no panel beside it [m], and its field of view from top to bottom [rad]."""
+"""Position of the camera and the point it looks at, with no panel beside it [m], and vertical field of view [rad]."""
 SHARE = 0.45
-"""How much of the way to its goal the object has gone in a picture of a scene."""
+"""Fraction of the path to its goal that the object has covered in a picture of a scene."""
 STRIDE = 5
-"""Control steps from frame to frame of the film."""
+"""Control steps between frames of the film."""
 FLAGS = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 BARE = ".mantine-Paper-root, .mantine-Notifications-root { display: none !important }"
-"""What hides the panel and notices."""
+"""Style that hides the panel and notices."""
 
 
 class Stage:
-    """A session that is stepped from here, drawn in a page that is photographed."""
+    """A session stepped from this script, drawn in a page that is photographed."""
 
     def __init__(self, page: Any, scene: str) -> None:
         self._page = page
@@ -57,12 +57,12 @@ class Stage:
         page.add_style_tag(content=BARE)
 
     def close(self) -> None:
-        """End session and viewer."""
+        """Close session and viewer."""
         self.session.close()
         self._viewer.close()
 
     def steps(self) -> Iterator[float]:
-        """Goes on step by step to the end; yields the distance to the goal [m] after each."""
+        """Advance step by step to the end; yields the distance to the goal [m] after each step."""
         while True:
             before = self.session.latest.time
             self.session.step()
@@ -73,7 +73,7 @@ class Stage:
             yield self.session.latest.figures.get("position error [m]", float("inf"))
 
     def photo(self) -> Image.Image:
-        """The present moment, when the page shows it: two photographs in a row are the same."""
+        """Photograph the present moment, once the page shows it: two photographs in a row must be the same."""
         self._draw()
         last, image = None, np.zeros(0)
         while last is None or not np.array_equal(last, image):
@@ -90,7 +90,7 @@ class Stage:
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A page in a headless Chromium."""
+    """Open a page in a headless Chromium."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as started:
@@ -102,7 +102,7 @@ def chromium() -> Iterator[Any]:
 
 
 def picture(page: Any, scene: str) -> Image.Image:
-    """A scene in the middle of a push."""
+    """Take a picture of a scene in the middle of a push."""
     stage = Stage(page, scene)
     try:
         first = next(distances := stage.steps())
@@ -115,7 +115,7 @@ def picture(page: Any, scene: str) -> Image.Image:
 
 
 def film(page: Any, scene: str) -> list[Image.Image]:
-    """A whole push."""
+    """Film a whole push."""
     stage = Stage(page, scene)
     try:
         frames = [stage.photo()]
@@ -128,7 +128,7 @@ def film(page: Any, scene: str) -> list[Image.Image]:
 
 
 def main() -> int:
-    """Take the pictures; exit status 0."""
+    """Take the pictures; returns exit status 0."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="*", default=[scene.name for scene in shipped_scenes()])
     parser.add_argument("--film", nargs="*", default=["task02"])

@@ -2,7 +2,7 @@
 
     python tools/make_scenes.py [FOLDER]
 
-With a folder, ``scenes/`` and ``docs/`` go below it instead (the tests compare them with what is committed).
+With a folder, ``scenes/`` and ``docs/`` are written below it instead (the tests compare them with the committed files).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))  # the package as it stands beside this script
+sys.path.insert(0, str(ROOT))  # imports the package from this checkout
 
 import scene_arm7  # noqa: E402
 import scene_point  # noqa: E402

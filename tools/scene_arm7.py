@@ -1,6 +1,6 @@
-"""An arm of seven joints with a stick, of our own invention: shoulder, elbow and wrist turn about three axes in line.
+"""A fictitious arm of seven joints with a stick: shoulder, elbow and wrist each turn about three axes in line.
 
-Its joints turn about the limb and across it in turns; straightened, it stands upright. It is no product of anyone's.
+Its joints turn alternately about the limb and across it; fully extended, it stands upright. It is not a real product.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _HALF = math.sqrt(0.5)
 ACROSS, ALONG = (-_HALF, 0.0, 0.0, _HALF), (_HALF, 0.0, 0.0, _HALF)  # from along the limb to across it, and back
 
 JOINTS = [
-    # position in the parent's frame, turn, limit to either side, effort
+    # position in the parent's frame, rotation, limit to either side, effort
     ((0.0, 0.0, 0.16), NOT_TURNED, 2.9, 80.0),
     ((0.0, 0.0, 0.14), ACROSS, 2.0, 80.0),
     ((0.0, -0.20, 0.0), ALONG, 2.9, 40.0),
@@ -54,7 +54,7 @@ _FOOT = Collider(
 
 
 def _link(index: int, *more: Collider) -> ArmLink:
-    """A link whose mass is spread evenly over its first capsule, taken as a cylinder."""
+    """Returns a link whose mass is distributed evenly over its first capsule, treated as a cylinder."""
     mass, capsules = LINKS[index]
     *ends, radius = capsules[0]
     a, b = np.array(ends[:3]), np.array(ends[3:])
@@ -94,7 +94,7 @@ def write(folder: Path) -> None:
 
 
 def _parts(index: int) -> list[Part]:
-    """A sleeve for the limb; a drum with a dark cap at either end for the joint."""
+    """Returns a sleeve for the limb, and for the joint a drum with a dark cap at either end."""
     limb, *joints = LINKS[index][1]
     parts = [("sleeve", _around(limb, 0.6, limb[6]), SHELL)]
     for joint in joints:
@@ -103,7 +103,7 @@ def _parts(index: int) -> list[Part]:
 
 
 def _around(capsule: tuple[float, ...], beyond: float, radius: float) -> Rings:
-    """A rounded cylinder that goes on beyond the ends of a capsule's axis by a share of its radius."""
+    """Returns a rounded cylinder that extends beyond the ends of a capsule's axis by a share of its radius."""
     a, b = np.array(capsule[:3]), np.array(capsule[3:6])
     further = beyond * capsule[6] * (b - a) / np.linalg.norm(b - a)
     return drum(a - further, b + further, radius, fillet=0.3 * radius)

@@ -1,7 +1,7 @@
-"""The point robot of the paper's Example 1: a stick that two rails carry over the table, without a way up.
+"""The point robot of the paper's Example 1: a stick carried over the table by two rails, without vertical motion.
 
 A bridge slides along x on rails beside the table, a carriage slides along y on the bridge. Only the stick and the rod
-that it hangs from collide: the rest is higher than anything on a table.
+that it hangs from collide: everything else is above any object on the table.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from oimppi_warp.authoring.prims import Look, box, new_stage
 from oimppi_warp.authoring.robots import arm_usd
 from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
 
-HEIGHT = 0.40  # of bridge and carriage
+HEIGHT = 0.40  # height of bridge and carriage
 TIP = 0.012  # height of the stick's tip
 STICK_LENGTH, ROD_RADIUS = 0.175, 0.012
 X_LIMITS, Y_LIMITS = (-0.22, 0.97), (-0.77, 0.77)  # up to 3 cm from the edges of the table
@@ -27,11 +27,11 @@ EFFORT = 150.0  # N
 START = (0.30, -0.20)
 
 _HALF = math.sqrt(0.5)
-_DROP = HEIGHT - TIP - STICK_LENGTH  # from the carriage to where the stick begins
+_DROP = HEIGHT - TIP - STICK_LENGTH  # from the carriage to the upper end of the stick
 
 
 def _solid(mass: float, size: tuple[float, float, float]) -> np.ndarray:
-    """Inertia of a box about its middle [kg m^2]."""
+    """Returns the inertia of a box about its middle [kg m^2]."""
     x, y, z = np.square(size)
     return mass / 12.0 * np.diag([y + z, x + z, x + y])
 
@@ -66,7 +66,7 @@ def write(folder: Path) -> None:
 
 
 def _write_skin(file: Path) -> None:
-    """What it looks like."""
+    """Writes the robot's display geometry."""
     stage = new_stage(file, "Point", "Looks of the point robot. Written by tools/make_scenes.py; do not edit by hand.")
     for link in ("base", "link1", "link2", "tool"):
         UsdGeom.Scope.Define(stage, f"/Point/{link}/skin")
@@ -86,5 +86,5 @@ def _write_skin(file: Path) -> None:
 def _tube(
     stage: Usd.Stage, path: str, start: tuple[float, float, float], end: tuple[float, float, float], radius: float
 ) -> None:
-    """A round bar with round ends."""
+    """Adds a round bar with rounded ends."""
     stretch(stage, path, drum(start, end, radius, fillet=radius * 0.999), METAL)

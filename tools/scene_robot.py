@@ -1,6 +1,6 @@
 """The xArm6 with its pushing stick, as a USD articulation.
 
-Figures: UFACTORY's published description (`xarm_ros2`) for the chain, limits and inertials; the collision capsules are
+Sources: UFACTORY's published description (`xarm_ros2`) for the chain, limits and inertials; the collision capsules are
 least-squares fits to the vendor's surfaces (mean error 2-6 mm). Metres, radians, kilograms; joint axes are local +z.
 """
 
@@ -72,7 +72,7 @@ CAPSULES = [
 
 VELOCITY_LIMIT = 3.14  # rad/s
 STICK = Stick(length=0.175)
-BASE_RADIUS, BASE_HEIGHT = 0.09, 0.06  # the base with its plug: what an object on the table must stay away from
+BASE_RADIUS, BASE_HEIGHT = 0.09, 0.06  # the base with its plug, which objects on the table must avoid
 
 # Tool down, tip at (0.300, -0.200, 0.050).
 START = (-0.588, -0.11, -0.51, 0.0, 0.62, 0.0)

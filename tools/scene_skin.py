@@ -1,6 +1,6 @@
-"""What arms look like, the xArm6 first of all: drums at the joints, and swept tubes between them.
+"""Display geometry of arms, mainly the xArm6: drums at the joints, and swept tubes between them.
 
-The shapes are of our own making, drawn around the outer measures of the vendor's arm (link frames, metres).
+The shapes are original, drawn around the outer dimensions of the vendor's arm (link frames, metres).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ SEGMENTS = 24
 FILLET = 0.006
 
 Rings = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Centres [n, 3], radii [n] and axes [n, 3] of the circles that a surface is stretched over."""
+"""Centres [n, 3], radii [n] and axes [n, 3] of the circles that a surface spans."""
 
 Part = tuple[str, Rings, Color]
-"""A surface: its name, where it is, its colour."""
+"""A surface: its name, its circles and its colour."""
 
 
 def drum(start: Vector, end: Vector, radius: float, end_radius: float | None = None, fillet: float = FILLET) -> Rings:
-    """A cylinder, or a cone, with rounded edges."""
+    """Create a cylinder, or a cone, with rounded edges."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     length, axis = float(np.linalg.norm(b - a)), (b - a) / np.linalg.norm(b - a)
     angle = np.linspace(0.0, np.pi / 2, 3)
@@ -37,7 +37,7 @@ def drum(start: Vector, end: Vector, radius: float, end_radius: float | None = N
 
 
 def sweep(points: Points, radii: Vector, count: int = 14) -> Rings:
-    """A tube along a smooth line through the points (a Catmull-Rom spline), with a radius at each of them."""
+    """Create a tube along a smooth curve through the points (a Catmull-Rom spline), with a radius at each of them."""
     p = np.c_[np.asarray(points, float), np.asarray(radii, float)]
     p = np.vstack([2 * p[0] - p[1], p, 2 * p[-1] - p[-2]])
     u = np.linspace(0.0, len(p) - 3 - 1e-9, count)
@@ -49,13 +49,13 @@ def sweep(points: Points, radii: Vector, count: int = 14) -> Rings:
 
 
 def stretch(stage: Usd.Stage, path: str, rings: Rings, color: Color) -> None:
-    """Write the closed, smooth surface over a row of circles."""
+    """Write the closed, smooth surface through a row of circles."""
     centers, radii, axes = rings
     side = np.cross(axes[0], np.eye(3)[np.abs(axes[0]).argmin()])
     angle = np.linspace(0.0, 2 * np.pi, SEGMENTS, endpoint=False)[:, None]
     points = []
     for center, radius, axis in zip(centers, radii, axes, strict=True):
-        side = side - (side @ axis) * axis  # carried along the line without turning about it
+        side = side - (side @ axis) * axis  # transported along the line without twist
         side /= np.linalg.norm(side)
         points.append(center + radius * (np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)))
     n, rows = SEGMENTS, len(centers)
@@ -68,7 +68,7 @@ def stretch(stage: Usd.Stage, path: str, rings: Rings, color: Color) -> None:
 
 
 def _normals(vertices: np.ndarray, faces: list[list[int]]) -> np.ndarray:
-    """Unit normals of the vertices, the faces around them weighted by their area."""
+    """Returns unit vertex normals, averaging the adjacent faces weighted by area."""
     normals = np.zeros_like(vertices)
     for face in faces:
         corners = vertices[face]
@@ -172,7 +172,7 @@ _PARTS: dict[str, list[Part]] = {
 
 
 def write(file: Path, tool_length: float, tool_radius: float) -> None:
-    """Write the looks of the xArm6 as a layer of its own, so that the robot's file stays short enough to read."""
+    """Write the xArm6's display geometry as a separate layer, which keeps the robot's file short enough to read."""
     stage = write_parts(file, "XArm6", "the xArm6", _PARTS, tool_length, tool_radius)
     connector = (-0.0685, 0.0, 0.05), (0.043, 0.062, 0.066)
     box(stage, "/XArm6/base/skin/connector", *connector, Look(SHELL))
@@ -182,7 +182,7 @@ def write(file: Path, tool_length: float, tool_radius: float) -> None:
 def write_parts(
     file: Path, root: str, noun: str, parts: Mapping[str, Sequence[Part]], tool_length: float, tool_radius: float
 ) -> Usd.Stage:
-    """Write the parts of each link of an arm, and its stick; returns the stage, to be saved."""
+    """Write the parts of each link of an arm, and its stick; returns the stage, which the caller saves."""
     stage = new_stage(file, root, f"Looks of {noun}. Written by tools/make_scenes.py; do not edit by hand.")
     for link, drawn in parts.items():
         UsdGeom.Scope.Define(stage, f"/{root}/{link}/skin")

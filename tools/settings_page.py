@@ -32,7 +32,7 @@ This page is written by `python tools/settings_page.py`.
 
 
 def page() -> str:
-    """The page."""
+    """Return the content of the page."""
     config = Config()
     groups: dict[str, list[Setting]] = {}
     for name, setting in settings_of(config).items():
@@ -50,7 +50,7 @@ def page() -> str:
 
 
 def _group_help(group: str) -> str:
-    """The help of a group inside another, by its dotted name."""
+    """Returns the help of a nested group, by its dotted name."""
     owner: Any = Config()
     *outer, last = group.split(".")
     for name in outer:
@@ -59,7 +59,7 @@ def _group_help(group: str) -> str:
 
 
 def _other_optimizers(config: Config) -> list[str]:
-    """A table of what each optimizer beside the default one adds."""
+    """Returns a table of the settings that each optimizer other than the default one adds."""
     parts = []
     for kind in OPTIMIZERS:
         found = settings_of(set_option(config, f"robot.optimizer={kind}"))
@@ -79,7 +79,7 @@ def _table(settings: Iterable[Setting]) -> str:
 
 
 def _value(value: object) -> str:
-    """A value as `--set` takes it."""
+    """Formats a value as `--set` accepts it."""
     if isinstance(value, tuple):
         return ",".join(map(_value, value))
     if isinstance(value, bool):

@@ -1,6 +1,6 @@
-"""Writing tasks, objects and robots as standard USD files; docs/authoring.md shows how.
+"""Writes tasks, objects and robots as standard USD files; see docs/authoring.md.
 
-The public names are imported on first use, so that ``import oimppi_warp.authoring`` stays light.
+The public names are imported on first use, so that ``import oimppi_warp.authoring`` stays cheap.
 """
 
 from __future__ import annotations

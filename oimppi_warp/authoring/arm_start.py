@@ -1,4 +1,4 @@
-"""Where the arm begins, so that neither its tool nor its links are in anything."""
+"""Chooses a starting pose for the arm in which neither its tool nor its links touch anything."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from oimppi_warp.geometry.reach import Reach, inverse_kinematics, reach_of
 from oimppi_warp.scene import Collider, Robot, Scene
 
 MARGIN = 0.02
-"""Around the stick at the start [m], beyond its radius."""
+"""Clearance kept around the stick at the start, beyond its radius [m]."""
 
 _RADII = np.arange(0.25, 0.60, 0.05)
 _ANGLES = np.radians(np.arange(-150.0, 151.0, 10.0))
 
 
 def clear_start(scene: Scene) -> tuple[float, ...] | None:
-    """Joint positions to begin with.
+    """Finds collision-free joint positions for the start of an episode.
 
     Args:
         scene: The task.
 
     Returns:
-        None where the robot's own start is clear of object and obstacles; otherwise joint positions [rad] with the tip
-        as high as there and the tool pointing down, as near to it as it can be.
+        None if the robot's own start is clear of the object and the obstacles; otherwise joint positions [rad] with the
+        tip at the same height, as close to its original place as possible, and the tool pointing down.
 
-    Where no such start is found, the robot's own is kept, and ``feasibility.check_task`` reports what is wrong.
+    If no such start is found, the robot's own is kept, and ``feasibility.check_task`` reports the problem.
     """
     robot = scene.robot
     if _is_clear(scene, robot.start):
@@ -44,9 +44,9 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
 
 
 def inverse_kinematics_from_start(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
-    """Joint positions with the tip at a place [3] [m] and the tool pointing down; ``None`` where none are found.
+    """Returns joint positions with the tip at a point [3] [m] and the tool pointing down, or ``None`` if none exist.
 
-    They are sought from the robot's start, its first joint turned towards the place.
+    The search begins at the robot's start pose with its first joint turned towards the point.
     """
     joints = np.array(robot.start, dtype=float)
     if robot.joints[0].kind == "revolute":
@@ -57,14 +57,14 @@ def inverse_kinematics_from_start(robot: Robot, tip: np.ndarray) -> np.ndarray |
 
 
 def _tip_positions(tip: np.ndarray, reach: Reach) -> list[np.ndarray]:
-    """Places for the tip at its height within reach, the nearest first [m]."""
+    """Returns candidate tip positions at the tip's height and within reach, nearest first [m]."""
     grid = np.array([(r * np.cos(a), r * np.sin(a), tip[2]) for r in _RADII for a in _ANGLES])
     within = grid[reach.margin(grid[:, :2]) > 0.0]
     return list(within[np.argsort(np.linalg.norm(within - tip, axis=1), kind="stable")])
 
 
 def _is_clear(scene: Scene, joints: np.ndarray) -> bool:
-    """Whether the arm, so posed, is clear of the object at its start and of the obstacles."""
+    """Returns whether the arm, in this pose, is clear of the object at its start and of the obstacles."""
     rotations, positions = link_frames(scene.robot, joints)
     tip = tip_frame(scene.robot, joints)[1]
     stick = shapely.Point(tip[:2]).buffer(scene.robot.tool_radius + MARGIN)
@@ -82,7 +82,7 @@ def _is_clear(scene: Scene, joints: np.ndarray) -> bool:
 
 
 def _overlap(link: tuple[Collider, np.ndarray, np.ndarray], other: Collider) -> bool:
-    """Whether a link's shape and an obstacle overlap from above and in height: no less than they do in space."""
+    """Returns whether a link's shape and an obstacle overlap in plan view and in height, a conservative 3D test."""
     collider, rotation, position = link
     points, radius = core_points(collider)
     points = points @ rotation.T + position

@@ -1,4 +1,4 @@
-"""What each attribute of a written file means and its unit, in the file itself, where USD tools show it."""
+"""Documents each attribute of a written file, with its unit, in the file itself, where USD tools show it."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ _PLACES = {
 
 
 def write_attribute_docs(stage: Usd.Stage) -> None:
-    """Write into a stage's root layer what its prims and attributes are; units in square brackets.
+    """Write documentation for prims and attributes into a stage's root layer, with units in square brackets.
 
-    Prims that stand for a part of another file, as the links of a posed arm do, are left as they are.
+    Prims that override part of another file, such as the links of a posed arm, are left unchanged.
     """
     layer = stage.GetRootLayer()
     for prim in stage.TraverseAll():

@@ -1,4 +1,4 @@
-"""A USD file with the files that it needs, brought beside a scene."""
+"""Copies a USD file together with its dependencies into a scene's folder."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _ASSETS = "textures"
 
 
 def dependencies_of(file: Path) -> list[Path]:
-    """A USD file and every layer, texture and mesh that it needs.
+    """Return a USD file and every layer, texture and mesh that it depends on.
 
     Raises:
-        SceneError: Something is missing.
+        SceneError: A dependency is missing.
     """
     layers, assets, missing = UsdUtils.ComputeAllDependencies(str(file))
     if missing:
@@ -30,10 +30,10 @@ def dependencies_of(file: Path) -> list[Path]:
 
 
 def copy_bundle(file: Path, folder: Path) -> Path:
-    """Copy a USD file and what it needs into a folder, where it lies as it does beside the file.
+    """Copy a USD file and its dependencies into a folder, keeping their paths relative to the file.
 
     Raises:
-        SceneError: It needs something that is missing, or that lies outside its folder.
+        SceneError: A dependency is missing or lies outside the file's folder.
     """
     file = file.resolve()
     for dependency in dependencies_of(file):
@@ -53,12 +53,12 @@ def copy_bundle(file: Path, folder: Path) -> Path:
 def write_flattened(layer: Sdf.Layer, file: Path, source: Path) -> None:
     """Write a flattened stage, with its textures in a folder beside it.
 
-    Their names there tell by a part of their hash what they hold, so that no two files' textures are mixed up.
+    Each texture's name includes part of a hash of its contents, so textures of different files cannot be confused.
 
     Args:
-        layer: The flattened stage, which is changed.
-        file: Where to.
-        source: The file that it was made of, for errors.
+        layer: The flattened stage; it is modified.
+        file: Destination.
+        source: The file it was flattened from, for error messages.
 
     Raises:
         SceneError: A texture is missing.

@@ -1,8 +1,8 @@
-"""Named shapes: what a spec like ``box:0.1x0.06x0.05`` or ``letter:S`` stands for, as an object and as an obstacle.
+"""Named shapes: the objects and obstacles that specs such as ``box:0.1x0.06x0.05`` or ``letter:S`` denote.
 
-A shape is an entry of :data:`oimppi_warp.registries.SHAPES`; the command line, its help and its messages, and the table
-in `docs/authoring.md` are made from the entries. The shipped ones are below. Importing this module is light: what makes
-an object is imported when it is first called.
+Each shape is an entry of :data:`oimppi_warp.registries.SHAPES`; the command line with its help and messages, and the
+table in `docs/authoring.md`, are generated from these entries. The shipped shapes are defined below. Importing this
+module is cheap: the code that builds an object is imported when it is first called.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from oimppi_warp.authoring.task import Block, Obstacle, Pillar, Pose
 
 Arguments = tuple[float, ...] | tuple[str] | tuple[()]
-"""The part of a spec after its colon: numbers, a text, or nothing."""
+"""The part of a spec after its colon: numbers, text, or nothing."""
 
 COMMON_OPTIONS = ("mass", "friction")
-"""Options that every shape takes."""
+"""Options that every shape accepts."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number in a spec, as the radius in ``cylinder:0.033x0.101``.
+    """A number in a spec, such as the radius in ``cylinder:0.033x0.101``.
 
     Attributes:
-        name: What it is: ``"radius"``.
+        name: Its meaning: ``"radius"``.
         unit: Its unit; empty for a count.
     """
 
@@ -44,23 +44,23 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A kind of object that has a name.
+    """A named kind of object.
 
-    A spec is the name alone, or the name with numbers or a text after a colon.
+    A spec is either the name alone, or the name, a colon, and numbers or text.
 
     Attributes:
-        about: What it is, as a row in a table says it.
+        about: Description, worded as a table row.
         make: Makes the object: ``make(*given, mass=..., friction=..., ...)``, with the numbers or the text of the spec.
-            Of :data:`COMMON_OPTIONS` and ``options``, those that were given are passed by name. It raises ConfigError
-            or SceneError where it cannot be made.
-        example: What may stand after the colon; empty: the name stands alone.
-        parameters: What the numbers are; empty: a text stands there, or nothing.
-        files: Endings of files, where the text is one. Such a file's path alone is a spec too.
-        options: Which options it takes beside mass and friction: those of the command line, by their names
+            Those of :data:`COMMON_OPTIONS` and ``options`` that were given are passed by name. Raises ConfigError or
+            SceneError if the object cannot be made.
+        example: Example of the part after the colon; empty: the name is used alone.
+        parameters: Meaning of the numbers; empty: the spec takes text or nothing.
+        files: File name extensions, if the text is a file. The path of such a file alone is also a valid spec.
+        options: Options accepted in addition to mass and friction, by the names that the command line uses
             (``"height"``, ``"size"``, ``"font"``, ``"scale"``, ``"lay"``).
-        noun: What it is called where an option is refused for want of it: ``"letters"``.
-        make_obstacle: Makes it an obstacle with a prim of its own: ``make_obstacle(name, pose, *given)``; ``None``: the
-            object stands fast.
+        noun: Name of such shapes in the message for an option that needs them: ``"letters"``.
+        make_obstacle: Makes an obstacle with a prim of its own type: ``make_obstacle(name, pose, *given)``; ``None``:
+            the object itself becomes a static obstacle.
     """
 
     about: str
@@ -73,20 +73,20 @@ class Shape:
     make_obstacle: Callable[..., Obstacle] | None = None
 
     def usage(self, name: str) -> str:
-        """A spec of it, with what its numbers are: ``cylinder:0.033x0.101 (radius x height)``."""
+        """Returns an example spec with the meaning of its numbers: ``cylinder:0.033x0.101 (radius x height)``."""
         parameters = f" ({' x '.join(parameter.name for parameter in self.parameters)})" if self.parameters else ""
         return (f"{name}:{self.example}" if self.example else name) + parameters
 
     def parse(self, spec: str, name: str, text: str) -> Arguments:
-        """What stands after the colon.
+        """Parses the part of a spec after the colon.
 
         Args:
-            spec: All of it, for messages.
+            spec: The whole spec, for messages.
             name: The shape's name.
-            text: What stands there.
+            text: The part after the colon.
 
         Raises:
-            ConfigError: The numbers are others than the shape has.
+            ConfigError: The numbers do not match the shape's parameters.
         """
         if not self.example:
             return ()
@@ -109,19 +109,19 @@ class Shape:
         return found
 
     def prim(self, name: str, text: str) -> str:
-        """Name of an obstacle's prim, which says what it is: Box, LetterO, SoupCan, Bracket."""
+        """Returns a descriptive prim name for an obstacle: Box, LetterO, SoupCan, Bracket."""
         said = name if self.parameters else Path(text).stem if self.files else f"{name} {text}"
         return prim_name(said)
 
 
 def prim_name(text: str) -> str:
-    """A text as the name of a prim."""
+    """Converts text to a prim name."""
     name = "".join(part.title() for part in re.split(r"[^A-Za-z0-9]+", text))
     return name if name[:1].isalpha() else f"Obstacle{name}"
 
 
 def deferred(target: str) -> Callable[..., Any]:
-    """A function that is imported when it is first called: ``"module:function"``."""
+    """Returns a function that is imported on its first call, from ``"module:function"``."""
 
     def call(*given: Any, **options: Any) -> Any:
         module, _, function = target.partition(":")
@@ -130,7 +130,7 @@ def deferred(target: str) -> Callable[..., Any]:
     return call
 
 
-# Shipped -----------------------------------------------------------------------------------------------------------
+# Shipped shapes ----------------------------------------------------------------------------------------------------
 
 _AUTHORING = "oimppi_warp.authoring"
 
@@ -152,7 +152,7 @@ def _mesh(file: str, *, lay: str = "stable", **options: Any) -> Pushable:
 
 
 def _from_catalog(name: str) -> Callable[..., FlatObject]:
-    """Makes an object of the shipped scenes, with the mass and the friction asked for."""
+    """Returns a function that makes an object of the shipped scenes with the given mass and friction."""
 
     def make(*, mass: float | None = None, friction: float | None = None) -> FlatObject:
         from oimppi_warp.authoring.objects import catalog
@@ -217,35 +217,35 @@ MESH = Shape(
 )
 
 
-# In words ----------------------------------------------------------------------------------------------------------
+# Descriptions ------------------------------------------------------------------------------------------------------
 
 
 def usages() -> Iterator[str]:
-    """A spec for each shape, with what its numbers are."""
+    """Yields an example spec for each shape, with the meaning of its numbers."""
     from oimppi_warp.registries import SHAPES
 
     return (shape.usage(name) for name, shape in SHAPES.loadable())
 
 
 def objects() -> str:
-    """Lists the shapes that an object can be, for help and messages."""
+    """Lists the shapes available as objects, for help and messages."""
     return f"{', '.join(usages())}, or a USD file of an object"
 
 
 def obstacles() -> str:
-    """Lists the shapes that an obstacle can be, for help and messages."""
+    """Lists the shapes available as obstacles, for help and messages."""
     return f"OBJECT@X,Y[,YAW], as box:0.1x0.1x0.1@0.5,0.05, with one of these: {objects()}"
 
 
 def shapes_taking(option: str, by: Callable[[str, Shape], str] = lambda name, shape: shape.noun or name) -> list[str]:
-    """Which shapes take an option, by what they are called."""
+    """Lists the shapes that accept an option, by their display names."""
     from oimppi_warp.registries import SHAPES
 
     return list(dict.fromkeys(by(name, shape) for name, shape in SHAPES.loadable() if option in shape.options))
 
 
 def table() -> str:
-    """The shapes as rows of a Markdown table: specs, and what they are."""
+    """Returns the shapes as rows of a Markdown table: specs and descriptions."""
     from oimppi_warp.registries import SHAPES
 
     rows: dict[str, list[str]] = {}

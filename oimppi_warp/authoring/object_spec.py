@@ -1,4 +1,4 @@
-"""Objects and obstacles from specs, as the command line takes them: ``letter:S``, ``box:0.1x0.06x0.05@0.5,0.1``."""
+"""Parses objects and obstacles from command-line specs: ``letter:S``, ``box:0.1x0.06x0.05@0.5,0.1``."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from oimppi_warp.runtime.request import parse_pose
 
 @dataclass(frozen=True)
 class ShapeOptions:
-    """How an object is made, as far as its spec does not say.
+    """Options for making an object, beyond those in its spec.
 
     Attributes:
-        mass: [kg]; ``None``: a shipped object's own, else what wood of its volume weighs.
-        friction: Coulomb coefficient with the table; ``None``: a shipped object's own, else 0.4.
+        mass: Mass [kg]; ``None``: a shipped object's own, otherwise that of wood of the same volume.
+        friction: Coulomb coefficient with the table; ``None``: a shipped object's own, otherwise 0.4.
         height: Thickness of letters and words [m]; ``None``: 0.05.
-        size: Height of a letter as it lies [m]; ``None``: 0.103, or what a long word has room for.
-        font: An installed font, or the file of one; ``None``: our own alphabet.
+        size: Height of a capital letter in its plane [m]; ``None``: 0.103, or less if a long word requires it.
+        font: Name of an installed font, or path of a font file; ``None``: the built-in alphabet.
         scale: Unit of a mesh: mm, cm, m or inch; ``None``: metres.
-        lay: How a mesh lies: in its most stable pose, or as it was modelled.
+        lay: Pose of a mesh: its most stable one, or the one in which it was modelled.
     """
 
     mass: float | None = None
@@ -51,12 +51,12 @@ class ShapeOptions:
     lay: Lay = "stable"
 
     def given(self) -> dict[str, Any]:
-        """Those that were given, by their names."""
+        """Returns the options that were given, by name."""
         return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) != each.default}
 
 
 class _NamedShape(NamedTuple):
-    """A spec taken apart: the shape, its name, and the text after the colon."""
+    """A parsed spec: the shape, its name, and the text after the colon."""
 
     name: str
     shape: Shape
@@ -64,16 +64,16 @@ class _NamedShape(NamedTuple):
 
 
 def parse_object(spec: str, options: ShapeOptions = ShapeOptions(), *, folder: Path = Path()) -> Pushable:
-    """An object from its spec.
+    """Creates an object from its spec.
 
     Args:
-        spec: A shape's (:data:`oimppi_warp.registries.SHAPES`), the name of an object in the folder, or a file.
-        options: How it is made, beyond the spec.
-        folder: Where the scene goes: the objects in ``objects/`` there are known by their names.
+        spec: A shape's spec (:data:`oimppi_warp.registries.SHAPES`), the name of an object in the folder, or a file.
+        options: Options beyond the spec.
+        folder: Destination of the scene; objects in its ``objects/`` can be referred to by name.
 
     Raises:
-        ConfigError: There is no such object, or it cannot be made so.
-        SceneError: A mesh or a USD file cannot be an object.
+        ConfigError: There is no such object, or it cannot be made with these options.
+        SceneError: A mesh or USD file cannot be used as an object.
     """
     named = _find_shape(spec)
     if named is not None and named.shape.example:
@@ -81,7 +81,7 @@ def parse_object(spec: str, options: ShapeOptions = ShapeOptions(), *, folder: P
     name, file = spec.replace("-", "_"), Path(spec).expanduser()
     candidates = (folder / "objects" / f"{name}{ending}" for ending in ENDINGS)
     own = next((read_object(place, mass=options.mass) for place in candidates if place.is_file()), None)
-    # What tasks left there of a shape that is known by its name alone is still that.
+    # A file left there by an earlier task still means the shape, if the shape's spec is its name alone.
     if named is not None and (own is None or own.doc == _make(named.shape, (), ShapeOptions()).doc):
         return _make(named.shape, (), options)
     if own is None and (meshed := _shape_of_file(spec)) is not None:
@@ -98,17 +98,17 @@ def parse_object(spec: str, options: ShapeOptions = ShapeOptions(), *, folder: P
 
 
 def parse_obstacle(spec: str, options: ShapeOptions = ShapeOptions(), *, name: str, folder: Path = Path()) -> Obstacle:
-    """An obstacle from its spec: a shape that has a prim of its own, or an object that stands fast.
+    """Creates an obstacle from its spec: a shape with a prim of its own type, or an object that does not move.
 
     Args:
-        spec: An object's, as :func:`parse_object` takes it, with ``@X,Y`` or ``@X,Y,YAW`` behind it.
-        options: How an object that stands fast is made; mass and friction are the pushed object's alone.
-        name: Of its prim.
-        folder: Where the scene goes.
+        spec: An object's spec, as for :func:`parse_object`, followed by ``@X,Y`` or ``@X,Y,YAW``.
+        options: Options for an object used as an obstacle; mass and friction apply to the pushed object only.
+        name: Name of the obstacle's prim.
+        folder: Destination of the scene.
 
     Raises:
-        ConfigError: It is none.
-        SceneError: A mesh or a USD file cannot be an object.
+        ConfigError: The spec does not describe an obstacle.
+        SceneError: A mesh or USD file cannot be used as an object.
     """
     what, at, pose_text = spec.rpartition("@")
     if not at:
@@ -127,7 +127,7 @@ def parse_obstacle(spec: str, options: ShapeOptions = ShapeOptions(), *, name: s
 def parse_obstacles(
     specs: Iterable[str], options: ShapeOptions = ShapeOptions(), *, folder: Path = Path()
 ) -> tuple[Obstacle, ...]:
-    """Obstacles from specs, with names that say what they are."""
+    """Creates obstacles from specs, with descriptive names."""
     found: list[Obstacle] = []
     taken: set[str] = set()
     for spec in specs:
@@ -139,10 +139,10 @@ def parse_obstacles(
 
 
 def check_used(options: ShapeOptions, specs: Iterable[str]) -> None:
-    """Refuse what none of the objects takes.
+    """Checks that every given option applies to at least one of the objects.
 
     Raises:
-        ConfigError: A font, a size or a thickness without letters, say, or a unit without a mesh.
+        ConfigError: An option is unused: a font, size or thickness without letters, say, or a unit without a mesh.
     """
     named = [_find_shape(what) or _shape_of_file(what) for what in (spec.rpartition("@")[0] or spec for spec in specs)]
     taken = {option for each in named if each is not None for option in each.shape.options}
@@ -153,10 +153,10 @@ def check_used(options: ShapeOptions, specs: Iterable[str]) -> None:
 
 
 def checked_pose(option: str, text: str) -> Pose:
-    """A planar pose from "x,y,yaw"; a yaw that must be degrees is refused.
+    """Parses a planar pose "x,y,yaw"; a yaw so large that it must be in degrees is refused.
 
     Raises:
-        ConfigError: It is none.
+        ConfigError: The text is not a valid pose.
     """
     x, y, yaw = parse_pose(option, text)
     if abs(yaw) > 2.0 * math.pi + 1e-3:
@@ -168,7 +168,7 @@ def checked_pose(option: str, text: str) -> Pose:
 
 
 def _find_shape(spec: str) -> _NamedShape | None:
-    """The shape that a spec names; with a colon one that has something behind it, without one a name alone."""
+    """Finds the shape that a spec names: with a colon, one that takes an argument; without one, one that takes none."""
     kind, colon, text = spec.partition(":")
     wanted = _plain(kind)
     for name, shape in SHAPES.loadable():
@@ -178,25 +178,25 @@ def _find_shape(spec: str) -> _NamedShape | None:
 
 
 def _shape_of_file(spec: str) -> _NamedShape | None:
-    """The shape that is made from a file with this ending."""
+    """Finds the shape that is made from files with this extension."""
     ending = Path(spec).suffix.lower()
     found = (_NamedShape(name, shape, spec) for name, shape in SHAPES.loadable() if ending in shape.files)
     return next(found, None) if ending else None
 
 
 def _plain(name: str) -> str:
-    """A name as it is compared: letters of one size, with dashes."""
+    """Normalizes a name for comparison: one case, with dashes."""
     return name.strip().lower().replace("_", "-")
 
 
 def _make(shape: Shape, given: Arguments, options: ShapeOptions) -> Pushable:
-    """A shape's object, with those of the options that it takes."""
+    """Makes a shape's object, passing the options that it accepts."""
     taken = {name: value for name, value in options.given().items() if name in (*COMMON_OPTIONS, *shape.options)}
     return shape.make(*given, **taken)
 
 
 def _prim_name(what: str) -> str:
-    """A prim's name that says what stands there."""
+    """Returns a descriptive prim name for an obstacle."""
     named = _find_shape(what)
     if named is not None and named.shape.example:
         return named.shape.prim(named.name, named.text)

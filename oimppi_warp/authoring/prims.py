@@ -1,7 +1,7 @@
-"""The few kinds of prims that the shipped scenes are made of, and how they are written.
+"""Writes the few kinds of prims that the shipped scenes are made of.
 
-Every function takes the stage and a path and returns the prim. Metres, kilograms and radians in, the units of
-UsdPhysics (degrees) out.
+Every function takes the stage and a path and returns the prim. Inputs are in metres, kilograms and radians; output is
+in the units of UsdPhysics (degrees).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Color = tuple[float, float, float]
 
 
 def new_stage(file: Path, root: str, doc: str) -> Usd.Stage:
-    """An empty stage in metres and kilograms, z up, with one component ``/root`` as its default prim."""
+    """Create an empty stage in metres and kilograms, z up, with one component ``/root`` as its default prim."""
     file.parent.mkdir(parents=True, exist_ok=True)
     file.unlink(missing_ok=True)
     stage = Usd.Stage.CreateNew(str(file))
@@ -36,23 +36,23 @@ def new_stage(file: Path, root: str, doc: str) -> Usd.Stage:
 
 
 def rounded(values: Vector, digits: int = 12) -> list[float]:
-    """Plain floats without the dust of arithmetic, so that files read well and are the same everywhere."""
+    """Return plain floats without rounding noise, so that files are readable and the same on every machine."""
     return [round(float(v), digits) + 0.0 for v in values]
 
 
 def vec3(v: Vector) -> Gf.Vec3f:
-    """A single-precision vector."""
+    """Convert to a single-precision vector."""
     return Gf.Vec3f(*rounded(v, 9))
 
 
 def quat(q: Vector) -> Gf.Quatf:
-    """A quaternion xyzw as USD's (w, x, y, z)."""
+    """Convert a quaternion xyzw to USD's (w, x, y, z)."""
     x, y, z, w = rounded(q, 9)
     return Gf.Quatf(w, x, y, z)
 
 
 def set_pose(prim: Usd.Prim, position: Vector, orientation: Vector | None = None) -> None:
-    """Put a prim at a position [m] and, if given, an orientation (quaternion xyzw) in its parent's frame."""
+    """Place a prim at a position [m] and, if given, an orientation (quaternion xyzw) in its parent's frame."""
     UsdGeom.Xformable(prim).ClearXformOpOrder()
     _add_operation(prim, UsdGeom.XformOp.TypeTranslate, Gf.Vec3d(*rounded(position)))
     if orientation is not None:
@@ -60,13 +60,13 @@ def set_pose(prim: Usd.Prim, position: Vector, orientation: Vector | None = None
 
 
 def set_planar_pose(prim: Usd.Prim, pose: Vector, height: float) -> None:
-    """Put a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m]."""
+    """Place a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m]."""
     set_pose(prim, (pose[0], pose[1], height))
     _add_operation(prim, UsdGeom.XformOp.TypeRotateZ, round(math.degrees(pose[2]), 9))
 
 
 def _add_operation(prim: Usd.Prim, kind: UsdGeom.XformOp.Type, value: Gf.Vec3d | Gf.Quatf | float) -> None:
-    """Move or turn a prim, in the precision of the value; where another file gave the attribute already, in its own."""
+    """Adds a transform operation in the prim's precision, or in that of an attribute defined by another file."""
     there = prim.GetAttribute(f"xformOp:{UsdGeom.XformOp.GetOpTypeToken(kind)}")
     own = UsdGeom.XformOp.PrecisionFloat if isinstance(value, Gf.Quatf) else UsdGeom.XformOp.PrecisionDouble
     precision = UsdGeom.XformOp(there).GetPrecision() if there else own
@@ -75,7 +75,7 @@ def _add_operation(prim: Usd.Prim, kind: UsdGeom.XformOp.Type, value: Gf.Vec3d |
 
 
 def apply_api(prim: Usd.Prim, *names: str) -> None:
-    """Apply API schemas by name: ours, and Newton's, need not be registered to be written."""
+    """Apply API schemas by name; the package's own and Newton's need not be registered to be written."""
     for name in names:
         prim.AddAppliedSchema(name)
 
@@ -86,7 +86,7 @@ def attribute(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: ob
 
 
 def _finish(gprim: UsdGeom.Gprim, color: Color | None, collide: bool, opacity: float = 1.0) -> Usd.Prim:
-    """Colour, extent and collision of a piece of geometry; without a colour it is a guide, which is not drawn."""
+    """Sets colour, extent and collision of a geometry prim; without a colour it becomes a guide, which is not drawn."""
     prim = gprim.GetPrim()
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), Usd.TimeCode.Default())
     gprim.CreateExtentAttr(extent)
@@ -103,7 +103,7 @@ def _finish(gprim: UsdGeom.Gprim, color: Color | None, collide: bool, opacity: f
 
 @dataclass(frozen=True)
 class Look:
-    """How a piece of geometry shows: its colour (none: not at all), its opacity, and whether it collides."""
+    """The look of a geometry prim: its colour (none: hidden), its opacity, and whether it collides."""
 
     color: Color | None = None
     collide: bool = False
@@ -116,7 +116,7 @@ COLLIDER = Look(collide=True)
 def box(
     stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look, turn: Vector | None = None
 ) -> Usd.Prim:
-    """A box with its full side lengths [m], turned by a quaternion xyzw."""
+    """Add a box with full side lengths [m], turned by a quaternion xyzw."""
     cube = UsdGeom.Cube.Define(stage, path)
     cube.CreateSizeAttr(1.0)
     set_pose(cube.GetPrim(), center, turn)
@@ -125,7 +125,7 @@ def box(
 
 
 def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Look) -> Usd.Prim:
-    """A ball."""
+    """Add a sphere."""
     gprim = UsdGeom.Sphere.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
     set_pose(gprim.GetPrim(), center)
@@ -135,7 +135,7 @@ def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Loo
 def cylinder(
     stage: Usd.Stage, path: str, center: Vector, radius: float, height: float, look: Look, turn: Vector | None = None
 ) -> Usd.Prim:
-    """An upright cylinder, or one turned by a quaternion xyzw."""
+    """Add an upright cylinder, or one turned by a quaternion xyzw."""
     gprim = UsdGeom.Cylinder.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
     gprim.CreateHeightAttr(height)
@@ -145,7 +145,7 @@ def cylinder(
 
 
 def capsule(stage: Usd.Stage, path: str, a: Vector, b: Vector, radius: float, look: Look) -> Usd.Prim:
-    """A capsule between two points [m]."""
+    """Add a capsule between two points [m]."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     gprim = UsdGeom.Capsule.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
@@ -158,7 +158,7 @@ def capsule(stage: Usd.Stage, path: str, a: Vector, b: Vector, radius: float, lo
 def mesh(
     stage: Usd.Stage, path: str, points: np.ndarray, faces: Sequence[Sequence[int]], look: Look, normals: Points = ()
 ) -> Usd.Prim:
-    """A polygon mesh with flat faces or, if ``normals`` (one a point) are given, smooth ones; a collider is convex."""
+    """Add a polygon mesh, flat-shaded or, with ``normals`` (one per point), smooth; a collider must be convex."""
     gprim = UsdGeom.Mesh.Define(stage, path)
     gprim.CreatePointsAttr(Vt.Vec3fArray([vec3(np.round(p, 5)) for p in points]))
     gprim.CreateFaceVertexCountsAttr([len(face) for face in faces])
@@ -174,7 +174,7 @@ def mesh(
 
 
 def prism(stage: Usd.Stage, path: str, polygon: np.ndarray, height: float, look: Look) -> Usd.Prim:
-    """A convex polygon (counter-clockwise, [n, 2]) extruded upwards and downwards by half its height."""
+    """Add a convex polygon (counter-clockwise, [n, 2]) extruded upwards and downwards by half its height."""
     n = len(polygon)
     points = np.vstack([np.c_[polygon, np.full(n, z)] for z in (-height / 2, height / 2)])
     sides = [[i, (i + 1) % n, n + (i + 1) % n, n + i] for i in range(n)]
@@ -182,12 +182,12 @@ def prism(stage: Usd.Stage, path: str, polygon: np.ndarray, height: float, look:
 
 
 def about_z(yaw: float) -> np.ndarray | None:
-    """A turn about z [rad] as a quaternion xyzw; none where there is nothing to turn."""
+    """Return a rotation about z [rad] as a quaternion xyzw; ``None`` for no rotation."""
     return np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]) if yaw else None
 
 
 def z_to(direction: Vector) -> np.ndarray:
-    """The shortest rotation that turns z into ``direction``, as a quaternion xyzw."""
+    """Return the shortest rotation that turns z into ``direction``, as a quaternion xyzw."""
     d = np.asarray(direction, float) / np.linalg.norm(direction)
     if d[2] < -1.0 + 1e-9:
         return np.array([1.0, 0.0, 0.0, 0.0])
@@ -196,7 +196,7 @@ def z_to(direction: Vector) -> np.ndarray:
 
 
 def physics_material(stage: Usd.Stage, path: str, friction: float) -> UsdShade.Material:
-    """A material with the same static and dynamic friction, and no bounce."""
+    """Add a material with equal static and dynamic friction, and no restitution."""
     material = UsdShade.Material.Define(stage, path)
     api = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
     api.CreateStaticFrictionAttr(friction)
@@ -206,7 +206,7 @@ def physics_material(stage: Usd.Stage, path: str, friction: float) -> UsdShade.M
 
 
 def bind_physics(root: Usd.Prim, material: UsdShade.Material) -> None:
-    """Give the colliders at and below a prim a physics material; on each of them, as not every reader inherits it."""
+    """Bind a physics material to each collider at and below a prim, since not every reader inherits bindings."""
     for prim in Usd.PrimRange(root):
         if prim.HasAPI(UsdPhysics.CollisionAPI):
             binding = UsdShade.MaterialBindingAPI.Apply(prim)
@@ -214,7 +214,7 @@ def bind_physics(root: Usd.Prim, material: UsdShade.Material) -> None:
 
 
 def mass_properties(prim: Usd.Prim, mass: float, center: Vector, inertia: np.ndarray) -> None:
-    """Mass [kg], centre of mass [m] and inertia about it (3 x 3 matrix in the prim's axes) [kg m^2]."""
+    """Author mass [kg], centre of mass [m] and inertia about it (3 x 3 matrix in the prim's axes) [kg m^2]."""
     moments, axes = np.linalg.eigh(inertia)
     axes = axes[:, np.argsort(np.abs(axes).argmax(axis=0), kind="stable")] if _is_diagonal(inertia) else axes
     moments = np.diag(axes.T @ inertia @ axes)
@@ -233,9 +233,10 @@ def _is_diagonal(matrix: np.ndarray) -> bool:
 
 
 def matrix_quat(matrix: np.ndarray) -> np.ndarray:
-    """The quaternion (xyzw) of a rotation matrix.
+    """Return the quaternion (xyzw) of a rotation matrix.
 
-    Of the two, the one with w > 0, and for half a turn the one whose first number is negative: the same everywhere.
+    Of the two equivalent ones it is the one with w > 0, or for half a turn the one whose first non-zero number is
+    negative, so that the result is the same on every machine.
     """
     q = Rotation.from_matrix(matrix).as_quat()
     w, first = q[3], q[np.flatnonzero(np.abs(q) > 1e-9)[0]]

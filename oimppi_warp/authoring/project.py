@@ -1,4 +1,4 @@
-"""A task with all that it needs in a folder of one's own, checked before it is left there."""
+"""Writes a task and its dependencies to a user's folder, and checks them before they are moved there."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ _DRAFT_FIXES = {
     "change oimppi:goal, or give another goal": "give another goal (--goal)",
     "move the object in the file, or give another start": "give another start (--start)",
 }
-"""What to do about a file that was not written."""
+"""The remedy given when a file was not written."""
 
 
 @dataclass(frozen=True, eq=False)
 class WrittenTask:
-    """What was written.
+    """The result of writing a task.
 
     Attributes:
-        file: The scene's file.
-        scene: It, as it is read from there.
-        files: Every file that is new or changed, the scene's first.
+        file: The scene file.
+        scene: The scene as read back from the file.
+        files: Every new or changed file, the scene first.
     """
 
     file: Path
@@ -52,17 +52,18 @@ class WrittenTask:
 def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> WrittenTask:
     """Write a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
 
-    The files are made elsewhere, read and checked, and moved only then. A robot or an object that is in the folder
-    already is used as it is. An object whose name is taken there by another is written under a name with the task's in
-    it. If the arm would start in the object or in an obstacle, it starts elsewhere.
+    The files are first written to a draft folder, read back and checked, and moved only if they are valid. A robot or
+    an object that is already in the folder is used as it is. If a different object has the same name, the new one is
+    written under a name that includes the task's. If the arm would start inside the object or an obstacle, another
+    start is used.
 
     Args:
-        task: The task; its robot is the name of one that is shipped or lies in the folder's ``robots/``, or a USD file.
-        folder: Where to; it is made if need be.
-        force: Whether a scene of this name that is there may be overwritten.
+        task: The task; its robot is a USD file, or the name of one that is shipped or in the folder's ``robots/``.
+        folder: Destination, created if necessary.
+        force: Whether an existing scene of this name may be overwritten.
 
     Raises:
-        SceneError: The scene is there already, or the task cannot be done; nothing was written.
+        SceneError: The scene already exists, or the task is not feasible; nothing was written.
     """
     folder = Path(folder).expanduser()
     target = folder / f"{task.name}.usda"
@@ -84,16 +85,16 @@ def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> 
 
 
 def write_object(obj: Pushable, folder: str | Path = ".", *, force: bool = False, picture: bool = False) -> Path:
-    """Write an object to ``objects/`` in a folder, with what its attributes mean.
+    """Write an object to ``objects/`` in a folder, with its attributes documented.
 
     Args:
         obj: The object.
-        folder: Where to; it is made if need be.
-        force: Whether an object of this name that is there may be overwritten.
-        picture: Whether to draw it beside it, with the same name.
+        folder: Destination, created if necessary.
+        force: Whether an existing object of this name may be overwritten.
+        picture: Whether to draw a picture of it beside it, with the same name.
 
     Raises:
-        SceneError: One of this name is there already, or it cannot be an object; nothing was written.
+        SceneError: An object of this name already exists, or this one is invalid; nothing was written.
     """
     folder = Path(folder).expanduser()
     files = [Path("objects") / f"{obj.name}{ending}" for ending in (".usda", *([".png"] if picture else []))]
@@ -115,10 +116,10 @@ def write_object(obj: Pushable, folder: str | Path = ".", *, force: bool = False
 
 
 def find_robot(robot: str, folder: Path) -> Path:
-    """The file of a robot: the folder's own, a shipped one, or a USD file.
+    """Find the file of a robot: one in the folder, a shipped one, or a USD file.
 
     Raises:
-        SceneError: There is no such robot.
+        SceneError: The robot does not exist.
     """
     file = Path(robot).expanduser()
     own = (folder / "robots" / f"{robot}{ending}" for ending in ENDINGS)
@@ -133,7 +134,7 @@ def find_robot(robot: str, folder: Path) -> Path:
 
 
 def _check_target(name: str, file: Path, force: bool) -> None:
-    """Refuse names that cannot be files', files that are there, and folders that cannot be written to."""
+    """Raises SceneError for invalid file names, existing files, and folders that are not writable."""
     if not re.fullmatch(r"[A-Za-z0-9][\w-]*", name, flags=re.ASCII):
         raise SceneError(f"{name!r}: no name for a scene", allowed="letters, digits, - and _, as in push_s")
     if file.exists() and not force:
@@ -144,13 +145,13 @@ def _check_target(name: str, file: Path, force: bool) -> None:
 
 
 def _own_objects(scene: Path, task: str) -> frozenset[Path]:
-    """The objects that only the earlier scene of a task has, under names with the task's in them; from its folder."""
+    """Returns the objects that only a task's earlier scene uses and that are named after the task; relative paths."""
     others = set().union(*(_objects_in(other) for other in scene.parent.glob("*.usd*") if other != scene))
     return frozenset(file for file in _objects_in(scene) - others if f"_{task}" in file.stem)
 
 
 def _objects_in(scene: Path) -> set[Path]:
-    """The files in ``objects/`` that a scene refers to."""
+    """Returns the files in ``objects/`` that a scene refers to."""
     with suppress(Tf.ErrorException):
         layer = Sdf.Layer.OpenAsAnonymous(str(scene)) if scene.is_file() else None
         used = map(Path, layer.GetCompositionAssetDependencies() if layer else [])
@@ -159,7 +160,7 @@ def _objects_in(scene: Path) -> set[Path]:
 
 
 def _draft(task: Task, draft: Path, folder: Path, own: frozenset[Path]) -> None:
-    """Make the files in a folder that is empty."""
+    """Writes the files to an empty draft folder."""
     robot = copy_bundle(find_robot(task.robot, folder), draft / "robots")
     obj = _add_object(task.object, task.name, draft, folder, own)
     obstacles = [
@@ -175,7 +176,7 @@ def _draft(task: Task, draft: Path, folder: Path, own: frozenset[Path]) -> None:
 
 
 def _add_object(obj: Pushable, task: str, draft: Path, folder: Path, own: frozenset[Path]) -> Pushable:
-    """Write an object into the draft, under a name that no other object has there or in the folder."""
+    """Writes an object into the draft, under a name not taken by another object there or in the folder."""
     objects = Path("objects")
     if isinstance(obj, StoredObject) and obj.file == (folder / objects / f"{obj.name}.usda").resolve() and obj.is_ready:
         copy_bundle(obj.file, draft / objects)
@@ -194,7 +195,7 @@ def _add_object(obj: Pushable, task: str, draft: Path, folder: Path, own: frozen
 
 
 def _write_object(obj: Pushable, file: Path) -> None:
-    """Write an object's file with what its attributes mean."""
+    """Writes an object's file with its attributes documented."""
     file.parent.mkdir(parents=True, exist_ok=True)
     obj.write(file)
     if not isinstance(obj, StoredObject):
@@ -204,9 +205,9 @@ def _write_object(obj: Pushable, file: Path) -> None:
 
 
 def _install(draft: Path, folder: Path, main: Path, own: frozenset[Path]) -> tuple[Path, ...]:
-    """Move the files to where they belong, the main one last; returns those that changed, the main one first.
+    """Moves the files to their destination, the main one last, and returns those that changed, the main one first.
 
-    That it and those of one's own may be overwritten was asked before; no other that is there is.
+    The caller has checked that the main file and the task's own files may be overwritten; no other existing file is.
     """
     changed = []
     found = sorted(path.relative_to(draft) for path in draft.rglob("*") if path.is_file())
@@ -228,7 +229,7 @@ def _same(made: Path, there: Path) -> bool:
 
 
 def _relocated(error: SceneError, draft: Path, folder: Path) -> SceneError:
-    """An error about a draft as one about the file that it would have become."""
+    """Rewrites an error about a draft to refer to the file that it would have become."""
     file = error.file.replace(str(draft.resolve()), str(folder)).replace(str(draft), str(folder))
     fix = _DRAFT_FIXES.get(error.fix, error.fix)
     return SceneError(error.what, file=file, prim=error.prim, allowed=error.allowed, fix=fix)

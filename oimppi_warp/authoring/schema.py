@@ -1,4 +1,4 @@
-"""The codeless API schemas: what USD has no word for, as data, as USD's own files, and as a page of the manual."""
+"""The package's codeless API schemas as data, as USD's own files, and as a page of the manual."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Attribute:
-    """An attribute of a schema; without a default it must be given."""
+    """An attribute of a schema; without a default it is required."""
 
     name: str
     type: str
@@ -20,7 +20,7 @@ class Attribute:
 
 @dataclass(frozen=True)
 class Schema:
-    """An API schema: the role that it gives a prim, and what it asks for."""
+    """An API schema: the role that it gives a prim, and its attributes."""
 
     name: str
     where: str
@@ -212,7 +212,7 @@ def Xform "World" (
 
 
 def page() -> str:
-    """The manual's page about the schemas."""
+    """Return the manual's page about the schemas."""
     lines = [_HEAD]
     for schema in SCHEMAS:
         lines += [f"## {schema.name}", "", f"On {schema.where}.", "", schema.doc, ""]

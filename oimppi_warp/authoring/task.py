@@ -1,4 +1,4 @@
-"""A task as data: which object goes from where to where, and what stands in its way; and how it is written as USD."""
+"""A task as data: the object, its start and goal, and the obstacles; and how it is written as USD."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TABLE_LOWER, TABLE_UPPER, TABLE_THICKNESS = (-0.25, -0.8), (1.0, 0.8), 0.04
 TABLE_FRICTION, OBSTACLE_FRICTION = 0.1, 0.3
 TABLE_COLOR, OBSTACLE_COLOR = (0.6, 0.58, 0.54), (0.35, 0.37, 0.4)
 
-SPREAD = (0.11, 0.45)  # half widths that starts are drawn from: m, rad
+SPREAD = (0.11, 0.45)  # half widths of the range that starts are drawn from: m, rad
 PAPER, TIGHT = (0.2, 0.5), (0.05, 0.1)  # m, rad
 
 
@@ -66,7 +66,7 @@ class Pillar:
 
 @dataclass(frozen=True)
 class StaticObject:
-    """An object that stands fast as an obstacle."""
+    """An object used as a static obstacle."""
 
     name: str
     object: Pushable
@@ -78,17 +78,17 @@ Obstacle = Block | Pillar | StaticObject
 
 @dataclass(frozen=True)
 class Task:
-    """One scene; poses are (x [m], y [m], yaw [rad]).
+    """A task and its scene; poses are (x [m], y [m], yaw [rad]).
 
     Attributes:
-        name: Name of its file.
-        title: One line about it.
-        object: What is pushed.
-        start, goal: From where to where.
-        obstacles: What stands in its way.
-        tolerance, tight: Success, and a stricter measure beside it: position [m] and yaw [rad].
+        name: Name of the scene's file.
+        title: One-line description.
+        object: The object to push.
+        start, goal: Start and goal pose of the object.
+        obstacles: Static obstacles.
+        tolerance, tight: Tolerance for success, and a stricter one reported beside it: position [m] and yaw [rad].
         robot_start: Joint positions at the start [rad]; none: the robot's own.
-        robot: Name of the robot's file in ``robots/``; without an ending, of one with ``.usda``.
+        robot: Name of the robot's file in ``robots/``; the extension defaults to ``.usda``.
     """
 
     name: str
@@ -106,17 +106,17 @@ class Task:
 def write(
     task: Task, folder: Path, *, note: str = "", find_arm_start: Callable[[Scene], Sequence[float] | None] | None = None
 ) -> Path:
-    """Write a task's scene to ``folder``, where ``robots`` and ``objects`` already are.
+    """Write a task's scene to ``folder``, which must already contain ``robots`` and ``objects``.
 
     Args:
         task: The task.
-        folder: Where to.
-        note: What the file's documentation says beyond the title.
-        find_arm_start: Gives the arm's joint positions at the start [rad], or ``None`` for the robot's own, once all
-            stands.
+        folder: Destination.
+        note: Text appended to the title in the file's documentation.
+        find_arm_start: Gives the arm's joint positions at the start [rad], or ``None`` for the robot's own, once the
+            scene is complete.
 
     Raises:
-        SceneError: The task cannot be done (:func:`oimppi_warp.geometry.feasibility.check_task`).
+        SceneError: The task is not feasible (:func:`oimppi_warp.geometry.feasibility.check_task`).
     """
     file = folder / f"{task.name}.usda"
     stage = new_stage(file, "World", ". ".join(filter(None, (task.title, note))))
@@ -166,12 +166,13 @@ def write(
 
 
 def add_starts(stage: Usd.Stage, file: Path) -> None:
-    """List the start with nine others around it; where there is less room for them, from a smaller spread.
+    """List the start with nine others drawn around it, from a smaller spread where there is less room.
 
-    They are drawn from the scene as it is in its file; `oimppi run --seed` draws from 0 upwards, and so not these.
+    They are drawn from the scene as written to its file. `oimppi run --seed` draws from seed 0 upwards, so it draws
+    others.
 
     Raises:
-        SceneError: The task cannot be done from its own start.
+        SceneError: The task is not feasible from its own start.
     """
     scene = load_scene(file)
     check_task(scene)
@@ -180,7 +181,7 @@ def add_starts(stage: Usd.Stage, file: Path) -> None:
         tried = replace(scene, spread=spread)
         drawn: list[Pose] = []
         if share:
-            with suppress(SceneError):  # no room to draw from: the next share is smaller
+            with suppress(SceneError):  # no room to draw from: try the next, smaller share
                 drawn = [sample_start(tried, seed) for seed in range(1001, 1010)]
         if drawn or not share:
             break
@@ -192,7 +193,7 @@ def add_starts(stage: Usd.Stage, file: Path) -> None:
 
 
 def _write_table(stage: Usd.Stage, friction: float) -> None:
-    """The table; its friction is no more than the object's, since the larger of the two counts."""
+    """Writes the table; its friction is at most the object's, since the larger of the two applies."""
     UsdGeom.Scope.Define(stage, "/World/Materials")
     (x0, y0), (x1, y1) = TABLE_LOWER, TABLE_UPPER
     center, size = ((x0 + x1) / 2, (y0 + y1) / 2, -TABLE_THICKNESS / 2), (x1 - x0, y1 - y0, TABLE_THICKNESS)
@@ -224,7 +225,7 @@ def _write_obstacle(stage: Usd.Stage, obstacle: Obstacle, material: UsdShade.Mat
 
 
 def _write_view(stage: Usd.Stage) -> None:
-    """Light, and a camera that looks over the table towards the arm."""
+    """Writes a light, and a camera that looks over the table towards the arm."""
     UsdLux.DomeLight.Define(stage, "/World/Sky").CreateIntensityAttr(300.0)
     sun = UsdLux.DistantLight.Define(stage, "/World/Sun")
     sun.CreateIntensityAttr(1500.0)

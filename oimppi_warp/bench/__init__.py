@@ -1,6 +1,6 @@
-"""Benchmarks: suites of trials, run in parallel and resumed, and what is computed and drawn from them.
+"""Benchmarks: suites of trials, run in parallel and resumable, and the statistics and reports made from them.
 
-One stair here as well; every import goes down::
+The modules are layered; every import goes down::
 
     commands -> runner, page, markdown -> tables, figures -> causes, statistics, comparison, paper -> results -> suite
 """
@@ -10,4 +10,4 @@ from __future__ import annotations
 from typing import Literal
 
 Backend = Literal["loky", "dask"]
-"""Back end that runs trials in parallel: processes of this machine, or a cluster."""
+"""Back end that runs trials in parallel: processes on this machine, or a cluster."""

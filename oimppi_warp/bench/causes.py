@@ -1,7 +1,7 @@
-"""Why a trial failed, as far as its log tells: a few rules, the first that fits counts.
+"""Classifies why a trial failed from its log, by a few rules of which the first match applies.
 
-They look at the last :data:`END_SECONDS` seconds of the episode. A cause is a guess with its evidence beside it, not a
-proof.
+The rules examine the last :data:`END_SECONDS` seconds of the episode. A cause is a guess reported with its evidence,
+not a proof.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from oimppi_warp.record.log import EpisodeLog
 from oimppi_warp.record.metrics import within
 
 END_SECONDS = 5.0
-"""How much of an episode's end is looked at [s]."""
+"""Time span at the end of an episode that is examined [s]."""
 STANDSTILL = 0.02
-"""Way of the object below which it counts as standing still [m]; a radian counts as 0.1 m."""
+"""Motion of the object below which it counts as standing still [m]; a radian counts as 0.1 m."""
 CONTACT_FORCE = 0.5
-"""Contact force from which on two things touch [N]."""
+"""Minimum contact force for two bodies to count as touching [N]."""
 BLOCKING_FORCE = 20.0
-"""Force of the arm on obstacles or table from which on it is blocked [N]."""
+"""Minimum force of the arm on obstacles or table for it to count as blocked [N]."""
 NEAR_CLEARANCE = 0.005
-"""Clearance below which the object is at an obstacle [m]."""
+"""Clearance below which the object counts as being at an obstacle [m]."""
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A likely cause.
+    """A likely cause of a failure.
 
     Attributes:
-        name: Which, in a few words that are the same for every trial.
-        evidence: What of the log speaks for it.
+        name: A short name, identical in every trial with this cause.
+        evidence: The evidence for it in the log.
     """
 
     name: str
@@ -43,11 +43,11 @@ RAISED = "an error was raised"
 
 
 def likely_cause(log: EpisodeLog, *, reach: float = math.inf) -> Cause:
-    """The likely cause of a failure.
+    """Return the likely cause of a failure.
 
     Args:
-        log: Of an episode that did not succeed.
-        reach: How far from the base the arm gets [m].
+        log: Log of an episode that did not succeed.
+        reach: Reach of the arm from its base [m].
     """
     ended = log.header.get("ended", "interrupted")
     if ended == "object fell":
@@ -126,7 +126,7 @@ def _arm_blocked(log: EpisodeLog) -> Cause | None:
 
 
 def _wrong_side(log: EpisodeLog) -> Cause | None:
-    """The tool is on the side of the object that faces the goal, from where it cannot push it there."""
+    """Returns the cause in which the tool is on the goal's side of the object, where it cannot push it to the goal."""
     last = _end_rows(log)
     if _progress(log, last) > STANDSTILL:
         return None
@@ -154,19 +154,19 @@ def _still_moving(log: EpisodeLog) -> Cause | None:
 
 
 def _end_rows(log: EpisodeLog) -> slice:
-    """The rows of the last seconds."""
+    """Returns the rows of the episode's last seconds."""
     return slice(int(np.searchsorted(log["time"], log["time"][-1] - END_SECONDS)), None)
 
 
 def _motion_extent(log: EpisodeLog, rows: slice) -> float:
-    """Extent of the object's motion [m]; a radian counts as 0.1 m."""
+    """Returns the extent of the object's motion [m]; a radian counts as 0.1 m."""
     poses = log["object_pose"][rows].copy()
     poses[:, 2] = 0.1 * np.unwrap(poses[:, 2])
     return float(np.linalg.norm(np.ptp(poses, axis=0)))
 
 
 def _progress(log: EpisodeLog, rows: slice) -> float:
-    """By how much the object came nearer to its goal [m]; a radian counts as 0.1 m, where yaw counts."""
+    """Returns by how much the object approached its goal [m]; a radian counts as 0.1 m, if yaw counts."""
     error = log["position_error"][rows].copy()
     if log.header["tolerance"]["yaw"] is not None:
         error += 0.1 * log["yaw_error"][rows]

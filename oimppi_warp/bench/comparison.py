@@ -1,4 +1,4 @@
-"""Two sets of results in pairs: the same task, method and start on both sides, so that a hard start is so for both."""
+"""Compares two result sets in pairs of trials with the same task, method and start, equally hard on both sides."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ NUMBERS = {
     "error_until_success_m": ("error until success [m]", False),
     "plan_ms_median": ("plan time [ms]", False),
 }
-"""What is compared besides success: its name, and whether only pairs that succeed on both sides have it."""
+"""Numbers compared besides success: the name, and whether only pairs that succeed on both sides are used."""
 
 
 @dataclass(frozen=True)
 class Paired:
-    """A number compared in pairs.
+    """A number compared over pairs.
 
     Attributes:
-        name: What it is, with its unit.
-        count: Pairs that have it on both sides.
-        first, second: Its median on either side.
+        name: Name, with its unit.
+        count: Number of pairs in which both sides have it.
+        first, second: Median on either side.
         difference: Median of second minus first.
-        p: Of the Wilcoxon signed-rank test, two-sided; 1 where nothing differs, NaN without pairs.
+        p: p value of the two-sided Wilcoxon signed-rank test; 1 if no pair differs, NaN without pairs.
     """
 
     name: str
@@ -43,14 +43,14 @@ class Paired:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sets of paired trials.
+    """The comparison of two sets of paired trials.
 
     Attributes:
-        name: What is compared.
+        name: Name of the comparison.
         pairs: Number of pairs.
-        successes: On either side.
-        only_first, only_second: The pairs that succeed on one side only.
-        p: Of McNemar's exact test on these, two-sided.
+        successes: Number of successes on either side.
+        only_first, only_second: The pairs that succeed on only one side.
+        p: p value of McNemar's exact test on these, two-sided.
         numbers: See :data:`NUMBERS`.
     """
 
@@ -64,10 +64,10 @@ class Comparison:
 
 
 def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
-    """Compare two result sets: all pairs together, then each task and method.
+    """Compare two result sets: all pairs together, then by task and method.
 
     Raises:
-        ConfigError: They have no task, method and start in common.
+        ConfigError: They have no combination of task, method and start in common.
     """
     pairs = _matched(first.results, second.results, lambda r: (r.task, r.run.method, r.start))
     if not pairs:
@@ -85,7 +85,7 @@ def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
 def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
     """Compare the methods of one set with each other, over all its tasks.
 
-    A scene that stands in it under several labels counts once, under the first: its starts are the same in all.
+    A scene listed under several labels is counted once, under the first, as its starts are the same under all.
     """
     firsts = {result.scene: result.task for result in reversed(results.results)}
     found = []
@@ -102,7 +102,7 @@ def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
 
 
 def compare_labels(results: ResultSet) -> tuple[Comparison, ...]:
-    """Compare each labelled entry of one set with the first one of the same scene and method."""
+    """Compare each labelled entry of one set with the first entry of the same scene and method."""
     groups: dict[tuple[str, str], dict[str, list[Result]]] = {}
     for result in results.results:
         groups.setdefault((result.scene, result.run.method), {}).setdefault(result.task, []).append(result)
@@ -131,7 +131,7 @@ def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """The p of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947): a fair coin for each pair that differs."""
+    """Return the p of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947): a fair coin per differing pair."""
     if only_first + only_second == 0:
         return 1.0
     from scipy.stats import binomtest
@@ -140,7 +140,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def signed_rank(first: np.ndarray, second: np.ndarray) -> float:
-    """The p of the Wilcoxon signed-rank test, two-sided; pairs without a difference are left out, as Wilcoxon did."""
+    """Return the p of the two-sided Wilcoxon signed-rank test, dropping pairs without a difference, as Wilcoxon did."""
     if not len(first):
         return math.nan
     if not np.any(first != second):
@@ -162,6 +162,6 @@ def _paired(pairs: Sequence[Pair], key: str, name: str, both_succeed: bool) -> P
 
 
 def _matched(first: Sequence[Result], second: Sequence[Result], identity: Callable[[Result], Hashable]) -> list[Pair]:
-    """Pairs of results with the same identity, in the first one's order."""
+    """Returns pairs of results with the same identity, in the first sequence's order."""
     others = {identity(result): result for result in second}
     return [(result, others[identity(result)]) for result in first if identity(result) in others]

@@ -1,6 +1,6 @@
-"""What pictures from above need of a scene, as plain lists: outlines on the table, goal and starts.
+"""Extracts the outlines, goal and starts of a scene that top-view pictures show, as plain lists.
 
-An outline is a list of rings, a ring a list of points (x, y) [m]; the object's are in its own frame.
+An outline is a list of rings, a ring a list of points (x, y) [m]; the object's rings are in its own frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from oimppi_warp.scene import Collider, Scene
 
 
 def scene_footprints(scene: Scene) -> dict[str, Any]:
-    """Everything about a scene that pictures show, for JSON."""
+    """Return the displayed parts of a scene, in a form that can be written as JSON."""
     return {
         "title": scene.title,
         "table": [list(scene.table.lower), list(scene.table.upper)],
@@ -31,7 +31,7 @@ def scene_footprints(scene: Scene) -> dict[str, Any]:
 
 
 def transformed(rings: Iterable[Any], pose: Any) -> list[np.ndarray]:
-    """Rings in an object's frame, carried to its planar pose; each of shape [n, 2]."""
+    """Transform rings from an object's frame to its planar pose, shape [n, 2] each."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[c, s], [-s, c]])
     return [np.asarray(ring) @ turn + np.asarray(pose[:2]) for ring in rings]

@@ -1,8 +1,8 @@
-"""What the paper reports, to stand beside ours.
+"""The paper's reported results, for comparison with ours.
 
 Source: Tables I and II of N. Raicevic, B. R. Radhakrishnan, C. Yu, K. M. B. Lee, N. Atanasov, *Object-Informed Model
-Predictive Path Integral Control for Non-Prehensile Robot Manipulation*. Ten trials a task in simulation (Table I), five
-on the real arm (Table II), where we have simulated lab tasks.
+Predictive Path Integral Control for Non-Prehensile Robot Manipulation*. Ten trials per task in simulation (Table I),
+and five on the real arm (Table II), to which our simulated lab tasks correspond.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ METHODS = ("mppi", "cloi", "soi")
 
 @dataclass(frozen=True)
 class Reported:
-    """One cell of a table.
+    """One cell of a table in the paper.
 
     Attributes:
         table: ``I`` or ``II``.
         success: Success rate.
-        error_m: Position error averaged over time (epsilon_d); ``None`` where it is not reported for a task.
+        error_m: Position error averaged over time (epsilon_d); ``None`` if it is not reported for a task.
         control_hz: Control frequency (f).
         total_time_s: Total time (T).
-        preplan_time_s: SOI's planning in it.
+        preplan_time_s: The part of it that SOI spends planning.
     """
 
     table: str
@@ -57,7 +57,7 @@ REPORTED: dict[tuple[str, str], Reported] = {
     ("lab02", "cloi"): Reported("II", 0.8, 0.32, 2.69, 230),
     ("lab02", "soi"): Reported("II", 0.8, 0.32, 3.88, 215, 16),
 }
-"""By task and method. The wide third task is not the paper's."""
+"""Results by task and method; the wide third task is not in the paper."""
 
 MEANS: dict[tuple[str, str], Reported] = {
     ("I", "mppi"): Reported("I", 0.42, 0.42, 2.38, 236),
@@ -67,10 +67,10 @@ MEANS: dict[tuple[str, str], Reported] = {
     ("II", "cloi"): Reported("II", 0.9, 0.35, 2.77, 172),
     ("II", "soi"): Reported("II", 0.9, 0.34, 3.98, 155, 17),
 }
-"""By table and method, as printed."""
+"""Results by table and method, as printed."""
 
 TABLES = {
     "I": ("task01", "task02", "task03", "task04", "task05"),
     "II": ("lab01", "lab02"),
 }
-"""The tasks of each table."""
+"""Tasks of each table."""

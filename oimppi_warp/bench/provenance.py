@@ -1,4 +1,4 @@
-"""With what a result was made: the machine and a hash of our own code. It names no machine and nobody."""
+"""Records how a result was made: the hardware and a hash of the code, without host or user names."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 NO_PART = ("authoring", "bench", "cli", "plots", "scenes", "system", "view")
-"""Folders of the package that take no part in a result: an episode imports nothing from them. Whatever is not named
-here counts. Scenes count one by one, in the key of a trial."""
+"""Folders of the package that do not affect results, since an episode imports nothing from them. All other folders
+are included in the hash. Scenes are hashed one by one, in the key of a trial."""
 
 
 @cache
 def code_content() -> str:
-    """Hash of the source that decides results, kernels included: results of two hashes were made by different code.
+    """Return a hash of the source that decides results, including kernels; different hashes mean different code.
 
-    It is of this package only; methods, engines and plants of other packages are not in it.
+    It covers this package only; methods, engines and plants from other packages are not included.
     """
     digest = hashlib.sha256()
     files = [*_PACKAGE.rglob("*.py"), *(_PACKAGE / "kernels").glob("*.py")]  # kernels may be a link, which rglob skips
@@ -30,7 +30,7 @@ def code_content() -> str:
 
 @cache
 def machine() -> str:
-    """Processor, cores and system, in one line."""
+    """Describe processor, cores and system in one line."""
     from oimppi_warp.compute.step import core_count
     from oimppi_warp.system.doctor import processor
 
@@ -38,7 +38,7 @@ def machine() -> str:
 
 
 def without_paths(text: str) -> str:
-    """A traceback in which paths count from the package or from Python, so that it names nobody's folders."""
+    """Shorten the paths in a traceback to start at the package or at Python, so that it reveals no user's folders."""
     for folder, name in ((_PACKAGE.parent, "."), (Path(sys.prefix), "(python)"), (Path(sys.base_prefix), "(python)")):
         text = text.replace(str(folder), name)
     return text

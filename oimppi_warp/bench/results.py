@@ -1,7 +1,7 @@
-"""The results of a suite, small enough to be committed: metrics of every trial, how to make it again, and its way.
+"""Results of a suite, small enough to commit: each trial's metrics, the command that repeats it, and the object's path.
 
-A :class:`ResultSet` is one JSON file from which tables, comparisons and the whole report are made; neither records nor
-scenes are needed for that. NaN is ``null`` in the file.
+A :class:`ResultSet` is one JSON file from which tables, comparisons and the whole report are made, without records or
+scenes. NaN is stored as ``null``.
 """
 
 from __future__ import annotations
@@ -24,37 +24,37 @@ from oimppi_warp.record.log import EpisodeLog, LogError, flatten, to_json, write
 from oimppi_warp.record.metrics import first_hold, hold_steps, summarize, within
 
 FORMAT = 1
-"""Version of the file; a reader refuses others."""
+"""Version of the file format; readers refuse other versions."""
 
 FILE = "results.json"
 
 PATH_POINTS = 60
-"""Points of an episode that are kept of its way."""
+"""Number of points kept of the object's path in an episode."""
 
 PLAN_BINS = np.geomspace(0.5, 5000.0, 61)
-"""Edges in which plan times are counted [ms]; the first and the last bin take what is beyond."""
+"""Bin edges of the plan time histogram [ms]; the first and the last bin include values beyond them."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came out of one trial.
+    """The result of one trial.
 
     Attributes:
-        key: Hash of what decides the result, see :class:`Trial`.
-        task, number, start, run: Of the trial. In JSON the fields of ``run`` stand beside the others.
-        preset: Of the trial's settings.
-        command: Runs it again.
+        key: Hash of everything that decides the result, see :class:`Trial`.
+        task, number, start, run: As in the trial. In JSON the fields of ``run`` are stored beside the others.
+        preset: Preset of the trial's settings.
+        command: Command that repeats the trial.
         code, machine: See :mod:`oimppi_warp.bench.provenance`.
-        wall_s: How long it took.
+        wall_s: Wall time of the trial.
         metrics: See :class:`oimppi_warp.record.metrics.Metrics`; empty if the trial raised.
-        success_steps: Control steps until success; NaN without.
+        success_steps: Control steps until success; NaN without success.
         error_until_success_m: Position error averaged over time until success (without success: to the end), which is
             the paper's epsilon_d, whose episodes end there.
-        tight_counts: Whether the episode went on to the tight tolerance, so that missing it means something.
-        time, pose, position_error: Of the way, at even times: [n] [s], [n, 3] (x, y [m], yaw [rad]), [n] [m].
-        plan_counts: Plans by their time, in the bins of :data:`PLAN_BINS`.
-        cause, evidence: Why it failed; empty after a success.
-        error: The traceback, if it raised.
+        tight_counts: Whether the episode continued to the tight tolerance, so that missing it is meaningful.
+        time, pose, position_error: The object's path at even times: [n] [s], [n, 3] (x, y [m], yaw [rad]), [n] [m].
+        plan_counts: Number of plans by plan time, in the bins of :data:`PLAN_BINS`.
+        cause, evidence: Likely cause of a failure; empty after a success.
+        error: The traceback, if the trial raised.
     """
 
     key: str
@@ -81,21 +81,21 @@ class Result:
 
     @property
     def scene(self) -> str:
-        """Short name of the scene, without an entry's label."""
+        """Short name of the scene, without the entry's label."""
         return Path(shlex.split(self.command)[2]).stem
 
     @property
     def success(self) -> bool:
-        """Within the tolerance, held."""
+        """True if the object was held within the tolerance."""
         return bool(self.metrics.get("success", False))
 
     @property
     def success_tight(self) -> bool:
-        """Within the tight tolerance, held."""
+        """True if the object was held within the tight tolerance."""
         return bool(self.metrics.get("success_tight", False))
 
     def value(self, name: str) -> float:
-        """A number of the metrics or of this class; NaN where there is none."""
+        """Return a number from the metrics or from this class; NaN if it is missing."""
         found = self.metrics.get(name, getattr(self, name, None))
         return math.nan if found is None else float(found)
 
@@ -105,12 +105,12 @@ class ResultSet:
     """The results of a suite.
 
     Attributes:
-        suite, title: Of the suite.
-        planned: Number of trials that the suite has; more than the results of a run that is not finished.
-        versions: Of Python and of the packages that took part.
+        suite, title: Name and title of the suite.
+        planned: Number of trials in the suite; more than the results if the run is unfinished.
+        versions: Versions of Python and of the packages used.
         entries: The suite's entries as they were run.
-        places: By task, what pictures from above need, see :mod:`oimppi_warp.bench.footprints`.
-        results: One a trial.
+        places: Data for top-view pictures by task, see :mod:`oimppi_warp.bench.footprints`.
+        results: One result per trial.
     """
 
     suite: str
@@ -123,20 +123,20 @@ class ResultSet:
 
     @property
     def tasks(self) -> list[str]:
-        """In the order of the suite."""
+        """Task names in the order of the suite."""
         return list(dict.fromkeys(result.task for result in self.results))
 
     @property
     def methods(self) -> list[str]:
-        """In the order of the suite."""
+        """Method names in the order of the suite."""
         return list(dict.fromkeys(result.run.method for result in self.results))
 
     def of(self, task: str | None = None, method: str | None = None) -> list[Result]:
-        """The results of a task and a method; ``None`` means all."""
+        """Return the results of a task and a method; ``None`` selects all."""
         return [r for r in self.results if task in (None, r.task) and method in (None, r.run.method)]
 
     def groups(self) -> Iterator[tuple[str, str, list[Result]]]:
-        """Task, method and results, for all that there are."""
+        """Yield task, method and results for each combination that has results."""
         for task in self.tasks:
             for method in self.methods:
                 if found := self.of(task, method):
@@ -144,11 +144,11 @@ class ResultSet:
 
     @property
     def codes(self) -> list[str]:
-        """Hashes of the code that made the results; more than one is worth a warning."""
+        """Hashes of the code that made the results; more than one deserves a warning."""
         return sorted({result.code for result in self.results})
 
     def save(self, path: Path) -> None:
-        """Write the file, whole."""
+        """Write the whole file."""
         facts = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "results"}
         head = {"format": FORMAT} | to_json(facts)
         rows = ",\n".join("  " + json.dumps(result_row(result), allow_nan=False) for result in self.results)
@@ -157,13 +157,13 @@ class ResultSet:
 
 
 def load_results(path: str | Path) -> ResultSet:
-    """Read results.
+    """Load results from a file.
 
     Args:
-        path: The file, or the folder that it is in.
+        path: The file, or its folder.
 
     Raises:
-        LogError: There are none, or another version wrote them.
+        LogError: There are no results, or they have another format version.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
@@ -180,7 +180,7 @@ def load_results(path: str | Path) -> ResultSet:
 
 
 def result_from(row: dict[str, Any]) -> Result:
-    """A result from its JSON, the opposite of :func:`result_row`."""
+    """Create a result from its JSON, the inverse of :func:`result_row`."""
     row = _options_of_command(row["command"]) | row  # rows of earlier versions lack the device and the threads
     row["run"] = RunSpec(**{item.name: row.pop(item.name) for item in fields(RunSpec)})
     row["start"] = tuple(row["start"])
@@ -190,12 +190,12 @@ def result_from(row: dict[str, Any]) -> Result:
 
 
 def result_row(result: Result) -> dict[str, Any]:
-    """A result in types that JSON knows, the options of its run beside the other fields."""
+    """Convert a result to JSON types, with the options of its run beside the other fields."""
     return to_json(flatten(result))
 
 
 def _options_of_command(command: str) -> dict[str, Any]:
-    """Device and threads from a trial's command."""
+    """Returns device and threads from a trial's command."""
     arguments = shlex.split(command)
     options: dict[str, Any] = dict(pairwise(arguments))
     threads = options.get("--threads")
@@ -205,15 +205,15 @@ def _options_of_command(command: str) -> dict[str, Any]:
 def make_result(
     trial: Trial, log: EpisodeLog | None, *, error: str, wall_s: float, code: str, machine: str, reach: float
 ) -> Result:
-    """What is kept of a trial.
+    """Create the result to keep of a trial.
 
     Args:
         trial: The trial.
         log: Its record; ``None`` if it raised.
         error: The traceback, if it raised.
-        wall_s: How long it took [s].
-        code, machine: What made it.
-        reach: How far the arm gets [m].
+        wall_s: Wall time of the trial [s].
+        code, machine: Provenance of the result.
+        reach: Reach of the arm [m].
     """
     common: dict[str, Any] = {
         name: getattr(trial, name) for name in ("key", "task", "number", "start", "run", "command")

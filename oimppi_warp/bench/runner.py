@@ -1,7 +1,7 @@
-"""Runs the trials of a suite in parallel, and keeps what is finished: a suite that was stopped goes on where it was.
+"""Runs the trials of a suite in parallel, storing each finished one, so that an interrupted suite can be resumed.
 
-Workers compute, this process writes. Each trial has a folder with its record and, written last, ``trial.json``; a
-folder that has it is finished and is never run again. ``results.json`` is made from these files.
+Workers compute, and this process writes. Each trial has a folder with its record and, written last, ``trial.json``; a
+folder with that file is finished and never rerun. ``results.json`` is compiled from these files.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from oimppi_warp.planning.resolve import entries_used
 from oimppi_warp.record.log import to_json, versions, write_atomically
 
 SAVE_EVERY = 10.0
-"""``results.json`` is written no more often than that while trials run [s]."""
+"""Minimum interval between updates of ``results.json`` while trials run [s]."""
 
 _TRIAL = "trial.json"
 
 
 class BenchError(OimppiError):
-    """A suite that cannot be run here."""
+    """Raised when a suite cannot be run here."""
 
 
 @dataclass
 class SuiteRun:
-    """A suite in its folder.
+    """A run of a suite in a folder.
 
     Args:
-        suite: What is to be run.
-        folder: Where to; made if need be.
-        retry: Forget the trials that raised, so that they run again.
+        suite: The suite to run.
+        folder: Destination, created if necessary.
+        retry: Discards results of trials that raised, so that they run again.
 
     Attributes:
         trials: Every trial of the suite.
-        finished: The results so far by the trial's key.
+        finished: Results so far, by the trial's key.
 
     Raises:
         OimppiError: The suite names a scene that cannot be read.
@@ -70,7 +70,7 @@ class SuiteRun:
 
     @property
     def pending(self) -> list[Trial]:
-        """The trials that are not finished; those in real time last."""
+        """Unfinished trials, those in real time last."""
         return sorted((t for t in self.trials if t.key not in self.finished), key=lambda trial: trial.real_time)
 
     def execute(
@@ -81,19 +81,19 @@ class SuiteRun:
         cluster: str = "",
         on_result: Callable[[Result], None] | None = None,
     ) -> ResultSet:
-        """Run what is open, and write the results.
+        """Run the unfinished trials, and write the results.
 
         Args:
-            jobs: Trials at the same time; by default as many as there are cores, and one in real time. With ``1`` (and
-                loky) trials run in this process, one after the other.
-            backend: What runs them.
+            jobs: Number of concurrent trials; by default one per core, and one in real time. With ``1`` (and loky)
+                trials run in this process, one after the other.
+            backend: Back end that runs them.
             cluster: Address of a running cluster; without one, dask starts a local one.
             on_result: Called after each trial.
 
         Raises:
-            BenchError: The backend is not there, a trial needs what other processes do not know, or a worker process
-                dies again and again.
-            KeyboardInterrupt: Ctrl-C; what is finished is written.
+            BenchError: The back end is not available, a trial needs something that other processes lack, or a worker
+                process dies repeatedly.
+            KeyboardInterrupt: Ctrl-C was pressed; finished trials are stored.
         """
         if backend != "loky" and any(trial.real_time for trial in self.pending):
             raise BenchError("trials in real time need the machine for themselves\n  to do:   --backend loky")
@@ -119,7 +119,7 @@ class SuiteRun:
         return found
 
     def store(self, outcome: Outcome) -> Result:
-        """Write what came out of a trial: its record first, what makes it finished last."""
+        """Write the outcome of a trial: its record first, and last the file that marks it as finished."""
         trial = outcome.trial
         result = make_result(
             trial,
@@ -140,7 +140,7 @@ class SuiteRun:
         return result
 
     def results(self) -> ResultSet:
-        """What is finished, in the order of the suite."""
+        """Collect the finished results, in the order of the suite."""
         return ResultSet(
             suite=self.suite.name,
             title=self.suite.title,
@@ -160,7 +160,7 @@ class SuiteRun:
                 self.finished[trial.key] = result
 
     def _stored(self, trial: Trial) -> Result | None:
-        """The result of a finished trial; a file that cannot be read counts as none."""
+        """Returns the result of a finished trial; ``None`` if its file is missing or unreadable."""
         try:
             result = result_from(json.loads((self._folder(trial) / _TRIAL).read_text(encoding="utf-8"))["result"])
         except (OSError, ValueError, KeyError, TypeError):
@@ -169,7 +169,7 @@ class SuiteRun:
 
 
 def prepare(trials: Iterable[Trial]) -> None:
-    """Compile what the trials need, once and not in every worker; nothing where that was done before."""
+    """Compile the kernels that the trials need, once instead of in every worker; does nothing if already done."""
     from oimppi_warp.bench.trial import make_episode
     from oimppi_warp.compute.device import kernels_are_cached
 
@@ -180,10 +180,10 @@ def prepare(trials: Iterable[Trial]) -> None:
 
 @contextmanager
 def cluster_backend(backend: Backend, cluster: str, jobs: int | None) -> Iterator[None]:
-    """Connects to a cluster of dask, or starts a local one, and makes it joblib's backend while it lasts.
+    """Connects to a dask cluster, or starts a local one, and makes it joblib's back end inside the context.
 
     Raises:
-        BenchError: The backend is not installed, or the cluster is not there.
+        BenchError: dask is not installed, or the cluster cannot be reached.
     """
     import joblib
 
@@ -213,7 +213,7 @@ def cluster_backend(backend: Backend, cluster: str, jobs: int | None) -> Iterato
 
 
 def _check_known_elsewhere(trials: Iterable[Trial]) -> None:
-    """Raise BenchError for trials that only this process can run, because of what was registered in it."""
+    """Raises BenchError for trials that only this process can run, because they need plugins registered in it only."""
     for trial in trials:
         for registry, name in entries_used(trial.run, trial.config):
             if registry.is_local(name):
@@ -225,10 +225,10 @@ def _check_known_elsewhere(trials: Iterable[Trial]) -> None:
 
 
 def _outcomes(trials: list[Trial], *, jobs: int, backend: Backend) -> Iterator[Outcome]:
-    """Runs trials and yields what came out, as soon as it is there.
+    """Runs trials and yields their outcomes as they finish.
 
     Raises:
-        BenchError: A worker died twice without a trial finished in between.
+        BenchError: A worker died twice without any trial finishing in between.
     """
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -241,7 +241,7 @@ def _outcomes(trials: list[Trial], *, jobs: int, backend: Backend) -> Iterator[O
             with parallel_config(backend=backend, n_jobs=jobs), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message=".*tasks which were still being processed")  # after Ctrl-C
                 calls = (delayed(run_trial)(trial, os.getpid()) for trial in list(todo.values()))
-                one: Any = 1  # a trial at a time
+                one: Any = 1  # one trial at a time
                 parallel: Any = Parallel(return_as="generator_unordered", batch_size=one, pre_dispatch="2*n_jobs")
                 for outcome in parallel(calls):
                     del todo[outcome.trial.key]

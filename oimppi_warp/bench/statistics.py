@@ -1,4 +1,4 @@
-"""Numbers over the trials of a task and a method, with what ten trials leave uncertain."""
+"""Statistics over the trials of a task and a method, with the uncertainty that few trials leave."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from oimppi_warp.bench.results import Result
 
 DEEP = -0.005
-"""Clearance below which an object counts as having gone into an obstacle [m]: contacts give by about as much."""
+"""Clearance below which the object counts as having penetrated an obstacle [m]; contacts yield by about this much."""
 
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of trials with its 95 % interval.
+    """A success rate with its 95 % confidence interval.
 
     Attributes:
-        count, total: Of how many.
+        count, total: Number of successes, and number of trials.
         low, high: Wilson's interval; 0 and 1 where there are no trials.
     """
 
@@ -30,12 +30,12 @@ class Rate:
 
     @property
     def share(self) -> float:
-        """Count over total; NaN where there are no trials."""
+        """Count divided by total; NaN without trials."""
         return self.count / self.total if self.total else math.nan
 
 
 def wilson(count: int, total: int, *, confidence: float = 0.95) -> Rate:
-    """A rate with Wilson's score interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+    """Compute a rate with Wilson's score interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
     if not total:
         return Rate(0, 0, 0.0, 1.0)
     from scipy.stats import binomtest
@@ -46,21 +46,21 @@ def wilson(count: int, total: int, *, confidence: float = 0.95) -> Rate:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Numbers over some trials. Those that raised count as failures, and in nothing else. NaN where there are none.
+    """Statistics over some trials; those that raised count as failures and in nothing else. NaN if there are no values.
 
     Attributes:
         success, tight: Rates at the task's tolerance and at the tight one.
-        tight_counts: Whether all trials went on to the tight tolerance.
-        error, error_success: Position error averaged over the whole episode: mean of all trials, of successes [m].
+        tight_counts: Whether all trials continued to the tight tolerance.
+        error, error_success: Mean position error over the whole episode, averaged over all trials, over successes [m].
         error_until, error_until_success: The same until success, which is the paper's epsilon_d [m].
         steps, time: Control steps and simulated time [s] to success, median over successes.
         total_time: The paper's T, mean over successes [s]: planning and moving until success.
-        preplan_time: Of that, what was planned before the first step, mean over successes [s].
-        plan_ms, plan_ms_p95: Median over the trials of each one's median and 95th percentile [ms].
+        preplan_time: The part of it spent planning before the first step, mean over successes [s].
+        plan_ms, plan_ms_p95: Medians over the trials of their median and 95th percentile plan times [ms].
         control_hz: Mean of the trials' control frequencies.
         samples, object_samples: Mean effective sample sizes of the two levels.
-        clearance: Smallest of all trials [m].
-        clear: Share of the successes whose clearance never went below :data:`DEEP`.
+        clearance: Smallest clearance over all trials [m].
+        clear: Share of the successes whose clearance never fell below :data:`DEEP`.
         object_force, robot_force: Largest force of the object, and of the robot, on an obstacle [N].
         raised: Number of trials that raised.
     """
@@ -89,7 +89,7 @@ class Statistics:
 
 
 def summarize_results(results: Sequence[Result]) -> Statistics:
-    """The statistics of some trials."""
+    """Compute the statistics of some trials."""
     good = [result for result in results if result.success]
     clear = sum(result.value("min_clearance_m") >= DEEP for result in good)
     return Statistics(
@@ -118,7 +118,7 @@ def summarize_results(results: Sequence[Result]) -> Statistics:
 
 
 def finite(results: Sequence[Result], name: str) -> np.ndarray:
-    """The finite values of a number, shape [n]."""
+    """Return the finite values of a number, shape [n]."""
     values = np.array([result.value(name) for result in results], dtype=float)
     return values[np.isfinite(values)]
 

@@ -1,6 +1,6 @@
-"""A suite: which tasks, methods and starts to try, with which settings, as a TOML file that a person can copy.
+"""Benchmark suites: the tasks, methods, starts and settings to try, in a TOML file that users can copy and edit.
 
-The keys may stand at the top of the file, and again in each ``[[entry]]``, where they count for that entry only. A file
+Keys can be given at the top of the file, and again in each ``[[entry]]``, where they apply to that entry only. A file
 without entries is one entry. The keys are the fields of :class:`Entry`, those of its run options and those of its
 settings; `docs/bench.md` lists them.
 """
@@ -22,34 +22,34 @@ from oimppi_warp.registries import ENGINES, METHODS, PLANTS
 from oimppi_warp.runtime.request import SettingsRequest
 
 SUITES = Path(__file__).parent / "suites"
-"""Where the shipped suites are."""
+"""Folder of the shipped suites."""
 
 MOST_TRIALS = 10_000
-"""Trials of a task and method in one suite at the most."""
+"""Maximum number of trials per task and method in one suite."""
 
 NUMBERS = 1_000_000
-"""Trials are numbered from 0 to one less than that."""
+"""Trial numbers range from 0 to one less than this."""
 
 RUN = RunSpec(engine="quasistatic", device="cpu", threads=1)
-"""Options of a run where a suite does not say otherwise; the same on every machine."""
+"""Default options of a run; the same on every machine."""
 
 SETTINGS = SettingsRequest()
-"""Settings where a suite does not say otherwise."""
+"""Default settings."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Some tasks with some methods, all with the same options and settings.
+    """Several tasks with several methods, all with the same options and settings.
 
     Attributes:
-        tasks: Names of shipped scenes, or USD files (a relative path counts from the suite's file).
-        methods: Names of methods; by default all that are registered.
-        trials: Number of trials of each task and method.
-        first: Number of the first one. The scene's own starts belong to the first numbers; all others are drawn.
-        run: Options of all runs. Its seed is the one from which the seeds of the trials come, its method is replaced by
-            each of ``methods``; its engine is never ``"auto"``, which depends on how busy the machine is.
+        tasks: Names of shipped scenes, or USD files (paths are relative to the suite's file).
+        methods: Names of methods; by default all registered ones.
+        trials: Number of trials per task and method.
+        first: Number of the first trial. The lowest numbers use the scene's own starts; all other starts are drawn.
+        run: Options of all runs. Its seed is the one from which the trials' seeds are derived, its method is replaced
+            by each of ``methods``; its engine is never ``"auto"``, which depends on the load of the machine.
         settings: Settings of all runs.
-        label: Tells entries with the same tasks and methods apart: it is put behind the task's name.
+        label: Suffix of the task's name that distinguishes entries with the same tasks and methods.
     """
 
     tasks: tuple[str, ...] = ()
@@ -62,11 +62,11 @@ class Entry:
 
     @property
     def numbers(self) -> range:
-        """Numbers of the trials of each task and method."""
+        """Trial numbers of each task and method."""
         return range(self.first, self.first + self.trials)
 
     def changed(self, values: Mapping[str, Any]) -> Entry:
-        """The entry with other values at some keys of a suite's file."""
+        """Return the entry with other values for some keys of a suite's file."""
         values = {_FIELDS.get(key, key): value for key, value in values.items()}
 
         def part(of: Any) -> dict[str, Any]:
@@ -76,7 +76,7 @@ class Entry:
         return replace(self, **part(self), run=run, settings=settings)
 
     def row(self) -> dict[str, Any]:
-        """The entry as it would stand in a file, in types that JSON knows."""
+        """Return the entry as it would appear in a file, in JSON types."""
         names = {name: key for key, name in _FIELDS.items()}
         found = {names.get(name, name): value for name, value in flatten(self).items()}
         del found["method"]
@@ -84,7 +84,7 @@ class Entry:
 
 
 _FIELDS = {"set": "assignments"}
-"""Keys of a suite's file whose field has another name."""
+"""Keys of a suite's file whose field has a different name."""
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,9 @@ class Suite:
 
     Attributes:
         name: The file's stem.
-        title: One line about it.
-        file: Where it was read from.
-        entries: What is tried.
+        title: One-line description.
+        file: File that it was read from.
+        entries: Entries of the suite.
     """
 
     name: str
@@ -104,26 +104,26 @@ class Suite:
     entries: tuple[Entry, ...]
 
     def changed(self, **changes: Any) -> Suite:
-        """The suite with other values at some keys of all entries; those that are ``None`` are left out.
+        """Return the suite with other values for some keys in all entries; values of ``None`` are ignored.
 
         Raises:
-            ConfigError: The suite cannot be run so.
+            ConfigError: The suite cannot be run with these values.
         """
         wanted = {name: value for name, value in changes.items() if value is not None}
         return self._checked(entry.changed(wanted) for entry in self.entries)
 
     def assigned(self, assignments: tuple[str, ...]) -> Suite:
-        """The suite with settings (``NAME=VALUE``) changed in all entries, after their own.
+        """Return the suite with settings (``NAME=VALUE``) changed in all entries, overriding their own.
 
         Raises:
-            ConfigError: There is no such setting, or it cannot have that value.
+            ConfigError: There is no such setting, or the value is not allowed for it.
         """
         return self._checked(
             entry.changed({"set": (*entry.settings.assignments, *assignments)}) for entry in self.entries
         )
 
     def only(self, *, tasks: tuple[str, ...] = (), methods: tuple[str, ...] = ()) -> Suite:
-        """The part of the suite with these tasks and methods; an empty tuple means all.
+        """Return the part of the suite with these tasks and methods; an empty tuple selects all.
 
         Raises:
             ConfigError: The suite has no such task or method.
@@ -153,7 +153,7 @@ class Suite:
 
 
 def shipped_suites() -> list[Suite]:
-    """The suites that come with the package, in the order of their names."""
+    """Return the suites shipped with the package, ordered by name."""
     return [load_suite(path) for path in sorted(SUITES.glob("*.toml"))]
 
 
@@ -164,7 +164,7 @@ def load_suite(suite: str | Path) -> Suite:
         suite: Name of a shipped suite, or a TOML file.
 
     Raises:
-        ConfigError: There is none, or it cannot be run; the message says what is wrong and what is allowed.
+        ConfigError: There is no such suite, or it cannot be run; the message says what is wrong and what is allowed.
     """
     file = _find(suite)
     try:
@@ -194,7 +194,7 @@ def load_suite(suite: str | Path) -> Suite:
 
 
 def _check(suite: Suite) -> None:
-    """Raise ConfigError for what no trials can be made from, although each value may stand where it does."""
+    """Raises ConfigError for a combination of valid values from which no trials can be made."""
     for entry in suite.entries:
         where = f"{suite.file}, {', '.join(entry.tasks)}"
         if entry.numbers.stop > NUMBERS:
@@ -248,7 +248,7 @@ _JOINTS = str.maketrans("", "", "_-")
 
 
 def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
-    """For each key: whether a value may stand there, and what is allowed."""
+    """Returns, for each key, a test for valid values and a description of them."""
     return {
         "tasks": (lambda value: _strings(value) and bool(value), 'a list of scenes, like ["task01", "my_task.usda"]'),
         "methods": (
@@ -274,14 +274,14 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
 
 
 def check_value(key: str, value: Any, where: str) -> None:
-    """Raise ConfigError where a value cannot stand at a key; ``where`` comes first in the message."""
+    """Raise ConfigError if a value is not valid for a key; ``where`` begins the message."""
     fits, allowed = _keys()[key]
     if not fits(value):
         raise ConfigError(f"{where}{key} = {value!r}: cannot be used\n  allowed: {allowed}")
 
 
 def _values(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """The keys of a table, checked, with tuples for lists."""
+    """Checks the keys of a table and converts its lists to tuples."""
     known = _keys()
     for key, value in table.items():
         if key not in known:

@@ -1,4 +1,4 @@
-"""One trial: everything that decides its result, the command that makes it again, and how it is run."""
+"""A single trial: everything that decides its result, the command that repeats it, and the code that runs it."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
     from oimppi_warp.scene import PlanarPose, Scene
 
 _SEEDS, _NUMBERS = 100_000, 10_000
-"""Up to this seed of a suite and below this number of a trial, seeds of trials are counted."""
+"""Seeds are formed arithmetically for a suite's seed up to this and a trial's number below this."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One episode that is to be run.
+    """One episode to be run.
 
     Attributes:
-        task: Short name of the scene, with the entry's label behind it if it has one.
-        scene: What to load it by: the name of a shipped scene, or a file.
+        task: Short name of the scene, followed by the entry's label, if any.
+        scene: Name of a shipped scene, or a file, from which it is loaded.
         content: Hash of the scene's files.
-        number: From 0; the same number is the same start and the same seed for every method.
+        number: Number from 0; the same number means the same start and the same seed for every method.
         start: Planar pose of the object.
         run: Options of the run, with the trial's own seed.
-        settings: Settings that are asked for.
+        settings: Requested settings.
     """
 
     task: str
@@ -51,21 +51,21 @@ class Trial:
 
     @property
     def real_time(self) -> bool:
-        """Whether it runs against the clock, and must have the machine for itself."""
+        """True if the trial runs in real time and needs exclusive use of the machine."""
         return self.run.mode == "realtime"
 
     @property
     def config(self) -> Config:
-        """All settings."""
+        """The complete settings."""
         return self.settings.config(self.run.method)
 
     @property
     def key(self) -> str:
-        """Hash of what decides the result: the scene's content, all settings, the start, and the options of the run.
+        """Hash of everything that decides the result: scene content, settings, start, and options of the run.
 
-        Threads count only in real time: they change no bit of a plan.
+        The number of threads is included only in real time, as it does not change a bit of any plan.
         """
-        config = self.config  # with the weights that cost terms from outside have of themselves
+        config = self.config  # including default weights of cost terms from other packages
         config = replace(config, cost=replace(config.cost, extra=effective_weights(config.cost)))
         facts = flatten(self) | {"config": to_json(config)}
         for name in ("scene", "number", *flatten(self.settings), *(["threads"] * (not self.real_time))):
@@ -74,12 +74,12 @@ class Trial:
 
     @property
     def name(self) -> str:
-        """Name of its folder."""
+        """Name of the trial's folder."""
         return f"{self.task}-{self.run.method}-{self.number:03d}-{self.key[:8]}"
 
     @property
     def arguments(self) -> list[str]:
-        """What follows ``oimppi`` to run this trial alone, with the same result."""
+        """Arguments for ``oimppi`` that run this trial alone, with the same result."""
         run, settings = self.run, self.settings
         words = ["run", self.scene, "--method", run.method, "--preset", settings.preset, "--engine", run.engine]
         words += ["--device", run.device]
@@ -97,16 +97,16 @@ class Trial:
 
     @property
     def command(self) -> str:
-        """The same as one line for a shell."""
+        """The arguments as one shell command line."""
         return shlex.join(["oimppi", *self.arguments])
 
     def row(self) -> dict[str, Any]:
-        """The trial in types that JSON knows, with its options and settings beside the other fields."""
+        """Return the trial in JSON types, with its options and settings beside the other fields."""
         return to_json(flatten(self))
 
 
 def make_episode(trial: Trial) -> Episode:
-    """The episode of a trial, as ``oimppi run`` makes it."""
+    """Create the episode of a trial, as ``oimppi run`` does."""
     from oimppi_warp.compute.device import pick_device
     from oimppi_warp.runtime.episode import Episode
 
@@ -115,11 +115,11 @@ def make_episode(trial: Trial) -> Episode:
 
 
 def trial_seed(seed: int, number: int) -> int:
-    """The seed of a trial's noise and, where its start is drawn, of its start.
+    """Return the seed of a trial's noise and, if its start is drawn, of its start.
 
     For a suite's seed up to 100000 and a number below 10000 it is ``10000 * seed + number``. All others are hashed with
-    NumPy's ``SeedSequence`` into the 32-bit numbers above those, so that no hashed seed is a counted one. Two hashed
-    ones are equal by chance only, one pair in 3.3 billion.
+    NumPy's ``SeedSequence`` into the 32-bit numbers above those, so that a hashed seed never equals an arithmetic one.
+    Two hashed ones are equal only by chance, one pair in 3.3 billion.
 
     Args:
         seed: The suite's.
@@ -133,14 +133,14 @@ def trial_seed(seed: int, number: int) -> int:
 
 
 def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
-    """Every trial of a suite, and its tasks by their short names.
+    """Create every trial of a suite, and load its tasks by short name.
 
-    The first numbers have the scene's own starts, whatever the seed is; beyond them, starts are drawn with the trial's
-    seed. Start and seed depend on the task and the number only, so that methods can be compared in pairs.
+    The lowest numbers use the scene's own starts, whatever the seed; all other starts are drawn with the trial's seed.
+    Start and seed depend only on the task and the number, so that methods can be compared in pairs.
 
     Raises:
         SceneError: A scene cannot be read, or no start can be drawn.
-        ConfigError: Two entries have the same task and method, and no labels to tell them apart.
+        ConfigError: Two entries have the same task and method, but no labels to tell them apart.
     """
     from oimppi_warp.usd import load_scene, scene_content
 
@@ -171,7 +171,7 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
 
 
 def _scene_path(suite: Suite, task: str) -> str:
-    """What to load a scene by from here: a file that stands beside the suite, or the name as it is."""
+    """Returns the name or path to load a scene by from here: a file beside the suite, or the name unchanged."""
     beside = suite.file.parent / task
     return os.path.relpath(beside) if beside.is_file() else task
 

@@ -1,4 +1,4 @@
-"""What a worker process does: one trial, from nothing to its log, whatever happens on the way."""
+"""Runs one trial in a worker process and returns its log, whatever errors occur."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from oimppi_warp.record.log import EpisodeLog
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a trial in a worker.
+    """The outcome of a trial in a worker.
 
     Attributes:
         trial: The trial.
         log: Its record; ``None`` if it raised.
         error: The traceback, if it raised.
-        wall_s: How long it took [s].
-        code, machine: What made it.
+        wall_s: Wall time of the trial [s].
+        code, machine: Provenance of the result.
     """
 
     trial: Trial
@@ -42,13 +42,13 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
 
     Args:
         trial: The trial.
-        leader: Process that started the suite. In others Ctrl-C is left to it.
+        leader: Process that started the suite; other processes leave Ctrl-C to it.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C, in the leading process.
+        KeyboardInterrupt: Ctrl-C was pressed in the leading process.
     """
     if os.getpid() != leader:
-        with suppress(ValueError):  # a thread of a cluster's worker may not
+        with suppress(ValueError):  # not allowed in a thread of a cluster's worker
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         if os.getppid() == leader:
             _end_with_leader()
@@ -73,7 +73,7 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
 
 @cache
 def _end_with_leader() -> None:
-    """From now on this process ends when the one that started it does, even if that one is killed."""
+    """Makes this process end when the one that started it does, even if that one is killed."""
     leader = os.getppid()
 
     def watch() -> None:

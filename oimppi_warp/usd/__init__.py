@@ -1,10 +1,11 @@
-"""From a USD file to a :class:`oimppi_warp.scene.Scene`: how every scene is read.
+"""Reads a :class:`oimppi_warp.scene.Scene` from a USD file.
 
-Physics is read from the standard UsdPhysics schemas; what USD has no word for, from ours (`docs/schema.md`). The
-friction of a pair of shapes is the larger of their materials' coefficients, as MuJoCo combines them.
+Physics is read from the standard UsdPhysics schemas; anything that USD has no schema for is read from this package's
+own (`docs/schema.md`). The friction of a pair of shapes is the larger of their materials' coefficients, as in MuJoCo.
 
-A mistake does not end the reading (:meth:`oimppi_warp.usd.stage.SceneStage.attempt`): it is noted, and what can be read
-without it is read, so that a person hears of all mistakes at once and of none that only follows from another.
+Reading does not stop at a mistake (:meth:`oimppi_warp.usd.stage.SceneStage.attempt`): the mistake is noted, and
+everything that does not depend on it is still read. All mistakes are thus reported at once, but none that is only a
+consequence of another.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ __all__ = ["Inspection", "ShippedScene", "inspect_scene", "load_scene", "scene_c
 
 @dataclass(frozen=True)
 class ShippedScene:
-    """A scene that comes with the package: its name, a line about it, and its file."""
+    """A scene shipped with the package: its name, a one-line description, and its file."""
 
     name: str
     title: str
@@ -37,7 +38,7 @@ class ShippedScene:
 
 
 def shipped_scenes() -> list[ShippedScene]:
-    """The scenes that come with the package, in the order of their names."""
+    """Return the scenes shipped with the package, ordered by name."""
     scenes = []
     for path in sorted(SCENES.glob("*.usda")):
         layer = Sdf.Layer.FindOrOpen(str(path))
@@ -48,13 +49,13 @@ def shipped_scenes() -> list[ShippedScene]:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What came of reading a scene.
+    """The result of reading a scene.
 
     Attributes:
         file: The USD file.
         scene: The task; ``None`` if it cannot be read.
-        mistakes: Why not, in the order of reading.
-        stage: What was read; ``None`` if it is not USD.
+        mistakes: Errors found, in the order of reading.
+        stage: The composed stage; ``None`` if the file is not USD.
     """
 
     file: Path
@@ -70,8 +71,8 @@ def load_scene(scene: str | Path) -> Scene:
         scene: A USD file, or the name of a shipped scene (``"task02"``).
 
     Raises:
-        SceneError: It cannot be run; the message says what is wrong, where, what is allowed and what to do. Whether the
-            arm can do the task is another question: :func:`oimppi_warp.geometry.feasibility.check_task`.
+        SceneError: The scene cannot be run; the message says what is wrong, where, what is allowed and how to fix it.
+            Whether the arm can do the task is checked separately: :func:`oimppi_warp.geometry.feasibility.check_task`.
     """
     found = inspect_scene(scene)
     if found.scene is None:
@@ -87,7 +88,7 @@ def inspect_scene(scene: str | Path) -> Inspection:
         scene: A USD file, or the name of a shipped scene.
 
     Raises:
-        SceneError: There is no such file.
+        SceneError: The file does not exist.
     """
     file, mistakes = _find(scene), list[SceneError]()
     stage = read = None
@@ -100,7 +101,7 @@ def inspect_scene(scene: str | Path) -> Inspection:
 
 
 def _read(stage: SceneStage) -> Scene | None:
-    """The scene, as far as it can be read; the stage has the mistakes."""
+    """Reads as much of the scene as possible; mistakes are collected by the stage."""
     task = stage.attempt(None, read_task, stage)
     robot = stage.attempt(None, read_robot, stage)
     table = stage.attempt(None, read_table, stage)
@@ -130,17 +131,17 @@ def _read(stage: SceneStage) -> Scene | None:
 
 
 def scene_content(file: Path) -> str:
-    """Hash of a scene's file and of every USD file that it refers to, wherever they are.
+    """Return a hash of a scene's file and of every USD file that it refers to, independent of their location.
 
     Raises:
-        SceneError: It is not USD.
+        SceneError: The file is not USD.
     """
     found = sorted(hashlib.sha256(each.read_bytes()).hexdigest() for each in SceneStage(file).layers)
     return hashlib.sha256("".join(found).encode()).hexdigest()[:24]
 
 
 def _find(scene: str | Path) -> Path:
-    """The file of a scene given by its path or its shipped name."""
+    """Returns the file of a scene given by its path or its shipped name."""
     names = [path.stem for path in sorted(SCENES.glob("*.usda"))]
     if str(scene) in names:
         return SCENES / f"{scene}.usda"

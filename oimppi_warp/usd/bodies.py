@@ -1,4 +1,4 @@
-"""What stands on the table and the table itself: the object, the obstacles, and nothing that has no role."""
+"""Reads the table, the object and the obstacles, and reports prims without a role."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
 
 FLOATING = 1e-3
-"""How far an object may stand above or in the table in the file [m]."""
+"""Maximum distance of an object above or below the table's top in the file [m]."""
 
 _WORLD = Gf.Matrix4d(1.0)
 
 
 def read_table(stage: SceneStage) -> Table:
-    """The table.
+    """Read the table.
 
     Raises:
-        SceneError: There is none or more than one, or it is not a level box with its top at z = 0.
+        SceneError: There is no table or more than one, or it is not a level box with its top at z = 0.
     """
     prim = stage.single_prim("OimppiTableAPI", "table", "the box that the object slides on")
     allowed = "a Cube with CollisionAPI, aligned with the world's axes, its top at z = 0"
@@ -41,7 +41,7 @@ def read_table(stage: SceneStage) -> Table:
                 return Table(str(prim.GetPath()), (x0, y0), (x1, y1), 2.0 * float(half[2]), others)
             tops.append(f"{top:.4g} m")
     if moving or len(colliders) < len(list(collider_prims(prim))):
-        return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are known
+        return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are reported already
     found = f"; what is flat has its top at {', '.join(tops)}" if tops else ""
     raise stage.error(
         f"a table without a flat top at z = 0{found}",
@@ -52,7 +52,7 @@ def read_table(stage: SceneStage) -> Table:
 
 
 def _level_half(collider: Collider) -> np.ndarray | None:
-    """Half extents in the world of a box aligned with its axes, shape [3] [m]; ``None`` for any other shape."""
+    """Returns world half extents of an axis-aligned box, shape [3] [m]; ``None`` for any other shape."""
     turned = np.abs(rotation_matrix(collider.transform[3:]))
     if collider.kind != "box" or not np.allclose(turned, np.round(turned), atol=1e-6):
         return None
@@ -60,11 +60,11 @@ def _level_half(collider: Collider) -> np.ndarray | None:
 
 
 def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
-    """The object and where it stands in the file.
+    """Read the object and its pose in the file.
 
     Raises:
-        SceneError: There is none or more than one, it cannot move, weighs nothing, has no shape or no friction, or does
-            not lie on the table.
+        SceneError: There is no object or more than one, or it cannot move, has no mass, shape or friction, or does not
+            lie on the table.
     """
     prim = stage.single_prim("OimppiObjectAPI", "object", "the rigid body that is to be pushed")
     if not prim.HasAPI(UsdPhysics.RigidBodyAPI) or not UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
@@ -105,7 +105,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
 
 
 def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
-    """One obstacle.
+    """Read an obstacle.
 
     Raises:
         SceneError: It has no collider.
@@ -121,9 +121,9 @@ def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
 
 
 def check_roles(stage: SceneStage) -> None:
-    """Notes whatever collides or moves and is nothing that the planner knows of.
+    """Notes every prim that collides or moves but has no role known to the planner.
 
-    Where there is no robot, object or table at all, it says nothing: the stranger is what lacks the role.
+    If there is no robot, object or table at all, nothing is noted: the unknown prim is the one that lacks the role.
     """
     roles = [stage.prims_with(f"Oimppi{role}API") for role in ("Robot", "Object", "Table", "Obstacle")]
     if not all(roles[:3]):
@@ -146,7 +146,7 @@ def check_roles(stage: SceneStage) -> None:
 
 
 def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
-    """The object's frame in the world without its scale, which is that of its shapes: a scaled Cube may be a body."""
+    """Returns the object's world frame without scale, which belongs to its shapes: a scaled Cube may be a body."""
     frame = stage.frame(prim)
     if not is_orthogonal(frame) or scales(frame).min() < 1e-9 or frame.GetDeterminant() <= 0.0:
         raise stage.error(
@@ -159,7 +159,7 @@ def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
 
 
 def _check_resting(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:
-    """An object lies flat, and neither above nor in the table."""
+    """Checks that an object lies flat on the table, neither above nor inside it."""
     if abs(pose[3]) > 1e-4 or abs(pose[4]) > 1e-4:
         fix = "turn it until one of its axes points up; turn its shapes in it if they are drawn askew"
         stage.collect(stage.error("an object that does not lie flat", prim, allowed="turned about z only", fix=fix))
@@ -172,7 +172,7 @@ def _check_resting(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_hei
 
 
 def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
-    """Where it is given, or that of the shapes, in the body's frame, shape [3] [m]."""
+    """Return the given centre of mass, or else that of the shapes, in the body's frame, shape [3] [m]."""
     given = given_center(prim)
     if given is not None:
         return given * scales(stage.frame(prim))
@@ -181,7 +181,7 @@ def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider,
 
 
 def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
-    """Coefficients of the object with the table and with the tool."""
+    """Returns the object's friction coefficients with the table and with the tool."""
     tools = [tip.GetParent() for tip in stage.prims_with("OimppiToolAPI")]
     tables = stage.prims_with("OimppiTableAPI")
     own, table, tool = (largest_friction(stage, bodies) for bodies in ([prim], tables, tools))
@@ -193,14 +193,14 @@ def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
 
 
 def largest_friction(stage: SceneStage, bodies: list[Usd.Prim]) -> float:
-    """Largest friction of the materials of the bodies' colliders; NaN without bodies, or by mistake."""
+    """Return the largest friction of the materials of the bodies' colliders; NaN without bodies, or after a mistake."""
     shapes = [shape for body in bodies for shape in collider_prims(body)]
     found = [stage.attempt(math.nan, stage.friction, shape) for shape in shapes]
     return float(np.max([0.0 if bodies else math.nan, *(value or 0.0 for value in found)]))
 
 
 def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:
-    """Notes whatever moves in the table or an obstacle; whether there is such a thing."""
+    """Notes every moving part of the table or an obstacle, and returns whether there is one."""
     moving = [part for part in stage.prims(prim) if part.HasAPI(UsdPhysics.RigidBodyAPI)]
     for part in moving:
         allowed = "static shapes: CollisionAPI without RigidBodyAPI"

@@ -1,4 +1,4 @@
-"""Collision shapes of a scene written as USD."""
+"""Writes the collision shapes of a scene as USD."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from oimppi_warp.geometry.footprint import collider_mesh
 from oimppi_warp.scene import Collider
 
 COLOR = (0.35, 0.37, 0.4)
-"""Of shapes that no file has drawn."""
+"""Colour of shapes that have no prim in any file."""
 
 _HERE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 def define_collider(stage: Usd.Stage, path: str, collider: Collider) -> Usd.Prim:
-    """Adds a collider to a stage, in the frame of the prim above.
+    """Adds a collider to a stage, in the frame of its parent prim.
 
     Args:
         stage: In metres, z up.
-        path: Where it stands.
+        path: Path of the new prim.
         collider: The shape.
     """
     if collider.kind == "box":
@@ -48,7 +48,7 @@ def define_collider(stage: Usd.Stage, path: str, collider: Collider) -> Usd.Prim
 
 
 def _define_mesh(stage: Usd.Stage, path: str, collider: Collider) -> UsdGeom.Mesh:
-    """A mesh that collides as its hull; without faces of its own it is the hull."""
+    """Defines a mesh that collides as its hull; without its own faces, it gets those of the hull."""
     points, faces = collider.vertices, collider.faces
     if points is None or faces is None:
         hull = collider_mesh(Collider(collider.path, "mesh", _HERE, (), points))

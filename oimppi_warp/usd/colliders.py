@@ -1,4 +1,4 @@
-"""Collision shapes of USD as :class:`oimppi_warp.scene.Collider`, and what they weigh."""
+"""Reads USD collision shapes as :class:`oimppi_warp.scene.Collider`, and computes their mass properties."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TO_Z = {
 
 
 def collider_prims(root: Usd.Prim) -> Iterator[Usd.Prim]:
-    """Prims below ``root`` that collide; bodies nested in it are left out."""
+    """Yields the colliding prims below ``root``, excluding bodies nested in it."""
     prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
     for prim in prims:
         if prim != root and prim.HasAPI(UsdPhysics.RigidBodyAPI):
@@ -35,12 +35,12 @@ def collider_prims(root: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tuple[Collider, ...]:
-    """Collision shapes below ``root``; one with a mistake is left out.
+    """Read the collision shapes below ``root``, skipping any with a mistake.
 
     Args:
         scene: The stage.
         root: A body, or an obstacle.
-        body: Frame that the shapes are given in.
+        body: Frame in which the shapes are expressed.
     """
     inverse = body.GetInverse()
     found = [scene.attempt(None, _read, scene, prim, scene.frame(prim) * inverse) for prim in collider_prims(root)]
@@ -112,7 +112,7 @@ def _uniform(scene: SceneStage, prim: Usd.Prim, scale: np.ndarray) -> float:
 
 
 def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
-    """Points of a mesh that counts as its hull, shape [n, 3]."""
+    """Returns the points of a mesh that is represented by its convex hull, shape [n, 3]."""
     if approximation(prim) != UsdPhysics.Tokens.convexHull:
         raise scene.error(
             f"a mesh that is not convex, with physics:approximation = {approximation(prim)}",
@@ -148,7 +148,7 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
 
 
 def _faces_outwards(prim: Usd.Prim, points: np.ndarray) -> np.ndarray | None:
-    """Triangles of a mesh with these points [n, 3], turned to look outwards, shape [m, 3]."""
+    """Returns the triangles of a mesh with these points [n, 3], oriented outwards, shape [m, 3]."""
     faces = triangles(prim)
     if faces is not None and trimesh.Trimesh(points, faces, process=False).volume < 0.0:
         faces = faces[:, ::-1]
@@ -156,7 +156,7 @@ def _faces_outwards(prim: Usd.Prim, points: np.ndarray) -> np.ndarray | None:
 
 
 def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
-    """Volume [m^3] and its centre in the body's frame [m]; of a mesh, from its faces."""
+    """Returns the volume [m^3] and its centre in the body's frame [m]; for a mesh, from its faces."""
     size, position = collider.size, collider.transform[:3]
     if collider.kind == "box":
         return 8 * math.prod(size), position
@@ -171,7 +171,7 @@ def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
 
 
 def solid(collider: Collider) -> trimesh.Trimesh:
-    """What the collider weighs, in the body's frame: of a mesh what its faces enclose, which may have hollows."""
+    """Returns the solid that determines mass, in the body's frame; a mesh's faces enclose it, with any hollows."""
     if collider.vertices is None or collider.faces is None:
         return collider_mesh(collider)
     points = transform_points(collider.transform, collider.vertices)

@@ -1,4 +1,4 @@
-"""A scene as a stage: its file with everything where the scene has it, to be saved or to be looked at."""
+"""Converts a scene back to a stage: its file with everything where the scene has it, to be saved or displayed."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from oimppi_warp.usd.frames import scales
 from oimppi_warp.usd.stage import SceneStage
 
 _SAVED = 1e-5
-"""How far a number may be from the scene's after it was written and read again."""
+"""Tolerance for numbers that were written to a file and read back."""
 
 _TASK = {"goal": "goal", "tolerance": "tolerance", "tight_tolerance": "tightTolerance", "spread": "spread"}
-"""What of a scene stands in which attribute of OimppiTaskAPI."""
+"""Scene fields by the attribute of OimppiTaskAPI that stores them."""
 
 
 def save_scene(scene: Scene, file: str | Path) -> Path:
-    """Writes a scene as it is now into one file that needs no other.
+    """Writes the current scene to one self-contained file.
 
-    Start, goal and tolerances, obstacles that were moved, changed, added or removed, and the object are written. Robot,
-    table and gravity stay as they are in the scene's file.
+    It writes the start, goal and tolerances, the object, and obstacles that were moved, changed, added or removed.
+    Robot, table and gravity are kept as they are in the scene's file.
 
     Args:
         scene: The task.
-        file: Where to, ``.usda`` or ``.usdc``.
+        file: Destination, ``.usda`` or ``.usdc``.
 
     Raises:
-        SceneError: The file cannot be written, or something was changed that cannot be written.
+        SceneError: The file cannot be written, or a change to the scene cannot be expressed in it.
     """
     from oimppi_warp.usd import load_scene
 
@@ -67,7 +67,7 @@ def save_scene(scene: Scene, file: str | Path) -> Path:
 
 
 def stage_of(scene: Scene) -> Usd.Stage:
-    """The stage of a scene's file with the object's shape and the obstacles as the scene has them, in memory."""
+    """Returns an in-memory stage of the scene's file, with the scene's object shape and obstacles."""
     from oimppi_warp.usd import load_scene
 
     opened, original = SceneStage(scene.file), load_scene(scene.file)
@@ -77,12 +77,12 @@ def stage_of(scene: Scene) -> Usd.Stage:
 
 
 def _edited(scene: Scene, opened: SceneStage, original: Scene) -> Usd.Stage:
-    """The stage of a scene's file, made to be the scene as it is now.
+    """Applies the current scene to a stage of its file.
 
-    It is a flattened copy: the layers of the file itself are shared by all in this process that have it open.
+    The stage is a flattened copy: the file's own layers are shared by everything in this process that has them open.
     """
     stage = Usd.Stage.Open(opened.stage.Flatten(addSourceFileComment=False))
-    list(editable_prims(stage))  # what stands in an instance gets prims of its own
+    list(editable_prims(stage))  # uninstances prims, so that they can be edited
     task = opened.single_prim("OimppiTaskAPI", "task", "the default prim")
     _write_task(stage.GetPrimAtPath(task.GetPath()), scene, original)
     _write_obstacles(stage, scene.obstacles, {obstacle.path: obstacle for obstacle in original.obstacles})
@@ -103,7 +103,7 @@ def _write_task(task: Usd.Prim, scene: Scene, original: Scene) -> None:
 
 
 def _write_obstacles(stage: Usd.Stage, obstacles: tuple[Obstacle, ...], original: dict[str, Obstacle]) -> None:
-    """Moves, makes anew and removes obstacles."""
+    """Moves, recreates and removes obstacles."""
     for path in original.keys() - {obstacle.path for obstacle in obstacles}:
         stage.RemovePrim(path)
     for obstacle in obstacles:
@@ -119,7 +119,7 @@ def _write_obstacles(stage: Usd.Stage, obstacles: tuple[Obstacle, ...], original
 
 
 def _write_object(stage: Usd.Stage, pushed: PushedObject, original: PushedObject) -> None:
-    """Gives the object its shape, weight and friction, where the file has others."""
+    """Gives the object its shape, mass and friction, where they differ from the file's."""
     if pushed.path != original.path:
         stage.RemovePrim(original.path)
     same_shape = pushed.path == original.path and _is_still(_motion(original.colliders, pushed.colliders))
@@ -165,7 +165,7 @@ def _write_friction(stage: Usd.Stage, root: Usd.Prim, friction: float) -> None:
 
 
 def _redefine(stage: Usd.Stage, path: str) -> Usd.Prim:
-    """An Xform with the world's frame in the place of whatever is there."""
+    """Defines an Xform in the world's frame, replacing any existing prim."""
     if not Sdf.Path.IsValidPathString(path) or not Sdf.Path(path).IsAbsoluteRootOrPrimPath():
         raise SceneError(f"{path!r} is not the path of a prim", allowed="a path such as /World/Obstacles/Box")
     stage.RemovePrim(path)
@@ -180,7 +180,7 @@ def _define_colliders(stage: Usd.Stage, root: str, colliders: tuple[Collider, ..
 
 
 def _motion(before: tuple[Collider, ...], after: tuple[Collider, ...]) -> Gf.Matrix4d | None:
-    """The one motion that takes colliders from where they were to where they are; ``None`` where no such does."""
+    """Returns the one rigid motion between two lists of colliders; ``None`` if there is none."""
     if len(before) != len(after) or not before:
         return None
     motions = []
@@ -196,7 +196,7 @@ def _is_still(motion: Gf.Matrix4d | None) -> bool:
 
 
 def _differences(scene: Scene, reloaded: Scene) -> Iterator[str]:
-    """What of a scene is another after it was saved and read again, in words."""
+    """Yields descriptions of the parts of a scene that changed when it was saved and read back."""
     for field in fields(scene):
         if field.name not in ("file", "name", "starts") and not _equivalent(
             getattr(scene, field.name), getattr(reloaded, field.name)
@@ -205,7 +205,7 @@ def _differences(scene: Scene, reloaded: Scene) -> Iterator[str]:
 
 
 def _equivalent(a: object, b: object) -> bool:
-    """Whether two parts of scenes are the same but for rounding, the names of their shapes, and faces of meshes."""
+    """Returns whether two parts of scenes are equal up to rounding, the names of their shapes, and faces of meshes."""
     if is_dataclass(a) and type(a) is type(b):
         skipped = ("path", "faces") if isinstance(a, Collider) else ()
         return all(_equivalent(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.name not in skipped)
@@ -215,7 +215,7 @@ def _equivalent(a: object, b: object) -> bool:
         x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
         if x.shape != y.shape:
             return False
-        turned = x.shape == (7,) and np.dot(x[3:], y[3:]) < 0.0  # the same turn, as a quaternion of the other sign
+        turned = x.shape == (7,) and np.dot(x[3:], y[3:]) < 0.0  # q and -q are the same rotation
         return bool(np.allclose(x, np.concatenate([y[:3], -y[3:]]) if turned else y, rtol=_SAVED, atol=_SAVED))
     return a == b
 
@@ -226,7 +226,7 @@ def _matrix(transform: np.ndarray) -> Gf.Matrix4d:
 
 
 def _set_transform(prim: Usd.Prim, transform: list[float]) -> None:
-    """Put a prim at a world transform [7], its scale kept."""
+    """Places a prim at a world transform [7], keeping its scale."""
     stood = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
     _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * _matrix(np.array(transform)))
 

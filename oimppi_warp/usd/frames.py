@@ -1,4 +1,4 @@
-"""Frames and numbers of USD as the package has them."""
+"""Converts frames and numbers between USD and the package."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from pxr import Gf
 
 
 def scales(frame: Gf.Matrix4d) -> np.ndarray:
-    """Lengths of a frame's axes, shape [3]."""
+    """Returns the lengths of a frame's axes, shape [3]."""
     return np.array([frame.GetRow3(i).GetLength() for i in range(3)])
 
 
 def is_rigid(frame: Gf.Matrix4d) -> bool:
-    """Whether a frame is turned and moved only, neither scaled nor mirrored."""
+    """Returns whether a frame is only rotated and translated, neither scaled nor mirrored."""
     return bool(np.allclose(scales(frame), 1.0, atol=1e-5)) and frame.GetDeterminant() > 0
 
 
 def is_orthogonal(frame: Gf.Matrix4d) -> bool:
-    """Whether a frame's axes are square to each other: scaled along them if at all, not sheared."""
+    """Returns whether a frame's axes are orthogonal: possibly scaled, but not sheared."""
     rows = np.array([frame.GetRow3(i).GetNormalized() for i in range(3)])
     return bool(np.allclose(rows @ rows.T, np.eye(3), atol=1e-5))
 
 
 def transform(frame: Gf.Matrix4d) -> np.ndarray:
-    """A frame without its scale, as (position, quaternion xyzw), shape [7]."""
+    """Converts a frame, ignoring its scale, to (position, quaternion xyzw), shape [7]."""
     q = frame.GetOrthonormalized().ExtractRotationQuat().GetNormalized()
     return np.array([*frame.ExtractTranslation(), *q.GetImaginary(), q.GetReal()])
 
 
 def matrix(position: Any, orientation: Any) -> Gf.Matrix4d:
-    """The frame at a position with an orientation (quaternion of any precision)."""
+    """Returns the frame with a position and an orientation (quaternion of any precision)."""
     q = Gf.Quatd(float(orientation.GetReal()), Gf.Vec3d(orientation.GetImaginary())).GetNormalized()
     return Gf.Matrix4d().SetTransform(Gf.Rotation(q), Gf.Vec3d(*map(shortest_decimal, position)))
 
 
 def shortest_decimal(value: float) -> float:
-    """The decimal that was written where USD keeps single precision: 0.4 and not 0.4000000059604645."""
+    """Returns the decimal behind a value that USD stores in single precision: 0.4 and not 0.4000000059604645."""
     return float(str(np.float32(value)))
 
 
 def format_numbers(values: np.ndarray) -> str:
-    """Numbers in words."""
+    """Formats numbers for a message."""
     return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

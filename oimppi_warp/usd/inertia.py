@@ -1,8 +1,8 @@
-"""What a rigid body weighs: its mass, and where the file says that the mass is.
+"""Reads the mass of a rigid body, its centre of mass, and its inertia.
 
-Where a file gives no inertia or no centre of mass, none is made up: the colliders decide, all of one density, when a
-model is built (:mod:`oimppi_warp.physics.newton_model`). That is what OpenUSD's and Newton's readers take too, but for
-densities given to single shapes or materials, which are not read.
+Where a file gives no inertia or no centre of mass, none is invented: they follow from the colliders, at uniform
+density, when a model is built (:mod:`oimppi_warp.physics.newton_model`). OpenUSD's and Newton's readers do the same,
+except that they also read densities given to single shapes or materials, which are not read here.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from oimppi_warp.usd.stage import SceneStage
 
 
 def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
-    """Mass of a rigid body [kg].
+    """Read the mass of a rigid body [kg].
 
     Raises:
-        SceneError: It is not given, or not positive.
+        SceneError: It is missing, or not positive.
     """
     mass = scene.number(body, "physics:mass", 0.0) if body.HasAPI(UsdPhysics.MassAPI) else 0.0
     if not (math.isfinite(mass) and mass > 0.0):
@@ -30,14 +30,14 @@ def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
 
 
 def given_center(body: Usd.Prim) -> np.ndarray | None:
-    """Centre of mass that is given for a body, in its frame before it is scaled, shape [3] [m]."""
+    """Return the centre of mass given for a body, in its frame before scaling, shape [3] [m]."""
     value = UsdPhysics.MassAPI(body).GetCenterOfMassAttr().Get()
     center = np.array([shortest_decimal(c) for c in value or [math.nan]])
     return center if np.isfinite(center).all() else None
 
 
 def given_moments(body: Usd.Prim) -> np.ndarray | None:
-    """Principal moments that are given for a body, shape [3] [kg m^2]; ``None`` where the shapes decide."""
+    """Return the principal moments given for a body, shape [3] [kg m^2]; ``None`` if they follow from the shapes."""
     if not body.HasAPI(UsdPhysics.MassAPI):
         return None
     value = UsdPhysics.MassAPI(body).GetDiagonalInertiaAttr().Get()
@@ -46,16 +46,16 @@ def given_moments(body: Usd.Prim) -> np.ndarray | None:
 
 
 def unit_inertia(body: Usd.Prim, mass: float) -> np.ndarray | None:
-    """Rotational inertia that is given for a body about its centre of mass, divided by its mass.
+    """Return the rotational inertia given for a body about its centre of mass, divided by its mass.
 
-    ``newton:inertia`` counts before principal moments and axes, as in Newton.
+    ``newton:inertia`` takes precedence over principal moments and axes, as in Newton.
 
     Args:
         body: The prim.
         mass: Its mass [kg].
 
     Returns:
-        In the axes of the body's frame, shape [3, 3] [m^2]; ``None`` where the shapes decide.
+        In the axes of the body's frame, shape [3, 3] [m^2]; ``None`` if it follows from the shapes.
     """
     inertia = _tensor(body)
     if inertia is None:
@@ -71,7 +71,7 @@ def unit_inertia(body: Usd.Prim, mass: float) -> np.ndarray | None:
 
 
 def _tensor(body: Usd.Prim) -> np.ndarray | None:
-    """What ``newton:inertia`` gives: the moments xx, yy, zz and the products xy, xz, yz, as a matrix [3, 3]."""
+    """Returns the value of ``newton:inertia``, moments xx, yy, zz and products xy, xz, yz, as a matrix [3, 3]."""
     attribute = body.GetAttribute("newton:inertia")
     value = attribute.Get() if attribute and attribute.HasAuthoredValue() else None
     applied = "NewtonMassAPI" in body.GetPrimTypeInfo().GetAppliedAPISchemas()
@@ -83,7 +83,7 @@ def _tensor(body: Usd.Prim) -> np.ndarray | None:
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a quaternion xyzw, in single precision and in the order of operations that Newton has."""
+    """Returns the rotation matrix of a quaternion xyzw, in single precision and with Newton's order of operations."""
     x, y, z, w = quaternion
     quaternion = quaternion * (np.float32(1.0) / np.sqrt(x * x + y * y + z * z + w * w))
     q, w = quaternion[:3], quaternion[3]

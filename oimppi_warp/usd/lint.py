@@ -1,4 +1,7 @@
-"""What may stand in a scene's file, but is hardly meant: misspelt words, other units, files elsewhere, odd weights."""
+"""Warns about content of a scene's file that is valid but probably unintended.
+
+It finds misspelt names, differing units, files outside the folder, and implausible masses.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ _OURS = "oimppi"
 
 
 def lint_stage(stage: SceneStage) -> Iterator[Problem]:
-    """Warnings about a file, whether or not it can be read as a task."""
+    """Yields warnings about a file, whether or not it can be read as a task."""
     for prim in stage.prims():
         yield from _misspelt_schemas(stage, prim)
         yield from _unused_attributes(stage, prim)
@@ -113,7 +116,7 @@ def _other_gravity(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
 
 
 def _files_elsewhere(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
-    """Textures and the like that are missing, or lie outside the scene's folder."""
+    """Yields warnings about assets, such as textures, that are missing or lie outside the scene's folder."""
     for attribute in prim.GetAuthoredAttributes():
         value = attribute.Get()
         for asset in (value,) if isinstance(value, Sdf.AssetPath) else value if _is_assets(value) else ():
@@ -141,7 +144,7 @@ def _layers_elsewhere(stage: SceneStage) -> Iterator[Problem]:
 
 
 def _belongs(stage: SceneStage, path: str) -> bool:
-    """Whether a file lies in the scene's folder or comes with the package."""
+    """Returns whether a file lies in the scene's folder or is shipped with the package."""
     place = Path(Ar.SplitPackageRelativePathOuter(path)[0]).resolve()
     return any(place.is_relative_to(folder.resolve()) for folder in (stage.file.parent, SCENES))
 
@@ -156,7 +159,7 @@ def _elsewhere(stage: SceneStage, path: str, prim: Usd.Prim | str = "") -> Probl
 
 
 def _layers_in_other_units(stage: SceneStage) -> Iterator[Problem]:
-    """Files that are referred to with other units than the scene's: USD composes them as they are."""
+    """Yields warnings about referenced files whose units differ from the scene's, as USD composes them unconverted."""
     own = stage.stage.GetRootLayer().pseudoRoot
     for layer in stage.stage.GetUsedLayers():
         head = layer.pseudoRoot

@@ -1,7 +1,8 @@
-"""Meshes as colliders: their triangles, and what simple shape stands for which.
+"""Meshes as colliders: their triangles, and the simple shapes that replace them.
 
-What collides is convex. A mesh that is convex as it is counts as its hull; `boundingCube` and `boundingSphere` become a
-box and a ball below the mesh, in the stage's session layer, so that all who read the stage see the same shapes.
+Colliders are convex. A mesh that is already convex is represented by its hull; `boundingCube` and `boundingSphere`
+become a box and a sphere below the mesh, in the stage's session layer, so that every reader of the stage sees the same
+shapes.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ _TOKENS = UsdPhysics.Tokens
 _REPLACED = (_TOKENS.none, _TOKENS.boundingCube, _TOKENS.boundingSphere)
 
 CONVEX = 1e-3
-"""How much of its hull's volume a mesh may lack and still be convex."""
+"""Share of its hull's volume that a mesh may lack and still count as convex."""
 
 
 def approximation(prim: Usd.Prim) -> str:
-    """What stands for a mesh when it collides; "none" is the mesh itself."""
+    """Return the approximation of a mesh for collisions; "none" is the mesh itself."""
     if not prim.HasAPI(UsdPhysics.MeshCollisionAPI):
         return _TOKENS.none
     return UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() or _TOKENS.none
 
 
 def simplify_meshes(stage: Usd.Stage) -> None:
-    """Writes down the convex shapes that stand for colliding meshes, wherever that can be done without guessing."""
+    """Authors the convex shapes that replace colliding meshes, wherever they are unambiguous."""
     proxies = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
     if not any(_is_replaced(prim) for prim in proxies):
         return
@@ -41,7 +42,7 @@ def simplify_meshes(stage: Usd.Stage) -> None:
 
 
 def triangles(prim: Usd.Prim) -> np.ndarray | None:
-    """A mesh's faces as triangles, shape [n, 3]; ``None`` where they are none, or name points that are not there."""
+    """Triangulates a mesh's faces, shape [n, 3]; ``None`` if they are invalid or refer to points that do not exist."""
     mesh = UsdGeom.Mesh(prim)
     points = mesh.GetPointsAttr().Get() or []
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=int)
@@ -62,7 +63,7 @@ def _is_replaced(prim: Usd.Prim) -> bool:
 
 
 def _is_convex(points: np.ndarray, faces: np.ndarray) -> bool:
-    """Whether a closed surface leaves out nothing of its hull."""
+    """Returns whether a closed surface fills its convex hull."""
     if not np.isfinite(points).all() or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3:
         return False
     surface = trimesh.Trimesh(points, faces)
@@ -71,7 +72,7 @@ def _is_convex(points: np.ndarray, faces: np.ndarray) -> bool:
 
 
 def _replace(stage: Usd.Stage, prim: Usd.Prim, points: np.ndarray) -> None:
-    """Puts a box or a ball in the place of a mesh: along the mesh's own axes, around all of its points."""
+    """Replaces a mesh by a box or a sphere that encloses all of its points, aligned with the mesh's own axes."""
     path = prim.GetPath().AppendChild("bounds")
     if not np.isfinite(points).all():
         return

@@ -1,4 +1,4 @@
-"""The arm: a chain of joints that turn or slide, from a base that is fixed at the origin to a stick."""
+"""Reads the arm: a chain of revolute or sliding joints, from a base fixed at the origin to a stick."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from oimppi_warp.usd.stage import MAX_LENGTH, SceneStage
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
 _EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
 _UNREAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-"""Stands for a frame with a mistake, so that what comes after it can be read."""
+"""Placeholder for a frame with a mistake, so that reading can continue."""
 
 
 def read_robot(scene: SceneStage) -> Robot:
-    """The scene's robot.
+    """Read the scene's robot.
 
     Raises:
-        SceneError: There is none or more than one, it is not a serial arm of joints about or along their local z axes
-            with its base fixed at the origin, or its tool or start is wrong.
+        SceneError: There is no robot or more than one, it is not a serial arm of joints about or along their local z
+            axes with its base fixed at the origin, or its tool or start is invalid.
     """
     root = scene.single_prim("OimppiRobotAPI", "robot", "the root prim of the articulation")
     if not any(prim.HasAPI(UsdPhysics.ArticulationRootAPI) for prim in scene.prims(root)):
@@ -87,7 +87,7 @@ def _start(scene: SceneStage, root: Usd.Prim, joints: tuple[Joint, ...]) -> np.n
 
 
 class _Chain:
-    """The bodies and joints of the robot, followed from its base."""
+    """The robot's bodies and joints, followed from its base."""
 
     def __init__(self, scene: SceneStage, root: Usd.Prim) -> None:
         self.scene = scene
@@ -119,13 +119,13 @@ class _Chain:
                 allowed="the frame in which the base stands",
             )
         self.base_frame = frame
-        self.base = self.link([(base, frame)])  # what is fixed has its shapes in the world's frame
+        self.base = self.link([(base, frame)])  # shapes of the fixed base are in the world's frame
         self.base_prim = base
         self.welded: list[tuple[Usd.Prim, Gf.Matrix4d]] = []
         self.reached: set[Sdf.Path] = set()
 
     def ends(self, joint: UsdPhysics.Joint) -> tuple[Usd.Prim | None, Usd.Prim | None]:
-        """The bodies that a joint holds together; ``None`` for the world."""
+        """Return the two bodies that a joint connects; ``None`` for the world."""
         found = []
         for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
             targets = relation.GetTargets()
@@ -148,7 +148,7 @@ class _Chain:
         return found[0], found[1]
 
     def frames(self, joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
-        """A joint's frame in the body it stands on and in the body it moves."""
+        """Return a joint's frame in its parent body and in its child body."""
         before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
         after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
         if not (np.abs([np.array(before), np.array(after)]) < MAX_LENGTH).all():
@@ -160,7 +160,7 @@ class _Chain:
         return before, after
 
     def walk(self) -> tuple[tuple[Joint, ...], tuple[Link, ...]]:
-        """Moving joints and their links, from base to flange."""
+        """Return the moving joints and their links, from base to flange."""
         joints, links = [], []
         body: Usd.Prim | None = self.base_prim
         while body is not None:
@@ -206,10 +206,10 @@ class _Chain:
         return tuple(joints), tuple(links)
 
     def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:
-        """A body with all that is welded to it (and where on it), and the joints that move on from there."""
+        """Return a body and everything welded to it, with relative poses, and the moving joints attached to them."""
         group, moving = [(body, Gf.Matrix4d(1.0))], []
         self.visit(body)
-        for part, placed in group:  # grows while it is read
+        for part, placed in group:  # the list grows during iteration
             for joint in self.joints:
                 parent, child = self.ends(joint)
                 if parent != part or child is None:
@@ -223,7 +223,7 @@ class _Chain:
         return group, moving
 
     def visit(self, body: Usd.Prim) -> None:
-        """Come to a body of the chain, for the first time."""
+        """Mark a body of the chain as visited; raise SceneError if it already was."""
         if body.GetPath() in self.reached:
             raise self.scene.error(
                 "a link with two joints before it", body, allowed="a serial arm", fix="remove one of the joints"
@@ -231,11 +231,11 @@ class _Chain:
         self.reached.add(body.GetPath())
 
     def link(self, group: list[tuple[Usd.Prim, Gf.Matrix4d]]) -> Link:
-        """Bodies welded together as one link, in the frame of the first."""
+        """Merge bodies welded together into one link, in the frame of the first."""
         colliders: list[Collider] = []
         bodies: list[Welded] = []
         for body, placed in group:
-            # The frame that shapes are measured from is the body's own, seen from the link's.
+            # Shapes are read in the body's own frame, expressed in the link's.
             colliders += read_colliders(self.scene, body, placed.GetInverse() * self.scene.body_frame(body))
             mass = self.scene.attempt(0.0, read_mass, self.scene, body)
             center, inertia = given_center(body), unit_inertia(body, mass)
@@ -246,7 +246,7 @@ class _Chain:
         return Link(first.path, mass, tuple(colliders), center, inertia, tuple(welded))
 
     def joint(self, joint: UsdPhysics.Joint) -> Joint:
-        """A moving joint."""
+        """Read a moving joint."""
         scene, prim = self.scene, joint.GetPrim()
         turns, slides = UsdPhysics.RevoluteJoint(prim), UsdPhysics.PrismaticJoint(prim)
         if not (turns or slides):
@@ -301,11 +301,11 @@ class _Chain:
         if not (0.0 <= friction < math.inf and 0.0 <= damping < math.inf):
             what = f"newton:friction is {friction:g} and newton:damping {damping:g}"
             raise scene.error(what, prim, allowed="zero or more", fix="correct them, or leave them out")
-        damping = math.degrees(damping) if turns else damping  # per degree, as all of USD
+        damping = math.degrees(damping) if turns else damping  # per degree, as everywhere in USD
         return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind, friction, damping)
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
-        """A prim's transform in the frame of the last link, shape [7]."""
+        """Return a prim's transform in the frame of the last link, shape [7]."""
         for body, placed in self.welded:
             if prim.GetPath().HasPrefix(body.GetPath()):
                 local = self.scene.frame(prim) * self.scene.body_frame(body).GetInverse()
@@ -321,7 +321,7 @@ class _Chain:
 
 
 def _in_frame(frame: Gf.Matrix4d, body: Welded) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Centre of mass and unit inertia of a body in the frame in which its own is."""
+    """Transforms a body's centre of mass and unit inertia to the frame in which its own frame is given."""
     center, inertia = body.center_of_mass, body.unit_inertia
     if frame == Gf.Matrix4d(1.0):
         return center, inertia

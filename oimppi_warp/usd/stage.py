@@ -1,4 +1,4 @@
-"""An open scene file: which prim plays which role, what its attributes say, and where it stands."""
+"""An open scene file: the roles of its prims, their attributes, and their transforms."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ Read = TypeVar("Read")
 Fallback = TypeVar("Fallback")
 
 MAX_LENGTH = 1e3
-"""No length in a scene is larger [m]."""
+"""Upper bound for every length in a scene [m]."""
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 SCHEMA = SCENES / "schema"
 
-# A codeless schema must be known before USD builds its registry, which the first stage does.
+# A codeless schema must be registered before USD builds its registry, which happens when the first stage is opened.
 Plug.Registry().RegisterPlugins(str(SCHEMA))
 
 
 class SceneStage:
-    """A composed USD stage in metres, kilograms and z up, and where its task, robot, object and table are.
+    """A composed USD stage in metres, kilograms and z up, with access to its task, robot, object and table.
 
-    A file in other units, with another axis up, or with meshes that a simple shape stands for, is converted as it is
-    opened (``units.py``, ``upright.py``, ``meshes.py``). Whoever reads a scene's file reads this stage, so that all
-    read the same numbers.
+    A file in other units, with another up axis, or with meshes that a simple shape replaces, is converted as it is
+    opened (``units.py``, ``upright.py``, ``meshes.py``). Every reader of a scene's file reads this stage, so that all
+    of them read the same numbers.
 
     Args:
         file: The USD file.
-        mistakes: Where mistakes are collected; without it, the first one is raised.
+        mistakes: List that collects mistakes; without it, the first one is raised.
 
     Attributes:
         file: The USD file.
-        stage: The stage; what is set on it goes to its session layer, and leaves the file as it is.
+        stage: The stage; its edit target is the session layer, so edits leave the file unchanged.
         layers: The files that it is composed of.
 
     Raises:
-        SceneError: There is no such file, it is not USD, something that it refers to is missing, or its units are not
-            given.
+        SceneError: The file does not exist, is not USD, refers to something that is missing, or does not give its
+            units.
     """
 
     def __init__(self, file: Path, mistakes: list[SceneError] | None = None) -> None:
@@ -57,7 +57,7 @@ class SceneStage:
         self._mistakes = mistakes
         if not file.is_file():
             raise self.error("there is no such file", allowed="a USD file", fix="correct the path")
-        silenced = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings off the terminal
+        silenced = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings out of the terminal
         try:
             self.stage = self._open()
             self.layers = tuple({file_of(layer): None for layer in self.stage.GetUsedLayers() if layer.realPath})
@@ -69,7 +69,7 @@ class SceneStage:
             del silenced
 
     def _open(self) -> Usd.Stage:
-        """The stage as USD composes it, without anything that cannot be read."""
+        """Opens the stage as composed by USD; raises SceneError if any of it cannot be read."""
         try:
             stage = Usd.Stage.Open(str(self.file))
         except Tf.ErrorException as error:
@@ -88,7 +88,7 @@ class SceneStage:
         return stage
 
     def _convert(self) -> None:
-        """Other units, another axis up, meshes that a simple shape stands for."""
+        """Converts units and the up axis, and replaces meshes by simple shapes."""
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         to_si(self.stage)
         to_z_up(self.stage)
@@ -96,24 +96,24 @@ class SceneStage:
         simplify_meshes(self.stage)
 
     def _stop_at(self, mistakes: list[SceneError]) -> None:
-        """Note mistakes and, if there are any, read no further: what cannot be read would look like more of them."""
+        """Notes mistakes and, if there are any, stops reading, as unreadable content would cause spurious mistakes."""
         for mistake in mistakes[:-1]:
             self.collect(mistake)
         if mistakes:
             raise mistakes[-1]
 
     def collect(self, mistake: SceneError) -> None:
-        """Note a mistake and go on; where none are collected, raise it."""
+        """Note a mistake and continue, or raise it if mistakes are not being collected."""
         if self._mistakes is None:
             raise mistake
         if str(mistake) not in map(str, self._mistakes):
-            # Without its traceback, whose frames would keep the stage alive, and USD from reading a changed file anew.
+            # A traceback's frames would keep the stage alive, and USD from rereading a changed file.
             self._mistakes.append(mistake.with_traceback(None))
 
     def attempt(
         self, fallback: Fallback, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
     ) -> Read | Fallback:
-        """What a reader returns; where it finds a mistake, that is noted, and ``fallback`` comes back."""
+        """Return a reader's result; if it raises a mistake, note it and return ``fallback`` instead."""
         try:
             return read(*args, **kwargs)
         except SceneError as mistake:
@@ -123,22 +123,22 @@ class SceneStage:
         return fallback
 
     def _unreadable(self, error: BaseException) -> SceneError:
-        """What USD itself says about something that it cannot read."""
+        """Returns USD's own message about something that it cannot read, as an error."""
         what = f"OpenUSD cannot read it ({usd_reason(error)})"
         return self.error(what, allowed="sound USD", fix="correct what it names")
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
-        """A :class:`SceneError` at a prim of this file."""
+        """Create a :class:`SceneError` at a prim of this file."""
         place = prim if isinstance(prim, str) else prim.GetPath()
         return SceneError(what, file=self.file, prim=place, allowed=allowed, fix=fix)
 
     def warning(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> Problem:
-        """A warning at a prim of this file."""
+        """Create a warning at a prim of this file."""
         place = prim if isinstance(prim, str) else str(prim.GetPath())
         return Problem(str(self.file), "warning", place, what, allowed, fix)
 
     def _check_units(self) -> None:
-        """What is said about units is converted; what is not said is not guessed."""
+        """Checks that units are given, since they are converted but never guessed."""
         lengths, masses = UsdGeom.GetStageMetersPerUnit(self.stage), UsdPhysics.GetStageKilogramsPerUnit(self.stage)
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
             what = "the unit of length is not given: by USD's rule it would be a centimetre"
@@ -155,20 +155,20 @@ class SceneStage:
                 )
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
-        """All active prims below ``root`` (itself included), those in instances too, in the order of the file."""
+        """Iterate over all active prims below ``root`` (inclusive), those in instances too, in file order."""
         yield from Usd.PrimRange(root or self.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
 
     def prims_with(self, schema: str) -> list[Usd.Prim]:
-        """The prims that one of our API schemas is applied to."""
+        """Return the prims with one of the package's API schemas applied."""
         return [prim for prim in self.prims() if schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
 
     def single_prim(self, schema: str, noun: str, where: str) -> Usd.Prim:
-        """The one prim of a role.
+        """Return the only prim with a role.
 
         Args:
             schema: Name of the API schema.
-            noun: What to call it in an error.
-            where: Which prim the schema belongs on, for the error.
+            noun: Name of the role in an error.
+            where: Where the schema should be applied, for the error.
         """
         found = self.prims_with(schema)
         if not found:
@@ -180,13 +180,13 @@ class SceneStage:
         return found[0]
 
     def numbers(self, prim: Usd.Prim, name: str, shape: tuple[int, ...], meaning: str) -> np.ndarray:
-        """An attribute of numbers.
+        """Read a numeric attribute.
 
         Args:
-            prim: Where it is.
-            name: Its name; where it is not authored, the schema's default counts.
-            shape: What it must hold; -1 stands for any number of rows.
-            meaning: What it must be, for the error.
+            prim: The prim.
+            name: Name of the attribute; if it is not authored, the schema's default is used.
+            shape: Required shape; -1 allows any number of rows.
+            meaning: Description of the required value, for the error.
         """
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute and attribute.HasAuthoredValue() else schema_default(name)
@@ -204,12 +204,12 @@ class SceneStage:
         return array
 
     def text(self, prim: Usd.Prim, name: str) -> str:
-        """An attribute that holds a line of text."""
+        """Read an attribute that holds a line of text."""
         attribute = prim.GetAttribute(name)
         return str((attribute.Get() if attribute else None) or schema_default(name))
 
     def number(self, prim: Usd.Prim, name: str, fallback: float) -> float:
-        """An attribute of a schema of USD's own, or what it falls back to where it has no value."""
+        """Read an attribute of one of USD's own schemas, or return the fallback if it has no value."""
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
         if value is None:
@@ -219,7 +219,7 @@ class SceneStage:
         return shortest_decimal(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """A prim's frame in the world, as USD has it (row vectors, scale included)."""
+        """Return a prim's frame in the world in USD's convention (row vectors, scale included)."""
         frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
         if not (np.abs(np.array(frame)) < MAX_LENGTH).all():
             allowed = f"numbers, and lengths below {MAX_LENGTH:g} m"
@@ -232,7 +232,7 @@ class SceneStage:
         return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """A rigid body's frame in the world, without a scale; having one is a mistake."""
+        """Return a rigid body's frame in the world, without scale; a scaled body is a mistake."""
         frame = self.frame(prim)
         if not is_rigid(frame):
             self.collect(
@@ -246,7 +246,7 @@ class SceneStage:
         return frame.GetOrthonormalized()
 
     def friction(self, prim: Usd.Prim) -> float | None:
-        """Dynamic friction of the physics material bound to a prim; ``None`` without one."""
+        """Return the dynamic friction of the physics material bound to a prim; ``None`` without a material."""
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
             return None
@@ -262,7 +262,7 @@ class SceneStage:
 
 
 def file_of(layer: Sdf.Layer) -> Path:
-    """The file that a layer stands in: of one in a USDZ package, the package."""
+    """Return the file that contains a layer; for a layer in a USDZ package, the package."""
     return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
 
 
@@ -273,7 +273,7 @@ def _schema_layer() -> Any:
 
 @cache
 def schema_default(name: str) -> Any:
-    """The default that our schema gives an attribute; ``None`` where the attribute must be given."""
+    """Return the default value of an attribute in the package's schema; ``None`` if the attribute is required."""
     for prim in _schema_layer().rootPrims:
         if name in prim.attributes:
             return prim.attributes[name].default
@@ -282,5 +282,5 @@ def schema_default(name: str) -> Any:
 
 @cache
 def schema_attributes() -> dict[str, tuple[str, ...]]:
-    """Our API schemas with the names of their attributes."""
+    """Return the package's API schemas with the names of their attributes."""
     return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}

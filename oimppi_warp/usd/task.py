@@ -1,4 +1,4 @@
-"""What is to be done: the attributes of the scene's default prim."""
+"""Reads the task from the attributes of the scene's default prim."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _POSE = "(x [m], y [m], yaw [rad])"
 
 @dataclass(frozen=True, eq=False)
 class TaskAttributes:
-    """What the attributes of OimppiTaskAPI say; each is as in :class:`oimppi_warp.scene.Scene`.
+    """Values of the attributes of OimppiTaskAPI, with the meanings given in :class:`oimppi_warp.scene.Scene`.
 
     Attributes:
         title, goal, spread, tolerance, tight_tolerance: See there.
-        starts: Those that are listed, shape [n, 3]; none where the one in the file is the only one.
+        starts: The listed starts, shape [n, 3]; empty if the pose in the file is the only one.
     """
 
     title: str
@@ -33,15 +33,15 @@ class TaskAttributes:
     tight_tolerance: Tolerance
 
     def starts_or(self, start: PlanarPose) -> np.ndarray:
-        """The listed starts, or the one in the file, shape [n, 3]."""
+        """Return the listed starts, or the one in the file, shape [n, 3]."""
         return self.starts if len(self.starts) else np.array([start])
 
 
 def read_task(stage: SceneStage) -> TaskAttributes:
-    """The task.
+    """Read the task.
 
     Raises:
-        SceneError: There is none or more than one, or one of its attributes is missing or cannot be used.
+        SceneError: There is no task or more than one, or one of its attributes is missing or invalid.
     """
     world = stage.single_prim("OimppiTaskAPI", "task", "the scene's default prim")
     unread = Tolerance(math.nan, math.nan)
@@ -56,9 +56,9 @@ def read_task(stage: SceneStage) -> TaskAttributes:
 
 
 def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
-    """Acceleration of gravity that the first PhysicsScene gives, in the world frame [m/s^2].
+    """Read the acceleration of gravity from the first PhysicsScene, in the world frame [m/s^2].
 
-    As in UsdPhysics, no direction is downwards, and a negative magnitude is the earth's.
+    As in UsdPhysics, a missing direction means downwards, and a negative magnitude means the earth's.
     """
     for prim in stage.prims():
         if not prim.IsA(UsdPhysics.Scene):

@@ -1,1 +1,1 @@
-"""The viewer: what is shown is made by a session or a record, drawn by one canvas, in the browser or into a file."""
+"""The viewer: a session or a record produces pictures, and one canvas draws them in the browser or into a file."""

@@ -1,4 +1,4 @@
-"""Pictures drawn with one of Newton's viewers: in the browser, into a recording or into a USD file."""
+"""Draws pictures with one of Newton's viewers: in the browser, into a recording or into a USD file."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ PLAN = (0.1, 0.35, 0.9)
 FORCE = (0.85, 0.1, 0.1)
 CLEARANCE = (0.55, 0.2, 0.6)
 FAINT, STRONG = np.array((0.72, 0.76, 0.85)), np.array((0.45, 0.2, 0.75))
-"""Colours of a sampled path of no weight and of the largest."""
+"""Colours of a sampled path with zero weight and with the largest weight."""
 METRES_PER_NEWTON = 0.01
-"""Length that a contact force is drawn with."""
+"""Drawn length of a contact force per newton."""
 _REFERENCE_POINTS = 60
-"""Points that a reference is drawn with: always as many, so that lines are updated and not made anew."""
+"""Number of points that a reference is drawn with; it is constant, so that lines are updated instead of recreated."""
 _MAX_CONTACTS = 8
-"""Contact forces that are drawn at the most."""
+"""Maximum number of contact forces drawn."""
 _CONTACT_RADIUS = 0.006
-"""Radius that a contact point is drawn with [m]."""
+"""Drawn radius of a contact point [m]."""
 _NEAR = 0.3
-"""Clearance up to which it is drawn [m]."""
+"""Clearance up to which the clearance line is drawn [m]."""
 _NO_LENGTH = 1e-5
-"""What a segment of no length is drawn with: viewers divide by it [m]."""
+"""Length given to zero-length segments, since viewers divide by it [m]."""
 _LIFT = 0.003
-"""Height of what is drawn on the table above it [m]."""
+"""Height above the table of lines drawn on it [m]."""
 
 
 class Canvas:
-    """Draws pictures; a scene with other things in it is loaded anew.
+    """Draws pictures, and reloads the model when the scene's content changes.
 
     Args:
         viewer: One of Newton's viewers.
-        thickness: Of lines, in that viewer's unit for a width of one.
+        thickness: Width of lines, in that viewer's unit for a width of one.
     """
 
     def __init__(self, viewer: ViewerBase, *, thickness: float = 1.0) -> None:
@@ -56,7 +56,7 @@ class Canvas:
         self._scene: Scene | None = None
 
     def draw(self, picture: Picture) -> None:
-        """Draws one picture, between the viewer's ``begin_frame`` and ``end_frame``."""
+        """Draws one picture; call it between the viewer's ``begin_frame`` and ``end_frame``."""
         if self._scene is None or _model_content(self._scene) != _model_content(picture.scene):
             self._load(picture.scene)
         self._scene = picture.scene
@@ -108,7 +108,7 @@ class Canvas:
     def _draw_contacts(self, contact_points: np.ndarray) -> None:
         largest = contact_points[np.argsort(-np.linalg.norm(contact_points[:, 3:], axis=1))[:_MAX_CONTACTS]]
         shown = np.zeros((_MAX_CONTACTS, 6))
-        shown[:, 2] = -1.0  # the rest lie hidden below the table
+        shown[:, 2] = -1.0  # the rest are hidden below the table
         shown[: len(largest)] = largest
         ends = shown[:, :3] + METRES_PER_NEWTON * shown[:, 3:]
         self._lines("contact/force", [np.stack([shown[:, :3], ends], axis=1)], FORCE, width=0.04)
@@ -118,7 +118,7 @@ class Canvas:
         self._viewer.log_points("/oimppi/contact/point", points, radii, colors)
 
     def _draw_clearance(self, picture: Picture) -> None:
-        """A line from the object to what is nearest to it, hidden below the table where nothing is near."""
+        """Draws a line from the object to the nearest thing, hidden below the table if nothing is near."""
         x, y, yaw = (float(value) for value in planar_pose(picture.object_transform))
         ends = shapely.shortest_line(object_outline(picture.scene, (x, y, yaw)), self._obstacle_area)
         near = 0.0 < shapely.length(ends) < _NEAR
@@ -127,14 +127,14 @@ class Canvas:
         self._lines("clearance", [_segments(_raised(at, height))], CLEARANCE, width=0.03)
 
     def _ghost(self, pose: np.ndarray) -> np.ndarray:
-        """Edges [n, 2, 3] of the object at a planar pose [3]."""
+        """Returns the edges [n, 2, 3] of the object at a planar pose [3]."""
         c, s = np.cos(pose[2]), np.sin(pose[2])
         edges = []
         for ring in self._rings:
             at = ring @ np.array([[c, s], [-s, c]]) + pose[:2]
             low, high = (_raised(at, height) for height in self._heights)
             edges += [_segments(low), _segments(high)]
-            if len(ring) < 20:  # the edges of a round object would be a wall
+            if len(ring) < 20:  # the edges of a round object would form a solid wall
                 edges.append(np.stack([low, high], axis=1))
         return np.concatenate(edges)
 
@@ -149,7 +149,7 @@ class Canvas:
 
 
 def _model_content(scene: Scene) -> tuple[object, ...]:
-    """What a scene's model is made of; start and goal are no part of it."""
+    """Returns the parts of a scene that determine its model; start and goal are not among them."""
     return scene.file, scene.robot, scene.object, scene.table, scene.obstacles
 
 
@@ -158,10 +158,10 @@ def _rings(polygon: Any) -> list[Any]:
 
 
 def _raised(points: np.ndarray, height: float) -> np.ndarray:
-    """Points [n, 2] at a height, shape [n, 3]."""
+    """Lifts points [n, 2] to a height, shape [n, 3]."""
     return np.column_stack([points, np.full(len(points), height)])
 
 
 def _segments(path: np.ndarray) -> np.ndarray:
-    """A path [n, 3] as segments [n - 1, 2, 3]."""
+    """Splits a path [n, 3] into segments [n - 1, 2, 3]."""
     return np.stack([path[:-1], path[1:]], axis=1)

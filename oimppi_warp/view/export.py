@@ -1,4 +1,4 @@
-"""A recorded episode as a file that others can play: a web page, a USD animation, a video, a log for Foxglove."""
+"""Exports a recorded episode for other players: a web page, a USD animation, a video, a log for Foxglove."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.replay import Replay
 
 FPS = 20
-"""Frames a second of page, animation and video."""
+"""Frames per second of the page, animation and video."""
 
 
 def rows_of(replay: Replay, fps: float = FPS, speed: float = 1.0) -> list[int]:
-    """Control steps to show at so many frames a second; the last is among them."""
+    """Returns the control steps to show at a frame rate, including the last one."""
     time = replay.log["time"]
     wanted = np.arange(time[0], time[-1] + 1e-9, speed / fps)
     rows = np.minimum(np.searchsorted(time, wanted - 1e-9), len(time) - 1).tolist()
@@ -30,7 +30,7 @@ def rows_of(replay: Replay, fps: float = FPS, speed: float = 1.0) -> list[int]:
 
 
 def export_html(replay: Replay, file: Path) -> None:
-    """Writes one page with viser's player and the whole episode in it; it needs no server and no network."""
+    """Writes a single page with viser's player and the whole episode; it needs neither a server nor a network."""
     from oimppi_warp.view.browser import open_viewer
 
     viewer = open_viewer()
@@ -65,7 +65,7 @@ def export_usd(replay: Replay, file: Path) -> None:
 
 
 def export_mp4(replay: Replay, file: Path) -> None:
-    """Writes a video from above, without a display."""
+    """Writes a top-view video, without needing a display."""
     av = _import_optional("av", "mp4")
     from oimppi_warp.plots.film import frames
 
@@ -74,7 +74,7 @@ def export_mp4(replay: Replay, file: Path) -> None:
         stream = container.add_stream("libx264", rate=Fraction(FPS))
         stream.pix_fmt = "yuv420p"
         for n, image in enumerate(frames(replay.log, replay.scene, rows_of(replay))):
-            if n == 0:  # the format takes even sizes alone
+            if n == 0:  # the format requires even dimensions
                 stream.width, stream.height = image.width // 2 * 2, image.height // 2 * 2
             picture = av.VideoFrame.from_image(image.crop((0, 0, stream.width, stream.height)))
             container.mux(stream.encode(picture))
@@ -83,7 +83,7 @@ def export_mp4(replay: Replay, file: Path) -> None:
 
 
 def export_mcap(replay: Replay, file: Path) -> None:
-    """Writes an MCAP file with the scene, its transforms and the figures, in Foxglove's schemas."""
+    """Writes an MCAP file with the scene, its transforms and the plotted values, in Foxglove's schemas."""
     _import_optional("foxglove", "mcap")
     from oimppi_warp.view.mcap import write_mcap
 
@@ -99,23 +99,23 @@ EXPORTS: dict[str, Callable[[Replay, Path], None]] = {
     "mp4": export_mp4,
     "mcap": export_mcap,
 }
-"""What an episode can be exported to."""
+"""Export formats of an episode."""
 
 
 def export(folder: Path, to: str, output: Path | None = None) -> Path:
     """Exports a record.
 
     Args:
-        folder: What ``--record`` wrote.
+        folder: A record's folder, as written by ``--record``.
         to: One of :data:`EXPORTS`.
-        output: Where to; default: ``episode`` in the record's folder.
+        output: Destination; default: ``episode`` in the record's folder.
 
     Returns:
         The file that was written.
 
     Raises:
-        LogError: There is no record.
-        ConfigError: It cannot be written, or a package is missing.
+        LogError: There is no record in the folder.
+        ConfigError: The export cannot be written, or a package is missing.
     """
     replay = Replay(folder)
     suffix = ".usdc" if to == "usd" else f".{to}"
@@ -133,7 +133,7 @@ def export(folder: Path, to: str, output: Path | None = None) -> Path:
 
 
 def _import_optional(module: str, to: str) -> Any:
-    """Import what an export needs."""
+    """Imports an optional dependency of an export."""
     import importlib
 
     try:

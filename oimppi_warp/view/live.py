@@ -1,4 +1,4 @@
-"""The live view: a session's pictures in the browser, and the controls to meddle with it."""
+"""The live view: shows a session in the browser, with controls to interfere with it."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from oimppi_warp.view.session import Session
 from oimppi_warp.view.settings_panel import SettingsPanel
 
 FPS = 20.0
-"""Pictures a second at the most."""
+"""Maximum frame rate [1/s]."""
 KNOCK = 0.4
-"""Speed that a click gives the object [m/s]."""
+"""Speed that a click imparts to the object [m/s]."""
 _SPEEDS = {"0.25": 0.25, "0.5": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "as fast as it goes": float("inf")}
 _BARS = 10
-"""Cost terms that are shown at the most."""
+"""Maximum number of cost terms shown."""
 
 
 class LiveView:
-    """Draws a session and changes it.
+    """Draws a session and passes the user's changes to it.
 
     Args:
         viewer: Newton's viewer in the browser.
-        session: What it shows.
+        session: The session to show.
     """
 
     def __init__(self, viewer: Any, session: Session) -> None:
@@ -56,7 +56,7 @@ class LiveView:
         viewer.server.scene.on_click()(self._click)
 
     def run(self) -> None:
-        """Draws until the viewer is closed; the session begins when the first browser is there."""
+        """Draws until the viewer is closed; the session starts when the first browser connects."""
         begun = False
         while self._viewer.is_running():
             began = time.perf_counter()
@@ -67,7 +67,7 @@ class LiveView:
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 
     def tick(self) -> None:
-        """One look at the session: orders there, a picture back."""
+        """Sends pending commands to the session and draws its latest picture."""
         go = self._viewer.should_step()
         self._session.paused = self._viewer.is_paused()
         if go and self._session.paused:
@@ -146,7 +146,7 @@ class LiveView:
             event.client.add_notification("Saved", f"oimppi run {file}", color="green")
 
     def _show_gizmos(self, picture: Picture) -> None:
-        """Handles on what can be dragged; what was let go of is moved."""
+        """Shows handles on draggable items, and moves an item when its handle is released."""
         scene = self._session.wanted.scene
         places = {
             "goal": planar_transform(scene.goal, 0.06),
@@ -169,7 +169,7 @@ class LiveView:
             self._viewer.log_gizmo(key, self._gizmos[name], translate=("X", "Y"), rotate=("Z",))
 
     def _dropped(self, name: str, to: np.ndarray, before: np.ndarray) -> None:
-        """Something was dragged to a planar pose [3] from another."""
+        """Handles the end of a drag to a planar pose [3] from another."""
         pose: PlanarPose = (float(to[0]), float(to[1]), float(to[2]))
         scene = self._session.wanted.scene
         if name == "goal":
@@ -180,11 +180,11 @@ class LiveView:
             x, y, turn = (float(value) for value in to - before)
             try:
                 self._session.change(scene=scene.with_obstacle_moved(name, (x, y, turn)))
-            except OimppiError as error:  # it is gone by now
+            except OimppiError as error:  # it has been removed meanwhile
                 self._session.problem = str(error)
 
     def _click(self, event: Any) -> None:
-        """Knock at the object where it was clicked at."""
+        """Applies an impulse to the object at the clicked point."""
         if not self._knock.value:
             return
         picture = self._session.latest
@@ -198,7 +198,7 @@ class LiveView:
             self._session.knock(KNOCK * picture.scene.object.mass * np.array([*along, 0.0]))
 
     def _show_status(self, picture: Picture) -> None:
-        """The line of state, and why."""
+        """Updates the status line, including any problem."""
         session = self._session
         figures = picture.figures
         errors = ""
@@ -213,7 +213,7 @@ class LiveView:
 
 
 def _bars(terms: dict[str, float]) -> str:
-    """Cost terms of the cheapest sample as bars."""
+    """Formats the cost terms of the cheapest sample as bars."""
     largest = sorted(((abs(value), name) for name, value in terms.items() if value), reverse=True)[:_BARS]
     most = largest[0][0] if largest else 1.0
     rows = "".join(

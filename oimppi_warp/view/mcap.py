@@ -1,4 +1,4 @@
-"""A recorded episode in Foxglove's schemas: shapes and their transforms, the reference, and the figures."""
+"""Writes a recorded episode in Foxglove's schemas: shapes and their transforms, the reference, and plotted values."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _WORLD = "world"
 
 
 def write_mcap(replay: Replay, file: Path, rows: Iterable[int]) -> None:
-    """Writes an episode; its times are simulated ones, from zero.
+    """Writes an episode, with simulated times that begin at zero.
 
     Args:
         replay: The episode.
-        file: Where to; it must not be there yet.
+        file: Destination, which must not exist yet.
         rows: Control steps to write.
     """
     posed = PosedScene(replay.scene)
@@ -71,7 +71,7 @@ def _transform(child: str, q: np.ndarray, stamp: Timestamp) -> FrameTransform:
 
 
 def _shapes(posed: PosedScene, stamp: Timestamp) -> Iterable[SceneEntity]:
-    """Every visible shape as triangles in the frame of its body."""
+    """Yields every visible shape as triangles in the frame of its body."""
     import newton
 
     model = posed.model
@@ -98,7 +98,7 @@ def _shapes(posed: PosedScene, stamp: Timestamp) -> Iterable[SceneEntity]:
 
 
 def _solid(kind: int, scale: np.ndarray) -> Any:
-    """A primitive shape as a mesh."""
+    """Converts a primitive shape to a mesh."""
     import newton
 
     a, b, c = map(float, scale)

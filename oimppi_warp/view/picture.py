@@ -1,4 +1,4 @@
-"""What is shown of one moment."""
+"""The data displayed for one moment of an episode."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ def _none(*shape: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One moment of an episode, live or recorded.
+    """A snapshot of an episode, live or recorded.
 
     Attributes:
         scene: The task.
-        time: Since the beginning [s].
+        time: Time since the beginning [s].
         joints: Joint positions, shape [dof] [rad].
-        object_transform: Of the object's frame, shape [7].
-        reference: Object poses that are tracked, shape [n, 3].
+        object_transform: Transform of the object's frame, shape [7].
+        reference: Object poses that the robot level tracks, shape [n, 3].
         tips: Tool tip along the plan, shape [n, 3] [m].
-        sampled: Tool paths of some samples, shape [k, n, 3] [m]; the first is the cheapest.
-        weights: Their weights relative to the largest of them, shape [k].
-        contact_points: Contact points and forces on what is touched, shape [n, 6] [m, N].
-        terms: Weighted cost terms of the cheapest sample, by their names.
-        figures: What is plotted over time, by name and unit.
-        status: A line that says what is going on.
+        sampled: Tool paths of some samples, shape [k, n, 3] [m], the cheapest first.
+        weights: Their weights relative to the largest one, shape [k].
+        contact_points: Contact points, and the forces on the touched bodies, shape [n, 6] [m, N].
+        terms: Weighted cost terms of the cheapest sample, by name.
+        figures: Values plotted over time, by name and unit.
+        status: A one-line status message.
     """
 
     scene: Scene

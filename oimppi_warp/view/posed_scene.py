@@ -1,7 +1,7 @@
-"""A scene as Newton's viewers show it: posed by joints and object.
+"""Poses a scene by joint positions and object transform, for display in Newton's viewers.
 
-Robot, table and whatever is as in the scene's file look as they do there. Obstacles that were moved take their looks
-with them; others, and an object of another shape, are drawn as their colliders.
+The robot, the table and everything unchanged from the scene's file look as they do there. Moved obstacles keep their
+look; new or changed ones, and an object with another shape, are drawn as their colliders.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import warp as wp
 from oimppi_warp.scene import Scene
 
 GHOSTS = r"/[^/]+/Goal(/.*)?"
-"""Prims that are not shown as they stand in the file: the goal's ghost is drawn where the goal is now."""
+"""Prims hidden from the file's display: the goal's ghost is drawn at the current goal instead."""
 
 
 class PosedScene:
-    """The Newton model of a scene with its skin, for viewers only; it has no part in the physics.
+    """The Newton model of a scene with its skin, used by viewers only and not for the physics.
 
     Args:
         scene: The task.
 
     Attributes:
         model: The model.
-        state: Its state, as it was posed last.
+        state: The model's state, as last posed.
     """
 
     def __init__(self, scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""A recorded episode as pictures, and a view that scrubs through them."""
+"""Shows a recorded episode as pictures, in a view that can play and scrub through them."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ FIGURES = {
     "effective samples": ("effective_samples", 1.0),
     "plan time [ms]": ("plan_ms", 1.0),
 }
-"""What is plotted: the log's column, and the factor to the unit."""
+"""Plotted values: the log's column, and the factor to the displayed unit."""
 
 
 class Replay:
-    """A record as pictures, one for each control step.
+    """A record as a sequence of pictures, one for each control step.
 
     Args:
-        folder: What ``--record`` wrote.
+        folder: A record's folder, as written by ``--record``.
 
     Raises:
-        LogError: There is no complete record in it, or none of a single step.
-        SceneError: The scene that it ran in is neither where it was nor a shipped one.
+        LogError: The folder has no complete record, or one without a single step.
+        SceneError: The record's scene is neither at its original place nor a shipped one.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -50,7 +50,7 @@ class Replay:
         return len(self.log)
 
     def picture(self, row: int) -> Picture:
-        """The moment after a control step."""
+        """Returns the picture after a control step."""
         log = self.log
         x, y, yaw = (float(value) for value in log["object_pose"][row])
         paths = [path for step, path in log.references if step <= row]
@@ -69,11 +69,11 @@ class Replay:
 
 
 class ReplayView:
-    """A record in the browser: played, scrubbed, stepped.
+    """Plays, scrubs and steps through a record in the browser.
 
     Args:
         viewer: Newton's viewer in the browser.
-        replay: What it shows.
+        replay: The record to show.
     """
 
     def __init__(self, viewer: Any, replay: Replay) -> None:
@@ -96,7 +96,7 @@ class ReplayView:
 
     @property
     def row(self) -> int:
-        """The control step that is shown."""
+        """Control step shown at present."""
         return int(self._row)
 
     def run(self) -> None:
@@ -107,7 +107,7 @@ class ReplayView:
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 
     def tick(self, seconds: float) -> None:
-        """On by so many seconds of wall time, unless paused."""
+        """Advances by a wall time in seconds, unless paused."""
         last = len(self._replay) - 1
         if self._viewer.should_step():
             rows = 1.0 if self._viewer.is_paused() else seconds * self._speed.value / self._period
@@ -127,7 +127,7 @@ class ReplayView:
         self._row = float(row)
 
     def _add_plots(self) -> None:
-        """Everything over time at once: it is all known."""
+        """Plots all values over the whole episode, as they are known in advance."""
         from viser import uplot
 
         log = self._replay.log
@@ -144,7 +144,7 @@ class ReplayView:
 
 
 def _scene_of(log: EpisodeLog) -> Scene:
-    """The scene that a record ran in, with its start and goal."""
+    """Loads the scene of a record, with the record's start and goal."""
     file = Path(log.header["file"])
     try:
         scene = load_scene(file if file.exists() else log.header["scene"])

@@ -1,7 +1,7 @@
-"""The control loop behind the viewer, in a thread of its own: it makes pictures and waits for nobody.
+"""Runs the viewer's control loop in its own thread; it produces pictures without waiting for their display.
 
-What is asked for from outside (pause, another goal, other weights) is done between two control steps. A change that
-needs another planner is prepared beside the running one and takes over where that has got to.
+Requests from outside (pause, another goal, other weights) are applied between two control steps. A change that requires
+another planner is prepared while the present one runs, and takes over from its latest state.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from oimppi_warp.scene import PlanarPose
 from oimppi_warp.view.picture import Picture
 
 SAMPLED = 32
-"""Samples that are shown."""
+"""Number of sampled paths shown."""
 _RATE = 40
-"""Control steps over which their rate is taken."""
+"""Number of control steps over which the rate is measured."""
 
 
 class Session:
-    """Episodes that people look at and meddle with.
+    """Runs episodes that a user can watch and interfere with.
 
     Args:
-        setup: The first episode's.
-        speed: Simulated seconds a second at the most; infinity for as fast as it goes.
+        setup: Setup of the first episode.
+        speed: Maximum simulated seconds per second; infinity for as fast as possible.
 
     Attributes:
-        wanted: The setup that was asked for last; the running one follows as soon as it is ready.
-        latest: The newest picture.
+        wanted: The setup requested last; the running episode adopts it as soon as it is ready.
+        latest: The latest picture.
         speed: As above; may be changed at any time.
-        paused: Whether the loop waits; may be changed at any time.
-        watched: Whether sampled paths are wanted.
-        problem: Why what was asked for last could not be done.
+        paused: Whether the loop is paused; may be changed at any time.
+        watched: Whether sampled paths should be computed.
+        problem: Reason why the last request failed.
     """
 
     def __init__(self, setup: Setup, *, speed: float = 1.0) -> None:
@@ -67,12 +67,12 @@ class Session:
         self._thread = threading.Thread(target=self._loop, name="oimppi-control", daemon=True)
 
     def start(self) -> None:
-        """Begin with the control loop, unless it goes already."""
+        """Start the control loop, unless it is already running."""
         if not self._thread.is_alive():
             self._thread.start()
 
     def close(self) -> None:
-        """End it."""
+        """Stop the control loop."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -80,25 +80,25 @@ class Session:
 
     @property
     def running(self) -> Episode:
-        """The episode that runs now."""
+        """The episode running at present."""
         return self._episode
 
     @property
     def over(self) -> bool:
-        """Whether the episode is at its end."""
+        """True if the episode has ended."""
         return self._over
 
     @property
     def rate(self) -> float:
-        """Control steps a second of late [1/s]; 0 if there were none."""
+        """Recent rate of control steps [1/s]; 0 if there were none."""
         times = list(self._times)
         return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
 
     def change(self, *, fresh: bool = False, **fields: Any) -> None:
-        """Ask for another setup.
+        """Request another setup.
 
         Args:
-            fresh: Begin again from the start; otherwise things go on from where they are.
+            fresh: Whether to restart from the beginning; otherwise the episode continues from its present state.
             **fields: As for :meth:`oimppi_warp.runtime.episode.Setup.changed`.
         """
         with self._lock:
@@ -107,21 +107,21 @@ class Session:
             self._fresh |= fresh
 
     def restart(self) -> None:
-        """Begin again from the start."""
+        """Restart the episode from the beginning."""
         self.change(fresh=True)
 
     def step(self) -> None:
-        """One control step, while paused."""
+        """Run a single control step while paused."""
         with self._lock:
             self._single += 1
 
     def move_object(self, pose: PlanarPose) -> None:
-        """Put the object somewhere else."""
+        """Place the object at another pose."""
         with self._lock:
             self._moved = planar_transform(pose, self.wanted.scene.object.rest_height)
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Knock at the object with an impulse [3] [N s]."""
+        """Apply an impulse [3] [N s] to the object."""
         with self._lock:
             self._knock = impulse
 
@@ -142,7 +142,7 @@ class Session:
                 step = next(self._steps, None)
             except FloatingPointError:
                 self._episode.log.header["ended"], step = "diverged", None
-            except Exception as error:  # of a plant or a method of somebody's own, say: the page goes on and says it
+            except Exception as error:  # from a third-party plant or method, say: the page shows it
                 self.problem, step = str(error) or type(error).__name__, None
             self._over = step is None
             if step is None:
@@ -166,7 +166,7 @@ class Session:
         self._problem_of_plan = ""
 
     def _apply_requests(self) -> None:
-        """Do what was asked for, as far as it is ready."""
+        """Applies pending requests, as far as they are ready."""
         with self._lock:
             if self._changed and self._pending is None:
                 self._pending = self._builder.submit(_build, self.wanted, self._fresh)
@@ -204,7 +204,7 @@ class Session:
 
     @property
     def _state(self) -> Observation:
-        """The state of the running episode: the truth, or what was last believed, or else the start."""
+        """Returns the state of the running episode: the true one, the last estimate, or the start."""
         episode = self._episode
         if isinstance(episode.plant, TruthfulPlant):
             return episode.plant.truth()
@@ -241,13 +241,13 @@ class Session:
                 "plan time [ms]": 1e3 * step.plan_seconds,
             },
         )
-        if not self.watched or episode.log.header["mode"] == "realtime":  # there the planner is at its next plan
+        if not self.watched or episode.log.header["mode"] == "realtime":  # where the planner is busy already
             return picture
         samples = episode.planner.samples(SAMPLED)
         return replace(picture, sampled=samples.tips, weights=samples.weights, terms=samples.terms)
 
     def _status(self) -> str:
-        """What is going on, in a line."""
+        """Returns a one-line status message."""
         if self._over:
             return {
                 "success": "at its goal; move the goal or the object, or begin again",

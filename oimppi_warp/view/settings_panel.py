@@ -1,4 +1,4 @@
-"""Every setting as a control with its help and unit as the tooltip, made from the config dataclasses' fields."""
+"""Controls for every setting, with help and unit as tooltip, generated from the fields of the config dataclasses."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
 
 _SLIDER_TOP = 4.0
-"""A slider goes up to so many times the default."""
+"""Upper end of a slider, as a multiple of the default."""
 
 
 class SettingsPanel:
-    """Controls for all settings in folders, and the changed ones with a button each that takes the change back.
+    """Shows controls for all settings in folders, and lists the changed ones, each with a button that reverts it.
 
-    An optimizer's kind is a dropdown; another kind brings its own controls into the folder.
+    An optimizer's kind is a dropdown; selecting another kind replaces the controls in the folder.
 
     Args:
-        server: viser's.
-        config: The settings to begin with, which are the defaults that buttons lead back to.
-        on_change: Called with the new settings.
+        server: A viser server.
+        config: Initial settings, which are also the defaults that the buttons revert to.
+        on_change: Callback that receives the new settings.
     """
 
     def __init__(self, server: Any, config: Config, on_change: Callable[[Config], None]) -> None:
@@ -44,7 +44,7 @@ class SettingsPanel:
         """Changes a setting by its dotted name.
 
         Raises:
-            ConfigError: It cannot have that value.
+            ConfigError: The value is not allowed for this setting.
         """
         text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
         config = validate(set_option(self.config, f"{name}={text}"))
@@ -54,12 +54,12 @@ class SettingsPanel:
         self._on_change(config)
 
     def replace(self, config: Config) -> None:
-        """Other settings, which are the new defaults: a preset, say."""
+        """Replaces all settings and their defaults, for example by a preset."""
         self._default = config
         self._apply(config)
 
     def _apply(self, config: Config) -> None:
-        """Shows these settings, with the controls that their optimizers need."""
+        """Displays these settings, with the controls that their optimizers need."""
         before, self.config = _in_folders(self.config), config
         now = _in_folders(config)
         for folder in {**before, **now}:
@@ -71,7 +71,7 @@ class SettingsPanel:
         self._show_changed()
 
     def _build(self, folder: str) -> None:
-        """Makes a folder's controls anew, in the folder's old place."""
+        """Recreates a folder's controls, keeping the folder's position."""
         order = self._orders.setdefault(folder, float(len(self._orders)))
         if folder in self._folders:
             self._folders.pop(folder).remove()
@@ -110,7 +110,7 @@ class SettingsPanel:
         @control.on_update
         def _changed(event: Any) -> None:
             if event.client_id is None:
-                return  # it was set from here
+                return  # the change came from here
             try:
                 self.set(name, event.target.value)
             except ConfigError as error:
@@ -135,7 +135,7 @@ class SettingsPanel:
 
 
 def _in_folders(config: Config) -> dict[str, dict[str, Setting]]:
-    """The settings by the group that they are in."""
+    """Groups the settings by folder."""
     folders: dict[str, dict[str, Setting]] = {}
     for name, setting in settings_of(config).items():
         folders.setdefault(name.rpartition(".")[0], {})[name] = setting
@@ -143,7 +143,7 @@ def _in_folders(config: Config) -> dict[str, dict[str, Setting]]:
 
 
 def _control_value(value: Any) -> Any:
-    """A value as a control holds it."""
+    """Converts a value to the form that a control holds."""
     return (
         ",".join(f"{part:g}" if isinstance(part, float) else str(part) for part in value)
         if isinstance(value, tuple)

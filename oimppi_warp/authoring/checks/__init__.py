@@ -1,1 +1,1 @@
-"""All that would stop or spoil a run of a scene, found before it is run."""
+"""Checks that find, before a run, every problem that would stop or spoil it."""

@@ -1,4 +1,4 @@
-"""Everything that would stop or spoil a run of a scene, found before it is run."""
+"""Checks a scene, before it is run, for everything that would stop or spoil the run."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     from oimppi_warp.authoring.checks.free_path import Bottleneck, FreePaths
 
 NARROW = 0.005
-"""Room on either side of the object below which a way is called narrow [m]."""
+"""Clearance on either side of the object below which a path is reported as narrow [m]."""
 
 MAX_NODES = 2e8
-"""Most nodes of the grid of phi_2: 800 MB of it."""
+"""Maximum number of nodes in the grid of phi_2, which then takes 800 MB."""
 
 
 def check_scene(scene: str | Path) -> tuple[Problem, ...]:
-    """Every problem of a scene: errors first, then warnings.
+    """Return every problem of a scene, errors first, then warnings.
 
     Args:
         scene: A USD file, or the name of a shipped scene.
 
     Raises:
-        SceneError: There is no such file.
+        SceneError: The file does not exist.
     """
     found = inspect_scene(scene)
     problems = [mistake.problem for mistake in found.mistakes]
@@ -52,14 +52,14 @@ def check_scene(scene: str | Path) -> tuple[Problem, ...]:
 
 
 def _task_prim(found: Inspection) -> str:
-    """The prim that goal and starts stand at, if the scene can be read."""
+    """Returns the path of the prim that holds the goal and the starts, if the scene can be read."""
     if found.scene is None or found.stage is None:
         return ""
     return str(found.stage.prims_with("OimppiTaskAPI")[0].GetPath())
 
 
 def _task_errors(scene: Scene) -> Iterator[SceneError]:
-    """Why the scene's own start and goal, or the starts that seeds draw, stop a run."""
+    """Yields errors in the scene's own start and goal, or in the starts drawn from seeds, that would stop a run."""
     mistakes = [*task_mistakes(scene), *_too_large(scene)]
     yield from mistakes
     if not mistakes:
@@ -70,7 +70,7 @@ def _task_errors(scene: Scene) -> Iterator[SceneError]:
 
 
 def _too_large(scene: Scene) -> Iterator[SceneError]:
-    """A table for whose part within reach the planner's fields would not fit into memory."""
+    """Yields an error if the part of the table within reach is too large for the planner's fields to fit in memory."""
     from oimppi_warp.geometry.fields import STEP, YAW_NODES
     from oimppi_warp.geometry.reach import stretched_length
 
@@ -98,7 +98,7 @@ def _task_warnings(scene: Scene) -> Iterator[Problem]:
             fix="give oimppi:spread, from which seeds draw starts, or list oimppi:starts",
         )
     body = scene.object
-    if tipping_height(body) > 0.0 and can_tip(body):  # at zero its centre of mass is wrong, which is another warning
+    if tipping_height(body) > 0.0 and can_tip(body):  # at zero its centre of mass is wrong: a separate warning
         top = body.rest_height + height_range(body.colliders)[1]
         yield _warning(
             scene,
@@ -120,7 +120,7 @@ def _mass_warnings(found: Inspection) -> Iterator[Problem]:
 
 
 def _starts(scene: Scene) -> Iterator[tuple[int, PlanarPose]]:
-    """The listed starts with their numbers, but for the one in the file, which may be rounded in the list."""
+    """Yields the listed starts with their numbers, except the file's own start, which may be rounded in the list."""
     for number, (x, y, yaw) in enumerate(scene.starts.tolist()):
         turn = math.remainder(yaw - scene.start[2], 2.0 * math.pi)
         if not np.allclose((x - scene.start[0], y - scene.start[1], turn), 0.0, atol=1e-6):
@@ -132,7 +132,10 @@ def _mistakes(scene: Scene, number: int, start: PlanarPose) -> Iterator[SceneErr
 
 
 def _path_warnings(scene: Scene) -> Iterator[Problem]:
-    """Poses without room, starts from which no way is free, ways that are narrow; start and goal overlap nothing."""
+    """Yields warnings about poses without room, starts without a free path, and narrow paths.
+
+    Start and goal must not overlap anything.
+    """
     from oimppi_warp.authoring.checks.free_path import FreePaths
     from oimppi_warp.geometry.fields import build_geometry
 
@@ -154,7 +157,7 @@ def _path_warnings(scene: Scene) -> Iterator[Problem]:
 
 
 def _narrow_warnings(scene: Scene, paths: FreePaths, starts: dict[str, PlanarPose]) -> Iterator[Problem]:
-    """The narrowest place of the widest way: of the first start without a free one, or of the first of all."""
+    """Yields a warning about the bottleneck of the first start without a free path, or else of the first start."""
     blocked = [name for name, start in starts.items() if paths.is_blocked(start)]
     bottleneck = paths.bottleneck(starts[blocked[0]] if blocked else next(iter(starts.values())))
     if blocked:
@@ -177,7 +180,7 @@ def _narrow_warnings(scene: Scene, paths: FreePaths, starts: dict[str, PlanarPos
 
 
 def _describe(bottleneck: Bottleneck) -> str:
-    """The narrowest place of a way, in words."""
+    """Describes a path's bottleneck in words."""
     x, y, yaw = bottleneck.pose
     where = f"at ({x:.2f}, {y:.2f}, {yaw:.2f}) the widest one leads"
     missing = 1000.0 * abs(bottleneck.clearance)

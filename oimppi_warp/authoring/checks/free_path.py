@@ -1,7 +1,7 @@
-"""Whether a free path leads from an object's start to its goal, and where the widest path is narrowest.
+"""Finds whether a free path leads from an object's start to its goal, and where the widest path is narrowest.
 
-A path is free where phi_2 is above zero and the arm reaches the object's centre. The widest path is the one whose least
-clearance is largest: that is the largest threshold of phi_2 at which start and goal are still in one connected part.
+A path is free where phi_2 is above zero and the arm reaches the object's centre. The widest path is the one with the
+greatest minimum clearance: the largest threshold of phi_2 at which start and goal are still connected.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from oimppi_warp.geometry.reach import reach_of
 from oimppi_warp.scene import PlanarPose, Scene
 
 RESOLUTION = 1e-4
-"""How exactly the least clearance of the widest path is found [m]."""
+"""Accuracy to which the minimum clearance of the widest path is determined [m]."""
 
 NEIGHBOR_RANGE = 0.01
-"""What is this much further from the object than the nearest thing is not beside it [m]."""
+"""Things farther from the object than the nearest one by more than this do not count as its neighbours [m]."""
 
 Node = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class Bottleneck:
-    """The narrowest place of the widest path to the goal.
+    """The narrowest point of the widest path to the goal.
 
     Attributes:
-        clearance: What is left around the object there, below zero where it does not fit [m].
-        pose: Where the object is there.
-        neighbors: What it passes there, in words; at most two things.
-        gap: How far apart the two are [m]; ``None`` where there is only one.
+        clearance: Free space left around the object there; negative if it does not fit [m].
+        pose: Pose of the object there.
+        neighbors: Names of the things that it passes between there, at most two.
+        gap: Distance between the two [m]; ``None`` if there is only one.
     """
 
     clearance: float
@@ -47,7 +47,7 @@ class Bottleneck:
 
 
 class FreePaths:
-    """The paths to a scene's goal over the grid of phi_2.
+    """Searches paths to a scene's goal on the grid of phi_2.
 
     Args:
         scene: The task; neither its start nor its goal overlaps anything.
@@ -70,15 +70,15 @@ class FreePaths:
             self._goals = [(turn, i, j) for _, i, j in self._goals for turn in range(len(values))]
 
     def clearance_near(self, pose: PlanarPose) -> float:
-        """The largest clearance on the grid right around a pose [m]."""
+        """Returns the largest clearance among the grid nodes around a pose [m]."""
         return max(float(self._values[node]) for node in self._nodes(pose))
 
     def is_blocked(self, start: PlanarPose) -> bool:
-        """Whether no path from a start is free."""
+        """Returns whether every path from a start is blocked."""
         return not self._connected(self._free, self._nodes(start))
 
     def bottleneck(self, start: PlanarPose) -> Bottleneck | None:
-        """The narrowest place of the widest path from a start; ``None`` where that is at one of its ends."""
+        """Returns the bottleneck of the widest path from a start, or ``None`` if it is at one of the path's ends."""
         starts = self._nodes(start)
         end = float(min(max(self._values[node] for node in nodes) for nodes in (starts, self._goals)))
         if not self._connected(_components(np.isfinite(self._values)), starts):
@@ -99,7 +99,7 @@ class FreePaths:
         return Bottleneck(float(values.min()), (x, y, yaw), *self.neighbors((x, y, yaw)))
 
     def _nodes(self, pose: PlanarPose) -> list[Node]:
-        """The eight nodes around a pose of the object's frame."""
+        """Returns the eight grid nodes around a pose of the object's frame."""
         x, y, yaw = to_center(self._surface, np.array(pose))
         turns, *size = self._values.shape
         first = np.floor((np.array([yaw % (2.0 * np.pi), x, y]) - self._origin) / self._step).astype(int)
@@ -111,7 +111,7 @@ class FreePaths:
         return bool(({parts[node] for node in starts} & {parts[node] for node in self._goals}) - {0})
 
     def _path(self, threshold: float, starts: Sequence[Node]) -> np.ndarray:
-        """Nodes of a path that keeps to a clearance at which there is one, shape [n, 3]."""
+        """Returns the nodes of a path that keeps at least this clearance, shape [n, 3]; such a path must exist."""
         free = self._values >= threshold
         parts = _components(free)
         shared = {parts[node] for node in starts} & {parts[node] for node in self._goals} - {0}
@@ -130,7 +130,7 @@ class FreePaths:
         return nodes[path]
 
     def neighbors(self, pose: PlanarPose) -> tuple[tuple[str, ...], float | None]:
-        """The one or two things next to the object at a pose, and how far they are apart."""
+        """Returns the one or two things nearest to the object at a pose, and the distance between them."""
         shape = object_outline(self._scene, pose)
         table = shapely.box(*self._scene.table.lower, *self._scene.table.upper)
         outlines = [(f"{noun} <{path}>", outline) for noun, path, outline in fixed_outlines(self._scene)]
@@ -146,14 +146,14 @@ class FreePaths:
 
 
 def _next(number: np.ndarray, axis: int) -> np.ndarray:
-    """The numbers of the next nodes along an axis that does not close; -1 where there is none."""
+    """Returns the numbers of the next nodes along a non-periodic axis; -1 where there is none."""
     shifted = np.roll(number, -1, axis=axis)
     shifted[tuple(-1 if i == axis else slice(None) for i in range(number.ndim))] = -1
     return shifted
 
 
 def _components(free: np.ndarray) -> np.ndarray:
-    """The connected part that each node is in, from one; zero where it is not free. Yaw, the first axis, closes."""
+    """Labels connected components from one, with zero for nodes that are not free; yaw, the first axis, is periodic."""
     parts, count = ndimage.label(free)
     seam = (parts[0] > 0) & (parts[-1] > 0)
     pairs = parts[0][seam], parts[-1][seam]

@@ -1,4 +1,4 @@
-"""Whether an object's mass and inertia go with its size."""
+"""Checks whether an object's mass and inertia are plausible for its size."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from oimppi_warp.usd.colliders import solid
 from oimppi_warp.usd.stage import SceneStage
 
 DENSITIES = (10.0, 20000.0)
-"""From a light foam to gold [kg/m^3]."""
+"""Plausible densities, from light foam to gold [kg/m^3]."""
 
 FACTOR = 4.0
-"""How far inertia may be from that of a uniform solid: a hollow cube has 5/3 of it, a core of lead a quarter."""
+"""Allowed ratio of the inertia to a uniform solid's: a hollow cube has 5/3 of it, one with a lead core a quarter."""
 
 
 @dataclass(frozen=True)
 class MassWarning:
-    """Something about a weight that is not believed: what was found, what is allowed, what to do."""
+    """An implausible mass property: the value found, the range allowed, and the remedy."""
 
     what: str
     allowed: str
@@ -32,12 +32,12 @@ class MassWarning:
 
 
 def mass_warnings(scene: Scene, stage: SceneStage, inertia: np.ndarray | None) -> Iterator[MassWarning]:
-    """What is odd about the weight of the object.
+    """Yields warnings about implausible mass properties of the object.
 
     Args:
         scene: The task.
-        stage: What it was read from.
-        inertia: Principal moments that its file gives, shape [3] [kg m^2]; ``None`` where the shapes decide.
+        stage: The stage it was read from.
+        inertia: Principal moments given in its file, shape [3] [kg m^2]; ``None`` if they are computed from the shapes.
     """
     body = scene.object
     solids = [solid(collider) for collider in body.colliders]
@@ -70,7 +70,7 @@ def mass_warnings(scene: Scene, stage: SceneStage, inertia: np.ndarray | None) -
 
 
 def _trace(solids: list[trimesh.Trimesh], density: float) -> float:
-    """Sum of the moments of inertia of uniform solids about their common centre [kg m^2]."""
+    """Returns the sum of the moments of inertia of uniform solids about their common centre [kg m^2]."""
     volumes = np.array([solid.volume for solid in solids])
     centers = np.array([solid.center_mass for solid in solids])
     away = centers - np.average(centers, axis=0, weights=volumes)

@@ -14,12 +14,12 @@ STROKE_WIDTH, CAP_HEIGHT = 0.022, 0.103
 """Width of the pen and height of the letters [m]."""
 
 Line = tuple[list[Point], float]
-"""The pen's way [m], and how much is cut off the outer corners of its bends [m]."""
+"""The pen's path [m], and how much is cut off the outer corners of its bends [m]."""
 
 _UP, _DOWN = CAP_HEIGHT / 2, -CAP_HEIGHT / 2
-# A pen along the upper and the lower edge.
+# Pen positions along the upper and the lower edge.
 _T, _B = CAP_HEIGHT / 2 - STROKE_WIDTH / 2, STROKE_WIDTH / 2 - CAP_HEIGHT / 2
-_L, _R = STROKE_WIDTH / 2 - 0.042, 0.042 - STROKE_WIDTH / 2  # a pen along the left and the right edge
+_L, _R = STROKE_WIDTH / 2 - 0.042, 0.042 - STROKE_WIDTH / 2  # along the left and the right edge
 
 _STEM: Line = ([(_L, _UP), (_L, _DOWN)], 0.0)
 _OTHER_STEM: Line = ([(_R, _UP), (_R, _DOWN)], 0.0)
@@ -30,7 +30,7 @@ def _bar(y: float, left: float, right: float) -> Line:
 
 
 def _slant(a: Point, b: Point) -> Line:
-    """A slanted line that goes on beyond both ends; the letter's box cuts it off level."""
+    """Returns a slanted line extended beyond both ends; the letter's box trims it level."""
     along = np.subtract(b, a) / np.linalg.norm(np.subtract(b, a)) * STROKE_WIDTH
     (ax, ay), (bx, by) = np.subtract(a, along), np.add(b, along)
     return [(float(ax), float(ay)), (float(bx), float(by))], 0.0
@@ -111,12 +111,12 @@ SIMPLE: dict[str, tuple[Box | np.ndarray, ...]] = {
     ),
     "S": tuple(stroke([(_R, _T), (_L, _T), (_L, 0), (_R, 0), (_R, _B), (_L, _B)], STROKE_WIDTH, 0.012)),
 }
-"""The letters whose strokes are convex pieces already that do not overlap."""
+"""Letters whose strokes are already convex pieces that do not overlap."""
 
 
 @cache
 def outline_of(letter: str) -> BaseGeometry:
-    """What a capital letter covers, about the middle of its box [m]."""
+    """Returns the outline of a capital letter about the middle of its box [m]."""
     if letter in SIMPLE:
         corners = [piece.polygon() if isinstance(piece, Box) else piece for piece in SIMPLE[letter]]
         return shapely.union_all([shapely.Polygon(each) for each in corners], grid_size=1e-6)

@@ -1,4 +1,4 @@
-"""Outlines of the characters of an installed font."""
+"""Outlines of characters from an installed font."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from shapely.geometry.base import BaseGeometry
 from oimppi_warp.errors import ConfigError
 
 COARSE = 0.0012
-"""How far an outline may be from the font's curve [m]: fewer corners make fewer convex pieces."""
+"""Maximum deviation of an outline from the font's curve [m]; fewer corners give fewer convex pieces."""
 
 _POINTS = 100.0
 
 
 def glyph_outline(character: str, font: str, cap: float) -> BaseGeometry:
-    """What a character covers, on the base line y = 0 [m].
+    """Return the outline of a character, with its baseline at y = 0 [m].
 
     Args:
         character: One character.
-        font: An installed font's name, or the file of one.
+        font: Name of an installed font, or path of a font file.
         cap: Height of the font's capital H [m].
 
     Raises:
-        ConfigError: There is no such font, or it has no such character.
+        ConfigError: The font does not exist, or has no such character.
     """
     properties = _properties(font)
     if character.isspace() or not character.isprintable():
@@ -44,7 +44,7 @@ def glyph_outline(character: str, font: str, cap: float) -> BaseGeometry:
 
 
 def _filled(rings: list[shapely.Polygon]) -> BaseGeometry:
-    """The area within contours: those that run as the largest does are filled, the others are holes."""
+    """Returns the area within contours: those oriented as the largest one are filled, the others are holes."""
     ways = [ring.exterior.is_ccw for ring in rings]
     outer = ways[max(range(len(rings)), key=lambda i: rings[i].area)]
     whole = [shapely.make_valid(ring) for ring in rings]
@@ -56,7 +56,7 @@ def _filled(rings: list[shapely.Polygon]) -> BaseGeometry:
 
 @cache
 def _properties(font: str) -> FontProperties:
-    """How matplotlib finds a font."""
+    """Returns the properties by which matplotlib finds a font."""
     if Path(font).is_file():
         return FontProperties(fname=font)
     properties = FontProperties(family=font)

@@ -1,4 +1,4 @@
-"""Letters and words as objects: hollow, forked or crooked shapes that are made on the spot."""
+"""Builds letters and words as objects; many of them are hollow, forked or bent."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ HEIGHT = 0.05
 """Thickness of letters and words [m]."""
 
 LONGEST = 0.30
-"""A word whose size is not given is made so small that it is no longer than this [m]."""
+"""A word without a given size is scaled down until it is no longer than this [m]."""
 
 SMALLEST = 0.03
-"""Letters lower than this are refused [m]: the stick is 0.016 m wide."""
+"""Minimum height of a letter [m]; the stick is 0.016 m wide."""
 
-_GAP, _SPACE = 0.12, 0.45  # between letters and between words, in heights of a letter
-_BAR = 0.18  # thickness of the bar that carries a word, in heights of a letter
+_GAP, _SPACE = 0.12, 0.45  # between letters and between words, in letter heights
+_BAR = 0.18  # thickness of the bar that joins a word, in letter heights
 
 
 def letter(
@@ -41,19 +41,19 @@ def letter(
     font: str | None = None,
     color: Color = BLUE,
 ) -> FlatObject:
-    """A letter that lies on the table.
+    """Create a letter that lies on the table.
 
     Args:
-        letter: One of A to Z; with a font, any character that it has.
-        size: Height of a capital letter as it lies [m].
+        letter: One of A to Z; with a font, any character of that font.
+        size: Height of a capital letter in its plane [m].
         height: Thickness [m].
-        mass: [kg]; ``None``: what wood weighs.
+        mass: Mass [kg]; ``None``: computed from the density of wood.
         friction: Coulomb coefficient with the table.
-        font: An installed font's name, or the file of one; without it, our own alphabet.
+        font: Name of an installed font, or path of a font file; without it, the built-in alphabet.
         color: Red, green and blue.
 
     Raises:
-        ConfigError: There is no such letter or font, or a number cannot be used.
+        ConfigError: The letter or font does not exist, or a number is out of range.
     """
     if len(letter) != 1:
         raise ConfigError(f"letter:{letter}: that is not one letter\n  allowed: letter:S, or a word as text:{letter}")
@@ -61,7 +61,7 @@ def letter(
     character = letter if font else letter.upper()
     name = f"letter_{_file_name_part(character)}"
     doc = f"The letter {character}" + (f" of the font {font}" if font else "")
-    if character in SIMPLE and font is None and size == CAP_HEIGHT:  # cut by hand, as the shipped scenes have them
+    if character in SIMPLE and font is None and size == CAP_HEIGHT:  # cut by hand, as in the shipped scenes
         x0, y0, x1, y1 = outline.bounds
         checked_sides(doc, x1 - x0, y1 - y0, height)
         weight = checked_mass(mass, shapely.area(outline) * height)
@@ -82,20 +82,20 @@ def word(
     font: str | None = None,
     color: Color = BLUE,
 ) -> FlatObject:
-    """A word as one rigid object: letters that stand on a bar, which joins them.
+    """Create a word as one rigid object, its letters joined by a bar below them.
 
     Args:
-        text: Letters and spaces; with a font, any characters that it has.
-        size: Height of a capital letter [m]; ``None``: as large as shipped letters are, but no longer than
-            :data:`LONGEST` altogether.
+        text: Letters and spaces; with a font, any characters of that font.
+        size: Height of a capital letter [m]; ``None``: that of the shipped letters, reduced if necessary so that the
+            word is no longer than :data:`LONGEST`.
         height: Thickness [m].
-        mass: [kg]; ``None``: what wood weighs.
+        mass: Mass [kg]; ``None``: computed from the density of wood.
         friction: Coulomb coefficient with the table.
-        font: An installed font's name, or the file of one; without it, our own alphabet.
+        font: Name of an installed font, or path of a font file; without it, the built-in alphabet.
         color: Red, green and blue.
 
     Raises:
-        ConfigError: There is no such letter or font, or a number cannot be used.
+        ConfigError: A letter or the font does not exist, or a number is out of range.
     """
     text = " ".join(text.split())
     if not text:
@@ -117,7 +117,7 @@ def word(
 
 
 def _letter_outline(letter: str, size: float, font: str | None) -> BaseGeometry:
-    """A letter's outline about the middle of its box [m]."""
+    """Returns a letter's outline about the middle of its box [m]."""
     if size < SMALLEST:
         raise ConfigError(f"--size {size:g}: too small for the stick\n  allowed: {SMALLEST:g} m or more")
     outline = _glyph(letter, font)
@@ -129,7 +129,7 @@ def _letter_outline(letter: str, size: float, font: str | None) -> BaseGeometry:
 
 
 def _glyph(letter: str, font: str | None) -> BaseGeometry:
-    """What a letter of height :data:`CAP_HEIGHT` covers, its foot at ``-CAP_HEIGHT / 2``."""
+    """Returns the outline of a letter of height :data:`CAP_HEIGHT`, its foot at ``-CAP_HEIGHT / 2``."""
     if font is not None:
         from oimppi_warp.authoring.letters.fonts import glyph_outline
 
@@ -143,7 +143,7 @@ def _glyph(letter: str, font: str | None) -> BaseGeometry:
 
 
 def _row_of(text: str, font: str | None) -> BaseGeometry:
-    """Letters of height :data:`CAP_HEIGHT` in a row on a bar, about the middle of their box [m]."""
+    """Returns letters of height :data:`CAP_HEIGHT` in a row on a bar, about the middle of their box [m]."""
     parts, pen = [], 0.0
     for character in text:
         if character == " ":
@@ -161,6 +161,6 @@ def _row_of(text: str, font: str | None) -> BaseGeometry:
 
 
 def _file_name_part(text: str) -> str:
-    """Text as part of a file's name: small letters, digits and underscores; others by their number."""
+    """Converts text for a file name to lower-case letters, digits and underscores, and the code numbers of others."""
     found = (c if re.fullmatch(r"[a-z0-9]", c) else "_" if c == " " else f"u{ord(c):x}" for c in text.lower())
     return "".join(found)

@@ -1,1 +1,1 @@
-"""Meshes as objects: read, repaired, weighed and cut into convex pieces."""
+"""Imports meshes as objects: reads, repairs and weighs them, and cuts them into convex pieces."""

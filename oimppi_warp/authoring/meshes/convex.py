@@ -1,4 +1,4 @@
-"""A closed surface as convex pieces, and how far they are from it."""
+"""Decomposes a closed surface into convex pieces and measures how closely they match it."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ Hull = tuple[np.ndarray, np.ndarray]
 """Corners [n, 3] [m] and triangles [m, 3] of a convex piece."""
 
 THRESHOLDS = (0.05, 0.02)
-"""CoACD's concavity, coarse to fine: the first that is close enough is taken."""
+"""Concavity thresholds for CoACD, coarse to fine; the first whose result is close enough is used."""
 
 CLOSE_ENOUGH = (0.04, 0.04, 0.004)
-"""Close enough: errors of the volume and of the footprint, and distance of the surfaces [m]."""
+"""Tolerances for a close enough fit: relative errors of the volume and of the footprint, and surface distance [m]."""
 
 PIECES, CORNERS = 32, 200
-"""Most pieces of an object, and most corners of a piece."""
+"""Maximum number of pieces of an object, and of corners of a piece."""
 
 FINE, COARSER = 10_000, 40
-"""A part of more triangles is made anew by CoACD, with so many cells along its longest side, before it is cut: it would
-take minutes otherwise."""
+"""A part with more triangles is remeshed by CoACD, with this many cells along its longest side, before it is cut:
+cutting it directly would take minutes."""
 
-_POINTS = 60_000  # that a volume is sampled with
-_ON_SURFACE = 8000  # that a distance is sampled with
+_POINTS = 60_000  # for sampling a volume
+_ON_SURFACE = 8000  # for sampling a distance
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How far convex pieces are from the mesh that they stand for.
+    """Closeness of convex pieces to the mesh that they represent.
 
     Attributes:
-        volume: Volume of their union over the mesh's, less one.
-        footprint: What only one of them covers of the table, over what the mesh covers.
-        distance: Hausdorff distance, sampled [m]: how far the mesh's surface is from the pieces, or what sticks out of
-            it from the mesh. Slits between pieces, within the mesh, do not count: nothing gets there.
+        volume: Volume of their union relative to the mesh's, minus one.
+        footprint: Area of the table covered by only one of the two, relative to the mesh's.
+        distance: Sampled Hausdorff distance [m]: from the mesh's surface to the pieces, or from parts of them that
+            protrude to the mesh. Slits between pieces inside the mesh do not count, as nothing can enter them.
     """
 
     volume: float
@@ -52,13 +52,13 @@ class Fit:
 
     @property
     def is_close(self) -> bool:
-        """Whether it is good enough to stop."""
+        """Returns whether the fit is good enough to stop refining."""
         return (
             abs(self.volume) < CLOSE_ENOUGH[0] and self.footprint < CLOSE_ENOUGH[1] and self.distance < CLOSE_ENOUGH[2]
         )
 
     def __str__(self) -> str:
-        """The three errors in words."""
+        """Describes the three errors in words."""
         return (
             f"volume {100 * self.volume:+.1f} %, footprint {100 * self.footprint:.1f} %, "
             f"at most {1000 * self.distance:.1f} mm off"
@@ -68,13 +68,13 @@ class Fit:
 def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
     """Cut a closed surface into convex pieces with CoACD (Wei et al., 2022).
 
-    It is cut finer until the pieces are :data:`CLOSE_ENOUGH` to the mesh or as many as :data:`PIECES`.
+    The decomposition is refined until the pieces are :data:`CLOSE_ENOUGH` to the mesh or number :data:`PIECES`.
 
     Args:
         mesh: A closed surface [m].
 
     Returns:
-        The pieces, and how far they are from the mesh.
+        The pieces, and how closely they match the mesh.
     """
     solids = mesh.split(only_watertight=False)
     budgets = _piece_budgets(solids)
@@ -94,7 +94,7 @@ def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
 
 
 def _piece_budgets(solids: Sequence[trimesh.Trimesh]) -> list[int]:
-    """How many pieces each part may be cut into, :data:`PIECES` in all; what is left over goes to the hollowest."""
+    """Allots each part a maximum number of pieces, :data:`PIECES` in all; any remainder goes to the hollowest parts."""
     lacking = np.array([0.0 if each.is_convex else each.convex_hull.volume - each.volume for each in solids])
     budgets, hollow = np.ones(len(solids), dtype=int), np.argsort(-lacking, kind="stable")[: (lacking > 0.0).sum()]
     for number in range(PIECES - len(solids) if len(hollow) else 0):
@@ -103,7 +103,7 @@ def _piece_budgets(solids: Sequence[trimesh.Trimesh]) -> list[int]:
 
 
 def _cut(solid: trimesh.Trimesh, threshold: float, max_pieces: int) -> list[Hull]:
-    """Convex pieces of one solid part."""
+    """Returns the convex pieces of one solid part."""
     if solid.is_convex or max_pieces == 1:
         return [_hull(solid.vertices)]
     parts = coacd.run_coacd(
@@ -118,7 +118,7 @@ def _cut(solid: trimesh.Trimesh, threshold: float, max_pieces: int) -> list[Hull
 
 
 def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
-    """How far convex pieces are from the closed surface that they stand for."""
+    """Measures how closely convex pieces match the closed surface that they represent."""
     covered = vertical_projection(mesh.vertices, mesh.faces)
     projection = shapely.union_all([_hull_projection(h) for h in hulls])
     footprint = shapely.area(shapely.symmetric_difference(covered, projection)) / shapely.area(covered)
@@ -130,7 +130,7 @@ def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
 
 
 def vertical_projection(vertices: np.ndarray, faces: np.ndarray) -> BaseGeometry:
-    """What triangles cover of the table, seen from above."""
+    """Returns the area of the table that triangles cover, seen from above."""
     triangles = vertices[faces][:, :, :2]
     (ux, uy), (vx, vy) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
     return shapely.union_all(shapely.polygons(triangles[np.abs(ux * vy - uy * vx) > 1e-12]), grid_size=1e-6)
@@ -141,15 +141,15 @@ def _hull_projection(hull: Hull) -> BaseGeometry:
 
 
 def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Distance of points [n, 3] to a surface, shape [n] [m]."""
+    """Returns the distances of points [n, 3] to a surface, shape [n] [m]."""
     return np.abs(signed_depths(mesh, points))
 
 
 def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """How deep points [n, 3] are below a surface, negative above it, shape [n] [m]: exact to the triangles near by.
+    """Returns depths of points [n, 3] below a surface, negative above it, shape [n] [m]; exact for triangles nearby.
 
-    Where an edge or a corner is nearest, its triangles are equally far, and the one that the point is farthest out of
-    the plane of tells the side.
+    Where an edge or a corner is nearest, its triangles are equally distant; the one whose plane the point is farthest
+    from decides the side.
     """
     samples, owner = _sampled(mesh, 4 * _ON_SURFACE, 1)
     samples = np.vstack([samples, mesh.triangles_center])
@@ -168,13 +168,13 @@ def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def _sampled(mesh: trimesh.Trimesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points on a surface [n, 3] [m], and the triangles that they are on [n]."""
+    """Returns sampled points on a surface [n, 3] [m], and the triangle that each lies on [n]."""
     points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)[:2]
     return np.asarray(points), np.asarray(faces)
 
 
 def _volume_of_union(hulls: tuple[Hull, ...]) -> float:
-    """Volume of the union of convex pieces [m^3]: their sum less what is covered more than once, which is sampled."""
+    """Returns the volume of the union of convex pieces [m^3]: their sum minus the overlaps, which are sampled."""
     total = sum(float(trimesh.Trimesh(*hull).volume) for hull in hulls)
     if len(hulls) == 1:
         return total
@@ -185,17 +185,17 @@ def _volume_of_union(hulls: tuple[Hull, ...]) -> float:
 
 
 def _depth(hull: Hull, points: np.ndarray) -> np.ndarray:
-    """How deep points are in a piece [m]; negative outside."""
+    """Returns the depths of points inside a piece [m]; negative outside."""
     shell = trimesh.Trimesh(*hull, process=False)
     inward = np.einsum("fi,fi->f", shell.face_normals, shell.triangles[:, 0]) - points @ shell.face_normals.T
     return inward.min(axis=1)
 
 
 def _hull(points: np.ndarray) -> Hull:
-    """The convex hull of points, its corners rounded as they are written.
+    """Returns the convex hull of points, with its corners rounded as they are written.
 
-    One of more than :data:`CORNERS` corners is that of fewer of them, one for each cell of a grid: it shrinks by no
-    more than a cell.
+    A hull with more than :data:`CORNERS` corners is replaced by the hull of fewer of them, one per cell of a grid; it
+    shrinks by at most one cell.
     """
     hull = trimesh.convex.convex_hull(np.round(points, 5))
     cell = 0.0005

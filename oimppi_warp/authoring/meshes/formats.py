@@ -1,4 +1,4 @@
-"""Files that objects are read from."""
+"""File formats that objects can be read from."""
 
 MESHES = (".stl", ".obj", ".glb", ".gltf", ".ply", ".off")
-"""Endings of mesh files."""
+"""File name extensions of mesh files."""

@@ -1,4 +1,4 @@
-"""Volume, centre and inertia of a closed surface, also where its parts reach into each other."""
+"""Volume, centre and inertia of a closed surface, including one whose parts overlap."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 import trimesh
 from scipy.stats import qmc
 
-_POINTS, _SPENT = 20_000, 2e8  # points that overlapping parts are sampled with, and how many times their triangles
+_POINTS, _SPENT = 20_000, 2e8  # sample points for overlapping parts, and the limit on points times triangles
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """A solid of uniform density.
+    """Moments of a solid of uniform density.
 
     Attributes:
-        volume: [m^3].
-        center: Its centre, shape [3] [m].
-        inertia: About the centre, of one kilogram of it, shape [3, 3] [m^2].
+        volume: Volume [m^3].
+        center: Centre of mass, shape [3] [m].
+        inertia: Inertia about the centre per kilogram, shape [3, 3] [m^2].
     """
 
     volume: float
@@ -28,7 +28,7 @@ class Moments:
 
 
 def moments(mesh: trimesh.Trimesh) -> Moments:
-    """Moments of a closed surface: exact, but of parts that may overlap those of points within any of them."""
+    """Computes the moments of a closed surface: exactly, or by sampling points inside it if its parts may overlap."""
     if not _may_overlap(mesh):
         return Moments(float(mesh.volume), np.asarray(mesh.center_mass), mesh.moment_inertia / mesh.volume)
     points, box = points_in_box(mesh.bounds, int(np.clip(_SPENT / len(mesh.faces), 1000, _POINTS)))
@@ -39,7 +39,7 @@ def moments(mesh: trimesh.Trimesh) -> Moments:
 
 
 def _may_overlap(mesh: trimesh.Trimesh) -> bool:
-    """Whether the boxes around two parts do."""
+    """Returns whether the bounding boxes of any two parts overlap."""
     if mesh.body_count == 1:
         return False
     bounds = [part.bounds for part in mesh.split(only_watertight=False, repair=False)]
@@ -47,7 +47,7 @@ def _may_overlap(mesh: trimesh.Trimesh) -> bool:
 
 
 def winding(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """How often a closed surface goes round each point: the solid angle of its triangles (van Oosterom, Strackee)."""
+    """Returns winding numbers of a closed surface about points, from solid angles (van Oosterom, Strackee)."""
     turns = np.zeros(len(points))
     for chunk in np.array_split(np.arange(len(points)), max(1, len(points) * len(mesh.faces) // 2_000_000)):
         a, b, c = np.moveaxis(mesh.triangles[None] - points[chunk, None, None], 2, 0)
@@ -59,6 +59,6 @@ def winding(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def points_in_box(bounds: np.ndarray, count: int) -> tuple[np.ndarray, float]:
-    """Points that fill a box evenly (Halton), shape [count, 3] [m], and the box's volume [m^3]."""
+    """Returns points that fill a box evenly (Halton), shape [count, 3] [m], and the box's volume [m^3]."""
     unit = qmc.Halton(3, scramble=False).random(count)
     return bounds[0] + unit * (bounds[1] - bounds[0]), float(np.prod(bounds[1] - bounds[0]))

@@ -1,4 +1,4 @@
-"""A heap of triangles as separate parts, each with corners of its own, also where they touch."""
+"""Splits a triangle soup into separate parts that share no vertices, even where they touch."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-_SAME_ANGLE = 1e-6  # faces of a wall lie back to back [rad]
+_SAME_ANGLE = 1e-6  # for faces of a wall to count as back to back [rad]
 
 
 def cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with corners that are the same joined, without faces that are nothing, its parts told apart.
+    """Returns the mesh with duplicate vertices merged, degenerate faces removed and its parts separated.
 
-    A face that is there twice counts once, and two that lie back to back are an inner wall and count for nothing;
-    unless the surface is closed with them only, as that of parts is which overlap and have faces in common.
+    A duplicate face is kept once. Two faces lying back to back are an inner wall and are both removed, unless the
+    surface is closed only with them, as is that of overlapping parts with faces in common.
     """
     mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=7)
     mesh.update_faces(mesh.nondegenerate_faces())
@@ -27,7 +27,7 @@ def cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _each_face_once(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh without second faces at the same corners, and without both that look opposite ways."""
+    """Returns the mesh without duplicate faces, and without pairs of identical faces of opposite orientation."""
     a, b, c = mesh.faces.T
     ways = np.where((b - a) * (c - b) * (a - c) < 0, 1, -1)  # even permutations of ascending corners, and odd ones
     groups = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_inverse=True)[1].ravel()
@@ -43,10 +43,10 @@ def _each_face_once(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def separated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The same faces, with corners of their own where parts touch: then an edge has two faces, or one at a hole.
+    """Returns the same faces with separate vertices where parts touch: each edge then has two faces, or one at a hole.
 
-    Faces share a corner if they meet at an edge that leads to it; at an edge of more than two faces, those meet that
-    have the solid between them.
+    Faces share a vertex if they meet at an edge that leads to it. At an edge of more than two faces, those faces meet
+    that enclose the solid between them.
     """
     meetings = [(f, g, a, b) for (f, g), (a, b) in zip(mesh.face_adjacency, mesh.face_adjacency_edges, strict=True)]
     crowded = _meetings_at_crowded_edges(mesh)
@@ -64,12 +64,12 @@ def separated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _corner(mesh: trimesh.Trimesh, faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Number of the corner that each face has at a vertex, three a face."""
+    """Returns the corner number of each face at a vertex, three corners per face."""
     return 3 * faces + (mesh.faces[faces] == vertices[:, None]).argmax(axis=1)
 
 
 def _meetings_at_crowded_edges(mesh: trimesh.Trimesh) -> list[tuple[int, int, int, int]]:
-    """At each edge of more than two faces, the pairs of faces that meet there, with the edge's two vertices."""
+    """Returns, for each edge of more than two faces, the pairs of faces that meet there and the edge's two vertices."""
     edges, owner = np.sort(mesh.edges, axis=1), mesh.edges_face
     part = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     ends, groups, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
@@ -83,10 +83,10 @@ def _meetings_at_crowded_edges(mesh: trimesh.Trimesh) -> list[tuple[int, int, in
 
 
 def _around(mesh: trimesh.Trimesh, ends: np.ndarray, faces: np.ndarray, against: np.ndarray) -> np.ndarray:
-    """The order of faces around their common edge, from where there is no solid.
+    """Returns the order of faces around their common edge, starting outside the solid.
 
-    A face that runs against the edge has its inside at larger angles about it, one that runs along it at smaller ones:
-    they open and close like brackets.
+    A face that runs against the edge has its inside at larger angles about it, a face that runs along it at smaller
+    ones: together they open and close like brackets.
     """
     a, b = mesh.vertices[ends]
     along = (b - a) / np.linalg.norm(b - a)
@@ -101,12 +101,12 @@ def _around(mesh: trimesh.Trimesh, ends: np.ndarray, faces: np.ndarray, against:
 
 
 def _brackets(faces: np.ndarray, opens: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
-    """Faces in the order in which they open and close a solid, in pairs: of the same part, if there is such a pair.
+    """Pairs faces, in the order in which they open and close a solid, preferring pairs within the same part.
 
     Args:
-        faces: In that order.
-        opens: Which of them open.
-        part: The part of each face of the mesh; parts that meet become one.
+        faces: Faces in that order.
+        opens: Flags of the faces that open the solid.
+        part: The part of each face of the mesh; parts that meet are merged.
     """
     found, waiting = [], []
     for face, opening in zip(faces.tolist(), opens, strict=True):

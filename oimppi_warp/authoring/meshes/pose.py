@@ -1,4 +1,4 @@
-"""How a mesh comes to lie on the table."""
+"""Lays a mesh on the table in a stable pose."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ from oimppi_warp.geometry.footprint import rotation_matrix
 
 Lay = Literal["stable", "as-is"]
 
-_ALIKE = 0.9  # of the best pose's probability: as good
+_ALIKE = 0.9  # poses with at least this share of the best one's probability count as equally good
 
 
 def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
     """Lay a mesh on the table: its centre of mass above the origin, z = 0 at half its height.
 
-    In its most stable pose it rests where it would come to rest most often if it were dropped (trimesh, after Goldberg
-    et al., 1999); of poses that are alike the one that turns it least is taken. Its long sides are laid along the axes.
+    The most stable pose is the one in which it would most often come to rest if dropped (trimesh, after Goldberg et
+    al., 1999); among similar poses, the one that needs the smallest rotation is chosen. Long sides are aligned with the
+    axes.
 
     Args:
         mesh: A closed surface [m]; it is moved.
-        how: In its most stable pose, or with its z axis up as it is.
-        file: For errors.
+        how: In its most stable pose, or with its z axis up, as modelled.
+        file: Source file, for error messages.
 
     Returns:
-        What was done, in words.
+        A description of the operation.
 
     Raises:
-        SceneError: It cannot lie so.
+        SceneError: The mesh cannot rest in this pose.
     """
     done = "lies as it was modelled"
     if how == "stable":
@@ -59,7 +60,7 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
 
 
 def _most_stable(mesh: trimesh.Trimesh) -> tuple[float, np.ndarray]:
-    """The likeliest resting pose: its probability, and the least rotation that brings it about [4, 4]."""
+    """Returns the probability of the likeliest resting pose, and the smallest rotation that produces it [4, 4]."""
     poses, probabilities = compute_stable_poses(mesh, center_mass=moments(mesh).center, threshold=0.01)
     alike = [
         (pose[2, :3], probability)
@@ -73,7 +74,7 @@ def _most_stable(mesh: trimesh.Trimesh) -> tuple[float, np.ndarray]:
 
 
 def _along_axes(mesh: trimesh.Trimesh) -> np.ndarray:
-    """The least turn about z that lays the tightest rectangle around the mesh along the axes [4, 4]."""
+    """Returns the smallest rotation about z that aligns the mesh's tightest bounding rectangle with the axes [4, 4]."""
     rectangle = MultiPoint(mesh.vertices[:, :2]).minimum_rotated_rectangle
     a, b = np.asarray(shapely.get_coordinates(rectangle))[:2]
     angle = np.arctan2(b[1] - a[1], b[0] - a[0])
@@ -81,7 +82,7 @@ def _along_axes(mesh: trimesh.Trimesh) -> np.ndarray:
 
 
 def _is_stable(mesh: trimesh.Trimesh) -> bool:
-    """Whether the centre of mass is above the hull of what touches the table."""
+    """Returns whether the centre of mass lies above the hull of the points that touch the table."""
     low = mesh.vertices[mesh.vertices[:, 2] < mesh.bounds[0, 2] + 1e-4]
     hull = MultiPoint(low[:, :2]).convex_hull
     return hull.geom_type == "Polygon" and bool(shapely.contains_xy(hull, *moments(mesh).center[:2]))

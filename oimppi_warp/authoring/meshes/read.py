@@ -1,4 +1,4 @@
-"""A mesh file as one closed surface in metres: read, repaired, or refused with the reason."""
+"""Reads a mesh file as one closed surface in metres: repairs it, or refuses it and gives the reason."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from oimppi_warp.authoring.meshes.parts import cleaned
 from oimppi_warp.errors import ConfigError, SceneError
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
-"""Units that a mesh may be in [m]."""
+"""Units that a mesh may be in, in metres."""
 
 SIZES = (0.03, 0.5)
-"""Least and greatest length of an object's longest side [m]: the stick is 0.016 m wide, the arm reaches 0.7 m."""
+"""Range of the length of an object's longest side [m]: the stick is 0.016 m wide, the arm reaches 0.7 m."""
 
 PARTS = 20
-"""Separate parts that one object may have."""
+"""Maximum number of separate parts of one object."""
 
 FILLED = 0.15
-"""Largest share of its surface that may be missing from a mesh."""
+"""Largest share of the surface that may be missing from a mesh."""
 
 FACES = 200_000
-"""Most triangles that a mesh may have."""
+"""Maximum number of triangles of a mesh."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A closed surface.
+    """A closed surface read from a mesh file.
 
     Attributes:
-        mesh: It [m].
+        mesh: The triangle mesh [m].
         parts: Number of separate parts.
-        notes: What was done to the mesh, one line each.
+        notes: Changes made to the mesh, one line each.
     """
 
     mesh: trimesh.Trimesh
@@ -48,12 +48,12 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
     """Read a mesh, scale it to metres, and close it.
 
     Args:
-        file: The mesh; those of several parts are taken as one.
-        scale: The unit it is in, one of :data:`UNITS`; ``None``: metres.
+        file: The mesh; if it holds several meshes, they are merged.
+        scale: Its unit, one of :data:`UNITS`; ``None``: metres.
 
     Raises:
-        ConfigError: There is no such unit.
-        SceneError: It is no mesh, has no volume, is not of a size that the arm can push, falls into too many parts, or
+        ConfigError: The unit is unknown.
+        SceneError: The file is not a mesh, has no volume, is of a size that the arm cannot push, has too many parts, or
             is open and cannot be closed.
     """
     file = Path(file).expanduser()
@@ -82,7 +82,7 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
 
 
 def _read(file: Path) -> trimesh.Trimesh:
-    """The triangles of a file, whatever its units."""
+    """Returns the triangles of a file, in the file's own units."""
     formats = ", ".join(MESHES)
     if not file.is_file():
         raise SceneError("there is no such file", file=file, allowed=f"a mesh: {formats}")
@@ -91,7 +91,7 @@ def _read(file: Path) -> trimesh.Trimesh:
         raise SceneError(f"{file.suffix or 'no ending'}: not a mesh", file=file, allowed=formats, fix=fix)
     try:
         mesh = trimesh.load_scene(str(file)).to_mesh()
-    except Exception as error:  # readers of a dozen formats raise what they like
+    except Exception as error:  # readers of a dozen formats raise many kinds of exceptions
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise SceneError(f"not a mesh that can be read ({reason})", file=file, allowed=formats) from None
     if file.suffix.lower() in (".glb", ".gltf"):  # y is up in glTF
@@ -110,7 +110,7 @@ def _read(file: Path) -> trimesh.Trimesh:
 
 
 def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
-    """Refuse what the arm cannot push, and say which unit would fit."""
+    """Raises SceneError for a size that the arm cannot push, suggesting a unit that would fit."""
     low, high = SIZES
     longest = float(mesh.extents.max())
     in_meters = longest * UNITS[scale or "m"]
@@ -129,7 +129,7 @@ def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
 
 
 def _check_volume(file: Path, mesh: trimesh.Trimesh) -> None:
-    """Refuse a sheet: whatever its rim is closed with, it stays flat."""
+    """Raises SceneError for a flat sheet, which has no volume even after its rim is closed."""
     if len(mesh.faces) < 4 or mesh.bounding_box_oriented.primitive.extents.min() < 1e-4:
         raise _flat_error(file, "the mesh is flat")
 
@@ -140,7 +140,7 @@ def _flat_error(file: Path, what: str) -> SceneError:
 
 
 def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
-    """Close the surface; says what was done."""
+    """Closes the surface and returns a list of the changes made."""
     notes = []
     if not mesh.is_winding_consistent:
         trimesh.repair.fix_winding(mesh)
@@ -165,8 +165,8 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
 
 
 def _stitch(mesh: trimesh.Trimesh) -> None:
-    """Close the larger holes with fans of triangles."""
-    with suppress(ValueError):  # none of the rims goes all the way round: it stays open
+    """Closes the larger holes with fans of triangles."""
+    with suppress(ValueError):  # no rim forms a closed loop: the mesh stays open
         mesh.faces = np.vstack([mesh.faces, trimesh.repair.stitch(mesh)])
     trimesh.repair.fix_winding(mesh)
 
@@ -181,7 +181,7 @@ def _open_error(file: Path, what: str) -> SceneError:
 
 
 def _hole_count(mesh: trimesh.Trimesh) -> int:
-    """Number of holes: connected rims of edges that belong to one face only."""
+    """Returns the number of holes: connected rims of edges that belong to one face only."""
     lone = mesh.edges_sorted[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]
     return len(trimesh.graph.connected_components(lone, min_len=3))
 

@@ -1,4 +1,4 @@
-"""Objects made from meshes: convex pieces of any height, and the surface that is shown."""
+"""Objects made from meshes: convex pieces of any height, and the surface to display."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ from oimppi_warp.errors import SceneError
 STEEL: Color = (0.45, 0.47, 0.5)
 
 LOWEST = 0.008
-"""Least height of an object [m]: the tip of the stick is round, and has to touch its side."""
+"""Minimum height of an object [m]: the tip of the stick is round and must touch the object's side."""
 
 DISPLAY_FACES = 20_000
-"""A surface of more triangles is not kept; its convex pieces are shown instead."""
+"""A surface with more triangles is discarded, and its convex pieces are displayed instead."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshObject:
-    """An object from a mesh; its frame is above its centre of mass, seen from above, at half its height.
+    """An object made from a mesh; its frame is vertically above the centre of mass, at half the object's height.
 
     Attributes:
-        name: Its name, and that of its file.
-        about: Its size, and where it is from.
-        hulls: Its convex pieces in its frame: corners [n, 3] [m] and triangles [m, 3] each.
-        surface: What is shown of it, as the pieces are given; empty: the pieces.
-        mass: [kg].
+        name: Name of the object and of its file.
+        about: Its size and origin.
+        hulls: Convex pieces in the object's frame: corners [n, 3] [m] and triangles [m, 3] each.
+        surface: Display surface in the same form; empty: the pieces are displayed.
+        mass: Mass [kg].
         friction: Coulomb coefficient with the table.
         center: Centre of mass, shape [3] [m].
         inertia: About the centre of mass, shape [3, 3] [kg m^2].
-        fit: How far the pieces are from the mesh.
-        notes: What was done to the mesh, one line each.
+        fit: How closely the pieces match the mesh.
+        notes: Changes made to the mesh, one line each.
         color: Red, green and blue.
     """
 
@@ -66,32 +66,32 @@ class MeshObject:
 
     @property
     def doc(self) -> str:
-        """What it is."""
+        """Description of the object."""
         return f"{self.name}: {self.about}"
 
     @property
     def prim(self) -> str:
-        """Name of its prim."""
+        """Name of the object's prim."""
         title = "".join(part.title() for part in self.name.split("_"))
         return title if title[0].isalpha() else f"Object{title}"
 
     @property
     def rest_height(self) -> float:
-        """Height of its frame when it lies on the table [m]."""
+        """Height of the object's frame when it lies on the table [m]."""
         return round(-min(float(corners[:, 2].min()) for corners, _ in self.hulls), 6)
 
     @property
     def yaw_matters(self) -> bool:
-        """Whether its yaw can be seen."""
+        """True if the object's yaw is visible."""
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write what is shown of it below ``root``."""
+        """Write the object's display geometry below ``root``."""
         for number, (corners, triangles) in enumerate(self.surface or self.hulls):
             mesh(stage, f"{root}/surface{number}", corners, triangles.tolist(), look)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object's file; ``note`` is what its documentation says beyond what it is."""
+        """Write the object's file, with ``note`` appended to its documentation."""
         stage = new_stage(file, self.prim, ". ".join(filter(None, (self.doc, *self.notes, note))))
         root = stage.GetDefaultPrim()
         material = physics_material(stage, f"/{self.prim}/Material", self.friction)
@@ -115,20 +115,20 @@ def import_mesh(
     lay: Lay = "stable",
     color: Color = STEEL,
 ) -> MeshObject:
-    """An object from a mesh: closed, laid on the table, cut into convex pieces.
+    """Import a mesh as an object: close it, lay it on the table and cut it into convex pieces.
 
     Args:
-        file: STL, OBJ, GLB, PLY or OFF; all that is in it is one object.
-        name: Name of the object; ``None``: that of the file.
-        mass: [kg]; ``None``: what wood of its volume weighs.
+        file: STL, OBJ, GLB, PLY or OFF; its whole content becomes one object.
+        name: Name of the object; ``None``: the file's name.
+        mass: Mass [kg]; ``None``: that of wood of the same volume.
         friction: Coulomb coefficient with the table.
         scale: Unit of the mesh: mm, cm, m or inch; ``None``: metres.
-        lay: In its most stable pose, or with its z axis up as it was modelled.
+        lay: In its most stable pose, or with its z axis up, as modelled.
         color: Red, green and blue.
 
     Raises:
-        ConfigError: A number or unit cannot be used.
-        SceneError: The mesh cannot be an object; the message says why, and what to do.
+        ConfigError: A number or unit is invalid.
+        SceneError: The mesh cannot be used as an object; the message gives the reason and the remedy.
     """
     file = Path(file).expanduser()
     friction = checked_friction(friction)
@@ -165,10 +165,10 @@ def import_mesh(
 
 
 def plain_name(text: str) -> str:
-    """Text as the name of a file and of a prim: letters, digits and underscores.
+    """Converts text to a name for a file and a prim: letters, digits and underscores.
 
     Raises:
-        SceneError: Nothing is left of it.
+        SceneError: No characters are left.
     """
     name = "_".join(part for part in "".join(c if c.isascii() and c.isalnum() else " " for c in text).split()).lower()
     if not name:

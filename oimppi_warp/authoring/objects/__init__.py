@@ -1,1 +1,1 @@
-"""Objects to be pushed: flat shapes, letters and words, and meshes made fit for it."""
+"""Objects to be pushed: flat shapes, letters and words, and imported meshes."""

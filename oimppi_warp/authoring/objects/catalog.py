@@ -1,4 +1,4 @@
-"""The objects of the shipped scenes, by their names."""
+"""The objects of the shipped scenes, by name."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Flat objects made of convex pieces: boxes, discs and prisms, all of one height, drawn on the table.
+"""Flat objects made of convex pieces of equal height: boxes, discs and prisms, drawn in the plane of the table.
 
-The frame of an object lies at half its height; in the plane it is the one that the tasks give their poses in.
+An object's frame lies at half its height; in the plane it is the frame in which tasks give its poses.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ class Box:
     size: Point
 
     def polygon(self) -> np.ndarray:
-        """Its corners, counter-clockwise."""
+        """Returns the corners, counter-clockwise."""
         half = np.array(self.size) / 2
         return np.array(self.center) + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 @dataclass(frozen=True)
 class Disc:
-    """A disc about the object's origin [m]."""
+    """A disc centred at the object's origin [m]."""
 
     radius: float
 
 
 class Pushable(Protocol):
-    """What a task can be written with: an object that has a file of its own.
+    """An object that a task can be written with; it has its own file.
 
     Attributes:
-        name: Name of its file.
-        doc: What it is.
-        friction: Coulomb coefficient with the table; 0: the table's own.
-        color: It is drawn in.
+        name: Name of the object's file.
+        doc: Description.
+        friction: Coulomb coefficient with the table; 0: the table's own value is used.
+        color: Display colour.
     """
 
     @property
@@ -67,16 +67,16 @@ class Pushable(Protocol):
     def color(self) -> Color: ...  # noqa: D102
     @property
     def rest_height(self) -> float:
-        """Height of its frame when it lies on the table [m]."""
+        """Height of the object's frame when it lies on the table [m]."""
         ...
 
     @property
     def yaw_matters(self) -> bool:
-        """Whether its yaw can be seen."""
+        """True if the object's yaw is visible."""
         ...
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write its shape below ``root``."""
+        """Write the object's shape below ``root``."""
 
     def write(self, file: Path, *, note: str = "") -> None:
         """Write the object's file."""
@@ -84,15 +84,15 @@ class Pushable(Protocol):
 
 @dataclass(frozen=True)
 class FlatObject:
-    """A flat object: convex pieces that do not overlap, all of one height.
+    """A flat object: convex pieces of equal height that do not overlap.
 
     Attributes:
-        name: Name of its file.
-        prim: Name of its prim.
-        doc: What it is.
-        pieces: A box, a disc, or a convex polygon (counter-clockwise, [n, 2]) each.
-        height: [m].
-        mass: [kg].
+        name: Name of the object's file.
+        prim: Name of the object's prim.
+        doc: Description.
+        pieces: Each a box, a disc, or a convex polygon (counter-clockwise, [n, 2]).
+        height: Height [m].
+        mass: Mass [kg].
         friction: Coulomb coefficient with the table.
         color: Linear RGB.
     """
@@ -108,12 +108,12 @@ class FlatObject:
 
     @property
     def rest_height(self) -> float:
-        """Height of its frame when it lies on the table [m]."""
+        """Height of the object's frame when it lies on the table [m]."""
         return self.height / 2
 
     @property
     def yaw_matters(self) -> bool:
-        """Whether its yaw can be seen: a disc's cannot."""
+        """True if the object's yaw is visible, which a disc's is not."""
         return not all(isinstance(piece, Disc) for piece in self.pieces)
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
@@ -128,7 +128,7 @@ class FlatObject:
                 prism(stage, path, piece, self.height, look)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object's file; ``note`` is what its documentation says beyond what it is."""
+        """Write the object's file, with ``note`` appended to its documentation."""
         stage = new_stage(file, self.prim, ". ".join(filter(None, (self.doc, note))))
         root = stage.GetDefaultPrim()
         material = physics_material(stage, f"/{self.prim}/Material", self.friction)
@@ -139,7 +139,7 @@ class FlatObject:
         stage.Save()
 
     def center_and_inertia(self) -> tuple[tuple[float, float, float], np.ndarray]:
-        """Centre of mass [m] and inertia about it [kg m^2] at uniform density."""
+        """Returns the centre of mass [m] and the inertia about it [kg m^2] at uniform density."""
         parts = [_moments(piece) for piece in self.pieces]
         area = sum(part[0] for part in parts)
         first = np.sum([part[1] for part in parts], axis=0) / area
@@ -150,7 +150,7 @@ class FlatObject:
 
 
 def _moments(piece: Box | Disc | np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Area, first and second moments about the origin."""
+    """Returns area, first and second moments about the origin."""
     if isinstance(piece, Disc):
         area = np.pi * piece.radius**2
         return area, np.zeros(2), area * piece.radius**2 / 4 * np.eye(2)
@@ -164,12 +164,12 @@ def _moments(piece: Box | Disc | np.ndarray) -> tuple[float, np.ndarray, np.ndar
 
 
 def stroke(points: list[Point], width: float, chamfer: float, closed: bool = False) -> list[np.ndarray]:
-    """A line drawn with a broad pen: one convex piece a segment, mitred at the bends, their outer corners cut off.
+    """Traces a line with a broad pen: one convex piece per segment, mitred at the bends, with outer corners cut off.
 
     Args:
-        points: The pen's way [m].
-        width: Of the pen [m].
-        chamfer: How much is cut off along either side of an outer corner [m].
+        points: The pen's path [m].
+        width: Width of the pen [m].
+        chamfer: Length cut off along either side of an outer corner [m].
         closed: Whether the last point is joined to the first.
     """
     p = np.array(points)

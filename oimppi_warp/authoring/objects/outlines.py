@@ -1,4 +1,4 @@
-"""Objects of plain shape: boxes, cylinders, and whatever a flat outline covers."""
+"""Objects of simple shape: boxes, cylinders, prisms, and extrusions of any flat outline."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from oimppi_warp.authoring.prims import Color
 from oimppi_warp.errors import ConfigError
 
 DENSITY = 650.0
-"""Of an object whose mass is not given [kg/m^3]: that of the shipped ones, which are of wood."""
+"""Density of an object whose mass is not given [kg/m^3]: that of the shipped objects, which are of wood."""
 
 FRICTION = 0.4
-"""Of an object with the table, if it is not given."""
+"""Default Coulomb coefficient of an object with the table."""
 
 SIDES = (0.01, 0.6)
-"""Least and greatest side length of an object [m]."""
+"""Smallest and largest side length of an object [m]."""
 
 SIDES_OF_PRISM = (3, 24)
-"""Least and greatest number of sides of a prism; a rounder one is a cylinder."""
+"""Smallest and largest number of sides of a prism; use a cylinder for a rounder shape."""
 
 WOOD: Color = (0.72, 0.45, 0.2)
 
@@ -32,10 +32,10 @@ WOOD: Color = (0.72, 0.45, 0.2)
 def box(
     length: float, width: float, height: float, *, mass: float | None = None, friction: float = FRICTION
 ) -> FlatObject:
-    """A box with its side lengths along x, y and z [m].
+    """Create a box with these side lengths along x, y and z [m].
 
     Raises:
-        ConfigError: A length, the mass or the friction cannot be used.
+        ConfigError: A length, the mass or the friction is invalid.
     """
     sides = checked_sides("box", length, width, height)
     doc = f"A box of {length:g} x {width:g} x {height:g} m"
@@ -45,10 +45,10 @@ def box(
 
 
 def cylinder(radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION) -> FlatObject:
-    """An upright cylinder [m].
+    """Create an upright cylinder; lengths in [m].
 
     Raises:
-        ConfigError: A length, the mass or the friction cannot be used.
+        ConfigError: A length, the mass or the friction is invalid.
     """
     checked_sides("cylinder", 2.0 * radius, height)
     doc = f"A cylinder of {radius:g} m radius, {height:g} m high"
@@ -60,17 +60,17 @@ def cylinder(radius: float, height: float, *, mass: float | None = None, frictio
 def regular_prism(
     sides: float, radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION
 ) -> FlatObject:
-    """An upright prism over a regular polygon, one of its sides facing -y.
+    """Create an upright prism over a regular polygon, with one of its sides facing -y.
 
     Args:
         sides: Number of the polygon's sides.
-        radius: From its centre to its corners [m].
-        height: [m].
-        mass: [kg]; ``None``: what wood weighs.
-        friction: With the table.
+        radius: Distance from the polygon's centre to its corners [m].
+        height: Height [m].
+        mass: Mass [kg]; ``None``: computed from the density of wood.
+        friction: Coulomb coefficient with the table.
 
     Raises:
-        ConfigError: A number, the mass or the friction cannot be used.
+        ConfigError: A number, the mass or the friction is invalid.
     """
     if sides not in range(SIDES_OF_PRISM[0], SIDES_OF_PRISM[1] + 1):
         few, many = SIDES_OF_PRISM
@@ -94,18 +94,18 @@ def extrusion(
     friction: float = FRICTION,
     color: Color = WOOD,
 ) -> FlatObject:
-    """What an outline covers, hollow or not, with a thickness.
+    """Extrude an outline, which may have holes, to a given thickness.
 
     Args:
-        name, prim, doc: Name of its file, name of its prim, and what it is.
-        outline: Polygons, seen from above; their origin is the object's [m].
+        name, prim, doc: Name of the object's file, name of its prim, and description.
+        outline: Polygons, seen from above, about the object's origin [m].
         height: Thickness [m].
-        mass: [kg]; ``None``: what wood weighs.
-        friction: With the table.
+        mass: Mass [kg]; ``None``: computed from the density of wood.
+        friction: Coulomb coefficient with the table.
         color: Red, green and blue.
 
     Raises:
-        ConfigError: A length, the mass or the friction cannot be used.
+        ConfigError: A length, the mass or the friction is invalid.
     """
     x0, y0, x1, y1 = outline.bounds
     checked_sides(doc, x1 - x0, y1 - y0, height)
@@ -114,10 +114,10 @@ def extrusion(
 
 
 def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
-    """Lengths that are neither too small for the tool nor too large for the arm.
+    """Check that lengths are neither too small for the tool nor too large for the arm, and return them.
 
     Raises:
-        ConfigError: One is.
+        ConfigError: A length is out of range.
     """
     low, high = SIDES
     for length in lengths:
@@ -127,10 +127,10 @@ def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
 
 
 def checked_mass(mass: float | None, volume: float) -> float:
-    """A mass [kg]; one that is not given is that of wood of this volume [m^3].
+    """Return a valid mass [kg], by default that of wood of this volume [m^3].
 
     Raises:
-        ConfigError: It cannot be used.
+        ConfigError: The mass is invalid.
     """
     if mass is None:
         return max(round(DENSITY * volume, 2), 0.01)
@@ -140,10 +140,10 @@ def checked_mass(mass: float | None, volume: float) -> float:
 
 
 def checked_friction(friction: float) -> float:
-    """A Coulomb coefficient.
+    """Check a Coulomb coefficient and return it.
 
     Raises:
-        ConfigError: It cannot be used.
+        ConfigError: The coefficient is invalid.
     """
     if not (math.isfinite(friction) and 0.0 < friction <= 2.0):
         raise ConfigError(f"--friction {friction:g}: cannot be used\n  allowed: more than 0, up to 2")
@@ -151,5 +151,5 @@ def checked_friction(friction: float) -> float:
 
 
 def _named(word: str, lengths: tuple[float, ...]) -> str:
-    """A file's name that says the sizes in millimetres."""
+    """Returns a file name that includes the sizes in millimetres."""
     return "_".join([word, *(f"{1000 * length:.4g}".replace(".", "p") for length in lengths)])

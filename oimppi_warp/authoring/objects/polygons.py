@@ -1,4 +1,4 @@
-"""Any flat shape as convex pieces that do not overlap, as colliders have to be."""
+"""Decomposes a flat shape into convex pieces that do not overlap, as required for colliders."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 GRID = 1e-5
-"""Distance of the points that corners are rounded to [m]."""
+"""Spacing of the grid that corners are rounded to [m]."""
 
 LEAST_AREA = 1e-8
-"""Pieces that are smaller are dust of the arithmetic [m^2]."""
+"""Smaller pieces are rounding artefacts and are dropped [m^2]."""
 
 
 def convex_pieces(shape: BaseGeometry) -> tuple[np.ndarray, ...]:
     """Cut a shape into convex pieces.
 
-    It is triangulated (constrained Delaunay), and neighbours whose union is convex are joined again, those with the
-    longest common edge first (Hertel and Mehlhorn, 1983: at most four times as many pieces as there need be).
+    It is triangulated (constrained Delaunay), and neighbours whose union is convex are merged again, those with the
+    longest common edge first (Hertel and Mehlhorn, 1983: at most four times the minimum number of pieces).
 
     Args:
-        shape: A polygon or several, holes included [m].
+        shape: One or more polygons, which may have holes [m].
 
     Returns:
-        Convex polygons, counter-clockwise, shape [n, 2] each [m]; from left to right.
+        Convex polygons, counter-clockwise, shape [n, 2] each [m]; ordered from left to right.
     """
     clean = shapely.set_precision(shape, GRID)
     triangles = [cast(Polygon, part) for part in shapely.constrained_delaunay_triangles(clean).geoms]
@@ -39,7 +39,7 @@ def convex_pieces(shape: BaseGeometry) -> tuple[np.ndarray, ...]:
 
 
 def _join(parts: Iterable[Polygon]) -> list[Polygon]:
-    """Join convex neighbours while their union is convex."""
+    """Merges neighbours as long as their union is convex."""
     alive = dict(enumerate(parts))
     edges = {(i, j): _common(alive[i], alive[j]) for i, j in combinations(alive, 2)}
     edges = {pair: length for pair, length in edges.items() if length > GRID}
@@ -59,11 +59,11 @@ def _join(parts: Iterable[Polygon]) -> list[Polygon]:
 
 
 def _common(a: Polygon, b: Polygon) -> float:
-    """Length of the edge that two polygons share [m]."""
+    """Returns the length of the edge that two polygons share [m]."""
     return shapely.length(shapely.intersection(a.exterior, b.exterior)) if a.intersects(b) else 0.0
 
 
 def _corners(piece: Polygon) -> np.ndarray:
-    """A convex polygon's corners, counter-clockwise; those on a straight edge are left out."""
+    """Returns a convex polygon's corners, counter-clockwise, without those that lie on a straight edge."""
     hull = cast(Polygon, piece.convex_hull.simplify(GRID / 2))
     return np.round(np.asarray(orient(hull).exterior.coords)[:-1], 6)

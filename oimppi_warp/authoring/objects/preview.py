@@ -1,4 +1,4 @@
-"""A picture of an object from above and from the side: what the planner takes it for."""
+"""Draws an object from above and from the side, as the planner sees it."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from oimppi_warp.record.log import write_atomically
 from oimppi_warp.scene import PushedObject
 
 STICK = 0.008
-"""Radius of the shipped arm's stick [m], for scale."""
+"""Radius of the shipped arm's stick [m], drawn for scale."""
 
 
 def draw_preview(obj: Pushable, body: PushedObject, file: str | Path) -> Path:
-    """Draw an object: its convex pieces, footprint, friction centre and limit surface.
+    """Draw an object's convex pieces, footprint, friction centre and limit surface.
 
     Args:
         obj: The object.
-        body: It, as the planner takes it.
-        file: The PNG.
+        body: The planner's model of the object.
+        file: The PNG file to write.
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.4, 3.4), layout="constrained")
@@ -45,7 +45,7 @@ def draw_preview(obj: Pushable, body: PushedObject, file: str | Path) -> Path:
 
 
 def _draw_above(axes: Axes, obj: Pushable, body: PushedObject) -> None:
-    """The pieces seen from above, over the mesh's own shadow; the stick for scale."""
+    """Draws the pieces seen from above over the mesh's own outline, with the stick for scale."""
     if isinstance(obj, MeshObject):
         for corners, triangles in obj.surface:
             projection = vertical_projection(corners, triangles)
@@ -67,7 +67,7 @@ def _draw_above(axes: Axes, obj: Pushable, body: PushedObject) -> None:
 
 
 def _draw_side(axes: Axes, body: PushedObject) -> None:
-    """The pieces seen along y, standing on the table, and the centre of mass."""
+    """Draws the pieces seen along y, standing on the table, and the centre of mass."""
     for collider in body.colliders:
         points, radius = core_points(collider)
         flat = np.column_stack([points[:, 0], points[:, 2] + body.rest_height])
@@ -83,7 +83,7 @@ def _draw_side(axes: Axes, body: PushedObject) -> None:
 
 
 def _draw_limit_surface(axes: Axes, body: PushedObject) -> None:
-    """The ellipsoid of friction, cut along one force and the torque."""
+    """Draws the friction ellipsoid, cut along one force and the torque."""
     surface = limit_surface(body)
     torque = 1000.0 * surface.radius * surface.force
     axes.add_patch(Ellipse((0.0, 0.0), 2 * surface.force, 2 * torque, fc=(*to_rgb(GOAL), 0.10), ec=GOAL, lw=1.4))

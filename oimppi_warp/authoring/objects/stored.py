@@ -1,4 +1,4 @@
-"""Objects that a USD file holds already: of one's own making, or imported before."""
+"""Objects stored in USD files, made by the user or imported earlier."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from oimppi_warp.usd.stage import SceneStage
 GREY: Color = (0.45, 0.47, 0.5)
 
 ENDINGS = (".usda", ".usd", ".usdc", ".usdz")
-"""Of USD files."""
+"""File name extensions of USD files."""
 
 _ROLES = ("OimppiObjectAPI", "PhysicsRigidBodyAPI")
-"""What the scene makes of an object, which may stand fast in another."""
+"""API schemas that a scene applies to an object; the same object may be a static obstacle in another scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +34,13 @@ class StoredObject:
     """An object in a USD file.
 
     Attributes:
-        file: The file.
-        name: Name of its file where it is written to.
-        doc: What it is.
-        colliders: Its shapes in its frame.
-        friction: Coulomb coefficient of its materials, the largest; 0 without one: the table's own counts.
-        mass: Mass that is given for it [kg]; ``None``: that of its file.
-        color: Its ghost at the goal is drawn in.
+        file: The USD file.
+        name: Name of the file that the object is written to.
+        doc: Description.
+        colliders: The object's collision shapes in its frame.
+        friction: Largest Coulomb coefficient of its materials; 0 without a material: the table's own value is used.
+        mass: Mass assigned to the object [kg]; ``None``: the mass in its file.
+        color: Colour of its ghost at the goal.
     """
 
     file: Path
@@ -53,29 +53,29 @@ class StoredObject:
 
     @property
     def rest_height(self) -> float:
-        """Height of its frame when it lies on the table [m]."""
+        """Height of the object's frame when it lies on the table [m]."""
         return round(-float(height_range(self.colliders)[0]), 6)
 
     @property
     def yaw_matters(self) -> bool:
-        """Whether its yaw can be seen."""
+        """True if the object's yaw is visible."""
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the hulls of its shapes below ``root``."""
+        """Write the hulls of the object's shapes below ``root``."""
         for number, collider in enumerate(self.colliders):
             hull = collider_mesh(collider)
             mesh(stage, f"{root}/piece{number}", np.asarray(hull.vertices), hull.faces.tolist(), look)
 
     @property
     def is_ready(self) -> bool:
-        """True if a scene may refer to its file as it is: in SI units, z up, weighed, and not moved."""
+        """True if a scene can reference the file as it is: in SI units, z up, with a mass and without a transform."""
         stage = SceneStage(self.file)
         root = stage.stage.GetDefaultPrim()
         return stage.stage.GetSessionLayer().empty and _gives_mass(root) and not _operations(root)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object as it is read, in one file that says already what it is; its textures go beside it."""
+        """Write the object as read, in one file that already has its documentation; its textures go beside it."""
         opened = _open(self.file)
         _set_mass(opened, self.mass)
         flat = opened.stage.Flatten(addSourceFileComment=False)
@@ -89,17 +89,17 @@ class StoredObject:
 
 
 def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
-    """An object in a USD file: its default prim, with a mass and convex colliders.
+    """Read an object from a USD file: its default prim, with a mass and convex colliders.
 
-    Where its file gives no mass, it is the one asked for, or else that of its shapes by their density.
+    If the file gives no mass, the given one is used, or else one computed from the densities of its shapes.
 
     Args:
         file: The file.
-        mass: Mass of an object whose file gives none [kg].
+        mass: Mass to use if the file gives none [kg].
 
     Raises:
-        ConfigError: The mass cannot be used.
-        SceneError: It is none.
+        ConfigError: The mass is invalid.
+        SceneError: The file does not hold a valid object.
     """
     stage = _open(Path(file).expanduser().resolve())
     root = stage.stage.GetDefaultPrim()
@@ -124,10 +124,10 @@ def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
 
 
 def read_body(file: Path) -> PushedObject:
-    """The object in a USD file as the planner takes it, its friction that of its own material.
+    """Read the planner's model of the object in a USD file, with the friction of its own material.
 
     Raises:
-        SceneError: It is none.
+        SceneError: The file does not hold a valid object.
     """
     obj, stage = read_object(file), _open(file.resolve())
     root = stage.stage.GetDefaultPrim()
@@ -146,15 +146,15 @@ def read_body(file: Path) -> PushedObject:
 
 
 def is_object_file(file: Path) -> bool:
-    """Whether a file's name is that of a USD file."""
+    """Return whether a file's name has the extension of a USD file."""
     return file.suffix in ENDINGS
 
 
 def _open(file: Path) -> SceneStage:
-    """The stage of an object's file, its default prim stood upright as an object of a scene is.
+    """Opens an object's file, with its default prim turned upright as in a scene.
 
     Raises:
-        SceneError: It has no default prim, or is a whole scene.
+        SceneError: It has no default prim, or is a complete scene.
     """
     stage = SceneStage(file)
     root = stage.stage.GetDefaultPrim()
@@ -175,17 +175,17 @@ def _gives_mass(root: Usd.Prim) -> bool:
 
 
 def _set_mass(stage: SceneStage, mass: float | None) -> bool:
-    """Gives a body without a mass the one asked for, or else that of its shapes by their density.
+    """Gives a body without a mass the requested one, or else one computed from the densities of its shapes.
 
     Args:
-        stage: The body is its default prim.
-        mass: The mass asked for [kg].
+        stage: A stage whose default prim is the body.
+        mass: The requested mass [kg].
 
     Returns:
-        Whether the mass asked for was needed.
+        Whether the requested mass was needed.
 
     Raises:
-        SceneError: There is neither.
+        SceneError: The body has neither a mass nor densities, and no mass was requested.
     """
     root = stage.stage.GetDefaultPrim()
     if _gives_mass(root):
@@ -206,9 +206,9 @@ def _set_mass(stage: SceneStage, mass: float | None) -> bool:
 
 
 def _density(prim: Usd.Prim, root: Usd.Prim) -> float:
-    """Density that a body's file gives for one of its shapes [kg/m^3]; 0 where it gives none.
+    """Returns the density given in a body's file for one of its shapes [kg/m^3], or 0 if there is none.
 
-    As UsdPhysics has it, a shape's own counts before that of what it is part of, and that before its material's.
+    As in UsdPhysics, a shape's own density takes precedence over that of its ancestors, and that over its material's.
     """
     for place in prim.GetPath().GetAncestorsRange():
         if place.HasPrefix(root.GetPath()):
@@ -222,7 +222,7 @@ def _density(prim: Usd.Prim, root: Usd.Prim) -> float:
 
 
 def _volume(collider: Collider) -> float:
-    """Volume of a shape [m^3]."""
+    """Returns the volume of a shape [m^3]."""
     if collider.kind == "mesh":
         return float(solid(collider).volume)
     if collider.kind == "box":
@@ -233,5 +233,5 @@ def _volume(collider: Collider) -> float:
 
 
 def _operations(prim: Usd.Prim) -> list[str]:
-    """Names of what moves a prim in its file: a scene says itself where an object stands."""
+    """Returns the names of a prim's transform operations in its file; a scene positions objects itself."""
     return [name for name in prim.GetAuthoredPropertyNames() if name.startswith("xformOp")]

@@ -1,1 +1,1 @@
-"""Robots as data, written as USD, and made from a URDF or from a USD articulation."""
+"""Robots as data: written as USD, and imported from a URDF or a USD articulation."""

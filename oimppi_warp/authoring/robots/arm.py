@@ -1,6 +1,6 @@
-"""A robot as data: a chain of links and joints with a stick at its end.
+"""A robot described as data: a chain of links and joints with a stick at its end.
 
-Metres, radians, kilograms; joints turn about or slide along their local +z.
+Units are metres, radians and kilograms; joints turn about or slide along their local +z.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from oimppi_warp.geometry.footprint import transform_points
 from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot
 
 NOT_TURNED = (0.0, 0.0, 0.0, 1.0)
-"""The quaternion of no rotation."""
+"""The identity quaternion."""
 
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """Something that is only looked at.
+    """Geometry used for display only.
 
     Attributes:
-        shape: In the link's frame; its path is the name of its prim.
+        shape: Shape in the link's frame; its path is the name of its prim.
         color: Linear RGB.
-        faces: Corners of each face, where the shape is a mesh.
+        faces: Corners of each face, if the shape is a mesh.
     """
 
     shape: Collider
@@ -38,11 +38,11 @@ class ArmLink:
     """A rigid link.
 
     Attributes:
-        mass: [kg].
+        mass: Mass [kg].
         center: Centre of mass in the link's frame [m].
-        inertia: About it, in the link's axes, shape [3, 3] [kg m^2].
+        inertia: Inertia about the centre of mass, in the link's axes, shape [3, 3] [kg m^2].
         colliders: Shapes in the link's frame; a collider's path is the name of its prim.
-        visuals: What it looks like; nothing: as it collides, or as a skin has it.
+        visuals: Display geometry; if empty, the colliders or a separate skin file are displayed.
     """
 
     mass: float
@@ -54,14 +54,14 @@ class ArmLink:
 
 @dataclass(frozen=True)
 class ArmJoint:
-    """A joint: its frame in the frame of the link before it, and what it can do.
+    """A joint: its frame in the parent link's frame, and its limits.
 
     Attributes:
-        position: [m].
-        turn: Quaternion xyzw.
-        lower, upper: Position limits [rad; m where it slides].
-        effort: [N m; N].
-        velocity: [rad/s; m/s].
+        position: Origin of the joint frame [m].
+        turn: Orientation, as a quaternion xyzw.
+        lower, upper: Position limits [rad; m for a sliding joint].
+        effort: Effort limit [N m; N].
+        velocity: Velocity limit [rad/s; m/s].
         kind: Whether it turns or slides.
     """
 
@@ -76,13 +76,13 @@ class ArmJoint:
 
 @dataclass(frozen=True)
 class Stick:
-    """The tool: a round stick that points along z of the frame that it is mounted in.
+    """The tool: a round stick that points along z of its mounting frame.
 
     Attributes:
-        length, radius: [m].
-        mass: [kg].
-        position: Where it begins, in the last link's frame [m].
-        turn: Quaternion xyzw.
+        length, radius: Length and radius [m].
+        mass: Mass [kg].
+        position: Position of its base in the last link's frame [m].
+        turn: Orientation, as a quaternion xyzw.
     """
 
     length: float
@@ -93,7 +93,7 @@ class Stick:
 
     @property
     def mount(self) -> np.ndarray:
-        """Where it begins, in the last link's frame, shape [7]."""
+        """Pose of the stick's base in the last link's frame, shape [7]."""
         return np.array([*self.position, *self.turn])
 
 
@@ -103,13 +103,13 @@ class Arm:
 
     Attributes:
         name: Name of its root prim.
-        doc: What it is.
-        base: The link that stands fast at the world's origin.
+        doc: Description.
+        base: The link fixed at the world's origin.
         joints: From base to flange.
-        links: The link that each joint moves.
+        links: The link moved by each joint.
         stick: The tool.
         start: Joint positions at the start of an episode.
-        look: How its colliders show; as they are drawn by a skin, not at all.
+        look: Display style of the colliders; hidden by default, as a skin is drawn instead.
     """
 
     name: str
@@ -122,7 +122,7 @@ class Arm:
     look: Look = COLLIDER
 
     def robot(self) -> Robot:
-        """The same as planners know it."""
+        """Convert to the planner's representation."""
         root = f"/{self.name}"
         tip = transform_points(self.stick.mount, np.array([0.0, 0.0, self.stick.length]))[0]
         return Robot(
@@ -152,6 +152,6 @@ class Arm:
 
 
 def capsule_between(name: str, a: Vector, b: Vector, radius: float) -> Collider:
-    """A capsule by the ends of its axis [m]."""
+    """Create a capsule from the two ends of its axis [m]."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     return Collider(name, "capsule", np.array([*(a + b) / 2, *z_to(b - a)]), (radius, float(np.linalg.norm(b - a)) / 2))

@@ -1,4 +1,4 @@
-"""A robot written as a USD articulation, and what it looks like as a layer beside it."""
+"""Writes a robot as a USD articulation, and its display geometry as a layer beside it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def write(arm: Arm, file: Path, *, skin: str = "") -> None:
     Args:
         arm: The robot.
         file: The USD file.
-        skin: Name of a file beside it with what the robot looks like; none: its colliders are drawn.
+        skin: Name of a file beside it with the display geometry; empty: the colliders are drawn.
     """
     stage = new_stage(file, arm.name, arm.doc)
     root = stage.GetDefaultPrim()
@@ -69,7 +69,7 @@ def write(arm: Arm, file: Path, *, skin: str = "") -> None:
 
 
 def write_visuals(arm: Arm, file: Path) -> bool:
-    """Write what the links look like as a layer of its own, the skin of :func:`write`; whether there is anything."""
+    """Write the links' display geometry as a separate layer, the skin of :func:`write`; return whether there is any."""
     links = dict(zip(_link_names(arm), (arm.base, *arm.links), strict=True))
     if not any(link.visuals for link in links.values()):
         return False
@@ -177,14 +177,14 @@ def _fixed(stage: Usd.Stage, root: str, name: str, parent: str | None, child: st
 
 
 def _write_collision_group(stage: Usd.Stage, root: str) -> None:
-    """The robot does not collide with itself: its shapes overlap at the joints."""
+    """Excludes collisions of the robot with itself, as its shapes overlap at the joints."""
     group = UsdPhysics.CollisionGroup.Define(stage, f"/{root}/ArmCollisions")
     group.GetCollidersCollectionAPI().CreateIncludesRel().SetTargets([f"/{root}"])
     group.CreateFilteredGroupsRel().SetTargets([group.GetPath()])
 
 
 def _pose_links(stage: Usd.Stage, arm: Arm) -> None:
-    """Write the poses of the links at the start, and the start itself."""
+    """Writes the poses of the links at the start, and the start positions themselves."""
     rotations, positions = link_frames(arm.robot(), np.array(arm.start))
     turn = rotation_matrix(arm.stick.mount[3:])
     frames = [(np.eye(3), np.zeros(3)), *zip(rotations, positions, strict=True)]

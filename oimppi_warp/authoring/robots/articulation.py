@@ -1,4 +1,4 @@
-"""A chain in Newton's builder as an arm: what is fixed together made one link, frames turned to the joints' axes."""
+"""Converts a chain in Newton's builder to an arm, merging fixed links and aligning frames with the joint axes."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 ToolAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 GREY = (0.7, 0.71, 0.73)
 BASE_MASS = 1.0
-"""Mass of a base that has none: it stands fast, and no matter [kg]."""
+"""Mass given to a base that has none; the base is fixed, so the value has no effect [kg]."""
 
 
 class Articulation:
     """Links and joints in a Newton builder, looked up by their names.
 
     Args:
-        builder: What an importer of Newton's filled.
-        bodies, joints: Indices of links and joints by their names.
-        file: Where they come from, for errors.
-        base: Frame of the base in the world, 4 x 4; ``None``: there is nothing between.
+        builder: A builder filled by one of Newton's importers.
+        bodies, joints: Indices of links and joints by name.
+        file: Source file, for errors.
+        base: Frame of the base in the world, 4 x 4; ``None``: identity.
     """
 
     def __init__(
@@ -53,20 +53,20 @@ class Articulation:
         self._names = {index: name for name, index in bodies.items()}
 
     def arm(self, chain: Chain, *, name: str, doc: str, length: float, radius: float, axis: ToolAxis) -> Arm:
-        """The arm that a chain makes, its start still all zeros (see :func:`.start.with_start`).
+        """Build the arm for a chain, with a start of all zeros (see :func:`.start.with_start`).
 
         Args:
-            chain: Which links and joints.
+            chain: Selects links and joints.
             name: Name of its root prim.
-            doc: What it is.
-            length, radius: Of the stick [m].
+            doc: Description.
+            length, radius: Dimensions of the stick [m].
             axis: Axis of the flange that the stick points along.
 
         Raises:
             SceneError: A link has no mass or an impossible inertia, or a mesh is flat.
         """
         joints = [self._joints[joint] for joint in chain.joints]
-        # The frame of each link, seen from that of its body: at its joint, z along the axis.
+        # The frame of each link relative to its body: at the joint, with z along the axis.
         own = [np.linalg.inv(self._base), *(matrix_of(self._builder.joint_X_c[j]) @ self._to_z(j) for j in joints)]
         placed = [self._placed(group) for group in chain.groups]
         links = [self._link(where, np.linalg.inv(frame)) for where, frame in zip(placed, own, strict=True)]
@@ -107,14 +107,14 @@ class Articulation:
         )
 
     def _to_z(self, joint: int) -> np.ndarray:
-        """The turn from a joint's frame to one whose z is its axis, 4 x 4."""
+        """Returns the rotation from a joint's frame to one whose z is the joint axis, 4 x 4."""
         axis = self._builder.joint_axis[self._builder.joint_qd_start[joint]]
         turn = np.eye(4)
         turn[:3, :3] = rotation_matrix(z_to(np.array(axis, dtype=float)))
         return turn
 
     def _placed(self, group: tuple[tuple[str, str], ...]) -> dict[str, np.ndarray]:
-        """Frames of a body and of all that is fixed to it, in the frame of that body, 4 x 4 each."""
+        """Returns the frames of a body and of everything fixed to it, in that body's frame, 4 x 4 each."""
         frames = {group[0][0]: np.eye(4)}
         for link, name in group[1:]:
             joint = self._joints[name]
@@ -123,7 +123,7 @@ class Articulation:
         return frames
 
     def _link(self, placed: dict[str, np.ndarray], turn: np.ndarray) -> ArmLink:
-        """Parts that are fixed to each other as one link, their frames seen from one that is turned."""
+        """Merges parts fixed to each other into one link, in a rotated frame."""
         mass, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
         shapes: list[Collider] = []
         visuals: list[Visual] = []
@@ -147,7 +147,7 @@ class Articulation:
         return ArmLink(mass, center, inertia, tuple(shapes), tuple(visuals))
 
     def _collider(self, shape: int, frame: np.ndarray, name: str, link: str) -> Collider:
-        """A collision shape on a frame."""
+        """Returns a collision shape in a frame."""
         found = self._shape(shape, frame, name)
         if found is None:
             what = f"link {link} has a collision shape of a kind that is not known"
@@ -161,7 +161,7 @@ class Articulation:
             raise SceneError(f"link {link}: {error}", file=self._file, allowed="solid collision meshes") from None
 
     def _visual(self, shape: int, frame: np.ndarray, name: str) -> list[Visual]:
-        """What is only looked at on a frame; nothing where it is of a kind that is not known."""
+        """Returns a display shape in a frame; empty if its type is not supported."""
         found = self._shape(shape, frame, name)
         if found is None:
             return []
@@ -172,7 +172,7 @@ class Articulation:
         return [Visual(found, (r, g, b), faces)]
 
     def _shape(self, shape: int, frame: np.ndarray, name: str) -> Collider | None:
-        """A shape on a frame, a mesh with all its vertices; ``None`` where it is of a kind that is not known."""
+        """Returns a shape in a frame, a mesh with all its vertices; ``None`` if its type is not supported."""
         builder, geo = self._builder, self._geo
         frame = frame @ matrix_of(builder.shape_transform[shape])
         size = [float(value) for value in builder.shape_scale[shape]]
@@ -191,7 +191,7 @@ class Articulation:
 
 
 def matrix_of(transform: object) -> np.ndarray:
-    """A transform of Newton's (position, quaternion xyzw) as a 4 x 4 matrix."""
+    """Convert a Newton transform (position, quaternion xyzw) to a 4 x 4 matrix."""
     values = np.array(transform, dtype=float).ravel()
     frame = np.eye(4)
     frame[:3, :3] = rotation_matrix(values[3:] / np.linalg.norm(values[3:]))
@@ -200,17 +200,17 @@ def matrix_of(transform: object) -> np.ndarray:
 
 
 def _linear(value: float) -> float:
-    """A colour value of sRGB, as Newton keeps them, in linear light, as USD does."""
+    """Converts a colour value from sRGB, which Newton uses, to linear, which USD uses."""
     return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
 
 
 def _shifted(center: np.ndarray) -> np.ndarray:
-    """Inertia of a unit of mass at a point, about the origin [m^2]."""
+    """Returns the inertia about the origin of a unit point mass [m^2]."""
     return center @ center * np.eye(3) - np.outer(center, center)
 
 
 def _along(axis: ToolAxis) -> np.ndarray:
-    """The turn from z to an axis of the flange, 4 x 4."""
+    """Returns the rotation from z to an axis of the flange, 4 x 4."""
     direction = (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])]
     turn = np.eye(4)
     turn[:3, :3] = rotation_matrix(z_to(direction))

@@ -1,4 +1,4 @@
-"""The serial chain in a tree of links: which joints move the flange, and what is fixed to each link."""
+"""Finds the serial chain in a tree of links: the joints that move the flange, and the parts fixed to each link."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Kind = Literal["turns", "slides", "fixed"]
 
 @dataclass(frozen=True)
 class Limits:
-    """What a joint can do; infinite where nothing is said.
+    """Limits of a joint; infinite where not specified.
 
     Attributes:
-        lower, upper: [rad; m where it slides].
-        effort: [N m; N].
-        velocity: [rad/s; m/s].
+        lower, upper: Position limits [rad; m for a sliding joint].
+        effort: Effort limit [N m; N].
+        velocity: Velocity limit [rad/s; m/s].
     """
 
     lower: float
@@ -33,13 +33,13 @@ class Limits:
 
 @dataclass(frozen=True)
 class TreeJoint:
-    """A joint of the tree.
+    """A joint in the tree of links.
 
     Attributes:
         name: Its name.
-        kind: What it lets its link do.
-        limits: Of a joint that moves.
-        follows: Whether it moves with another one (mimic).
+        kind: The motion that it allows.
+        limits: Limits of a moving joint.
+        follows: Whether it follows another joint (mimic).
     """
 
     name: str
@@ -50,14 +50,14 @@ class TreeJoint:
 
 @dataclass(frozen=True)
 class Chain:
-    """A serial chain from a base to its flange, by the names of links and joints.
+    """A serial chain from a base to its flange, by link and joint names.
 
     Attributes:
         joints: The moving joints, from base to flange.
-        groups: For the base, and for the link that each joint moves: that link, then all that is fixed to it, each with
+        groups: For the base, and for the link moved by each joint: that link, then everything fixed to it, each with
             the joint that fixes it (none for the first).
         flange: The link that carries the stick.
-        limits: Of each joint.
+        limits: Limits of each joint.
     """
 
     joints: tuple[str, ...]
@@ -67,15 +67,15 @@ class Chain:
 
 
 def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
-    """The chain in a tree whose edges carry a :class:`TreeJoint` as ``joint``.
+    """Extract the chain from a tree whose edges carry a :class:`TreeJoint` as ``joint``.
 
     Args:
-        tree: Links, each edge from one to the next.
-        file: Where it comes from, for errors.
-        flange: The link that carries the stick; what else moves is left out then. None: the end of the only chain.
+        tree: Links, with an edge from each parent to each child.
+        file: Source file, for errors.
+        flange: The link that carries the stick; other moving links are then ignored. Empty: the end of the only chain.
 
     Raises:
-        SceneError: It is no tree, branches, or has a joint that a planner cannot drive.
+        SceneError: The graph is not a tree, branches, or has a joint that a planner cannot drive.
     """
     base = _base(tree, file)
     if flange and flange not in tree:
@@ -99,7 +99,7 @@ def _joint(tree: nx.DiGraph, parent: str, child: str) -> TreeJoint:
 
 
 def _base(tree: nx.DiGraph, file: Path) -> str:
-    """The link that nothing holds."""
+    """Returns the root link, which has no parent."""
     for link in tree:
         if tree.in_degree(link) > 1:
             raise SceneError(f"link {link} has two joints before it", file=file, allowed="a tree of links")
@@ -113,7 +113,7 @@ def _base(tree: nx.DiGraph, file: Path) -> str:
 
 
 def _path(tree: nx.DiGraph, base: str, flange: str, file: Path) -> list[str]:
-    """Links from the base to the flange, or to the last link that moves."""
+    """Returns the links from the base to the flange, or to the last moving link."""
     moved = [child for parent, child in tree.edges if _joint(tree, parent, child).kind != "fixed"]
     ends = [link for link in moved if not any(other in moved for other in nx.descendants(tree, link))]
     if not flange and len(ends) > 1:
@@ -132,7 +132,7 @@ def _path(tree: nx.DiGraph, base: str, flange: str, file: Path) -> list[str]:
 
 
 def _fixed_to(tree: nx.DiGraph, link: str) -> Iterator[tuple[str, str]]:
-    """A link and all that is fixed to it, with the joints that fix them, parents first."""
+    """Yields a link and everything fixed to it, with the joints that fix them, parents first."""
     yield link, ""
     for child in tree.successors(link):
         joint = _joint(tree, link, child)
@@ -142,13 +142,13 @@ def _fixed_to(tree: nx.DiGraph, link: str) -> Iterator[tuple[str, str]]:
 
 
 def _flange(tree: nx.DiGraph, group: tuple[tuple[str, str], ...]) -> str:
-    """The end of the links fixed to the last one that moves; that one itself, where they branch."""
+    """Returns the end of the links fixed to the last moving one, or that link itself if they branch."""
     ends = [link for link, _ in group if not tree.out_degree(link)]
     return ends[0] if len(ends) == 1 else group[0][0]
 
 
 def _checked(joint: TreeJoint, file: Path) -> Limits:
-    """A joint's limits, if it can be driven within them."""
+    """Checks that a joint can be driven within its limits, and returns them."""
     limits, unit = joint.limits, "m" if joint.kind == "slides" else "rad"
     if limits is None or (joint.kind == "slides" and not abs(limits.upper - limits.lower) < float("inf")):
         fix = "" if joint.kind == "slides" else "a joint that turns without end is of type continuous"

@@ -1,4 +1,4 @@
-"""A convex collider for a mesh: a capsule where one fits well, else the convex hull of a few of its points."""
+"""Fits a convex collider to a mesh: a capsule if one fits well, otherwise a simplified convex hull."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from oimppi_warp.authoring.robots.arm import capsule_between
 from oimppi_warp.scene import Collider
 
 POINTS = 64
-"""Points that a hull keeps at the most."""
+"""Maximum number of vertices of a simplified hull."""
 ROOMY = 1.3
-"""Volume of a capsule, as a multiple of the hull's, up to which it is taken for it."""
+"""Maximum volume of a capsule, relative to the hull's, for it to replace the hull."""
 
 
 def fit_collider(name: str, points: np.ndarray) -> Collider:
-    """A convex collider around points [n, 3] [m]; of a fine mesh a hull with few points.
+    """Fit a convex collider around points [n, 3] [m]; a fine mesh gets a hull with few vertices.
 
     Raises:
-        ValueError: The points lie in a plane.
+        ValueError: The points are coplanar.
     """
     try:
         ConvexHull(points)
@@ -35,12 +35,12 @@ def fit_collider(name: str, points: np.ndarray) -> Collider:
 
 
 def _axes(hull: trimesh.Trimesh) -> np.ndarray:
-    """Principal axes of a hull, shape [3, 3]."""
+    """Returns the principal axes of a hull, shape [3, 3]."""
     return np.linalg.eigh(np.asarray(hull.moment_inertia))[1].T
 
 
 def _capsule(name: str, points: np.ndarray, axis: np.ndarray) -> Collider:
-    """The shortest capsule of the least radius along an axis that holds all points."""
+    """Returns the shortest capsule of least radius along an axis that contains all points."""
     along = points @ axis
     across = points - np.outer(along, axis)
     center, radius = _circle(across)
@@ -52,9 +52,9 @@ def _capsule(name: str, points: np.ndarray, axis: np.ndarray) -> Collider:
 
 
 def _circle(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """A small ball around points [n, 3] in a plane: the middle of the two furthest apart, moved towards what is out."""
+    """Finds a small ball around points [n, 3] in a plane, moving the midpoint of the farthest two towards outliers."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
-    for step in range(1, 200):  # Badoiu and Clarkson: the farthest point pulls, ever less
+    for step in range(1, 200):  # Badoiu and Clarkson: move towards the farthest point, by less each time
         center = center + (points[np.argmax(((points - center) ** 2).sum(axis=1))] - center) / (step + 1)
     return center, float(np.sqrt(((points - center) ** 2).sum(axis=1).max()))
 
@@ -65,16 +65,17 @@ def _volume(capsule: Collider) -> float:
 
 
 def _simplified(vertices: np.ndarray) -> np.ndarray:
-    """A hull with fewer vertices that holds all of these, shape [n, 3].
+    """Returns a hull with fewer vertices that contains all of these, shape [n, 3].
 
-    Those are kept that are farthest in directions spread evenly over a sphere, and moved outwards until all are inside.
+    It keeps the vertices that are extreme in directions spread evenly over a sphere, and moves them outwards until all
+    points are inside.
     """
     if len(vertices) <= POINTS:
         return vertices
     turn, height = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(POINTS), 1.0 - 2.0 * (np.arange(POINTS) + 0.5) / POINTS
     ring = np.sqrt(1.0 - height**2)
     directions = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
-    even = vertices / np.maximum(np.ptp(vertices, axis=0), 1e-9)  # as if it were as long as it is wide
+    even = vertices / np.maximum(np.ptp(vertices, axis=0), 1e-9)  # scaled to equal extents along all axes
     kept = vertices[np.unique(np.argmax(even @ directions.T, axis=0))]
     middle, planes = kept.mean(axis=0), ConvexHull(kept).equations
     out = ((vertices - middle) @ planes[:, :3].T).max(axis=0) / -(planes[:, :3] @ middle + planes[:, 3])

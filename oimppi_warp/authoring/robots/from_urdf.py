@@ -1,4 +1,4 @@
-"""A robot in a URDF: its tree of links, and the same in Newton's builder."""
+"""Reads a robot from a URDF: its tree of links, and the same links in Newton's builder."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _KINDS: dict[str, Kind] = {
     "fixed": "fixed",
 }
 _GREY = '<material name=""><color rgba="0.855 0.86 0.871 1"/></material>'
-"""For looks that have no colour of their own."""
+"""Material for visuals without a colour."""
 
 
 def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
-    """The chain in a URDF, and what its links and joints are.
+    """Read the chain in a URDF, with the properties of its links and joints.
 
     Args:
         file: The URDF.
-        flange: The link that carries the stick; what else moves is left out then. None: the end of the only chain.
+        flange: The link that carries the stick; other moving links are then ignored. Empty: the end of the only chain.
 
     Raises:
-        SceneError: It cannot be read, is no tree of links, branches, has a joint that a planner cannot drive, or a mesh
-            of it is missing.
+        SceneError: The file cannot be read, is not a tree of links, branches, has a joint that a planner cannot drive,
+            or refers to a mesh that is missing.
     """
     root = _parse(file)
     chain = serial_chain(_tree(file, root), file=file, flange=flange)
@@ -41,9 +41,9 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
         builder.add_urdf(ET.tostring(root, encoding="unicode"))
-    except Exception:  # whatever the reader of a mesh raises
+    except Exception:  # mesh readers raise many kinds of exceptions
         for link in root.findall("link"):
-            _remove(link, link.findall("visual"))  # looks may be in formats that nobody here reads
+            _remove(link, link.findall("visual"))  # visuals may be in formats that no reader here supports
         builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
         try:
             builder.add_urdf(ET.tostring(root, encoding="unicode"))
@@ -73,7 +73,7 @@ def _parse(file: Path) -> ET.Element:
 
 
 def _tree(file: Path, root: ET.Element) -> nx.DiGraph:
-    """Links and the joints between them."""
+    """Builds a graph of the links and the joints between them."""
     tree = nx.DiGraph()
     tree.add_nodes_from(link.get("name", "") for link in root.findall("link"))
     for joint in root.findall("joint"):
@@ -97,7 +97,7 @@ def _named(joint: ET.Element, end: str) -> str:
 
 
 def _limits(file: Path, joint: ET.Element) -> Limits | None:
-    """What a joint's limits say; ``None`` where they must and do not."""
+    """Returns a joint's limits, or ``None`` if required ones are missing."""
     limit, given = joint.find("limit"), dict[str, float]()
     for key in ("lower", "upper", "effort", "velocity"):
         text = None if limit is None else limit.get(key)
@@ -114,7 +114,7 @@ def _limits(file: Path, joint: ET.Element) -> Limits | None:
 
 
 def _resolve(file: Path, root: ET.Element, members: set[str]) -> None:
-    """Give the meshes their whole paths; leave out the shapes of other links, and looks that are not there."""
+    """Makes mesh paths absolute, and removes shapes of other links and visuals whose file is missing."""
     for link in root.findall("link"):
         if link.get("name") not in members:
             _remove(link, [*link.findall("visual"), *link.findall("collision")])
@@ -146,7 +146,7 @@ def _remove(link: ET.Element, elements: list[ET.Element]) -> None:
 
 
 def _mesh(file: Path, name: str) -> Path | None:
-    """The file of a mesh: a path beside the URDF, or package://NAME/ for a folder NAME beside it or above it."""
+    """Finds the file of a mesh: a path beside the URDF, or package://NAME/ for a folder NAME beside it or above it."""
     folder = file.resolve().parent
     place = name.removeprefix("package://").removeprefix("file://")
     folders = (folder, *folder.parents) if name.startswith("package://") else (folder,)

@@ -1,4 +1,4 @@
-"""A robot in a USD file as simulators have it, without our schemas: its tree of links, in Newton's builder."""
+"""Reads a robot from a simulator's USD file, without this package's schemas: its tree of links, in Newton's builder."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ if TYPE_CHECKING:
     import newton
 
 _UNLIMITED = 1e6
-"""Newton's number for a limit that is none, or more."""
+"""Newton's value for no limit; larger values are also treated as unlimited."""
 
 
 def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
-    """The chain in a USD articulation, and what its links and joints are, by the paths of their prims.
+    """Read the chain in a USD articulation, with the properties of its links and joints, by prim path.
 
     Args:
         file: The USD file.
-        flange: Path or name of the link that carries the stick; what else moves is left out then. None: the end of the
-            only chain.
+        flange: Path or name of the link that carries the stick; other moving links are then ignored. Empty: the end of
+            the only chain.
 
     Raises:
-        SceneError: It cannot be read, does not say its units, floats, branches or has joints that cannot be driven.
+        SceneError: The file cannot be read, does not give its units, floats, branches or has joints that cannot be
+            driven.
     """
     scene = SceneStage(file)
     _check(scene)
@@ -40,7 +41,7 @@ def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
         found = builder.add_usd(scene.stage, load_visual_shapes=True, enable_self_collisions=False)
-    except Exception as error:  # whatever Newton's importer raises
+    except Exception as error:  # Newton's importer raises many kinds of exceptions
         raise SceneError(f"it cannot be read ({error})", file=file, allowed="a USD articulation") from error
     bodies, joints = found["path_body_map"], found["path_joint_map"]
     tree, base = _tree(builder, bodies, joints, file)
@@ -49,7 +50,7 @@ def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
 
 
 def _check(scene: SceneStage) -> None:
-    """Raise SceneError where a stage has not one robot."""
+    """Raises SceneError unless the stage has exactly one robot."""
     roots = [prim for prim in scene.prims() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
     if len(roots) != 1:
         fix = "apply PhysicsArticulationRootAPI to one prim"
@@ -59,7 +60,7 @@ def _check(scene: SceneStage) -> None:
 def _tree(
     builder: newton.ModelBuilder, bodies: dict[str, int], joints: dict[str, int], file: Path
 ) -> tuple[nx.DiGraph, np.ndarray]:
-    """Links and the joints between them, and where the base stands in the world."""
+    """Builds a graph of the links and the joints between them, and returns the pose of the base in the world."""
     import newton
 
     kinds: dict[int, Kind] = {
@@ -95,6 +96,6 @@ def _limits(builder: newton.ModelBuilder, joint: int) -> Limits:
 
 
 def _path_of(flange: str, bodies: dict[str, int]) -> str:
-    """The path of a link that is given by its path or its name."""
+    """Returns the path of a link given by its path or its name."""
     named = [path for path in bodies if path.rpartition("/")[2] == flange]
     return named[0] if len(named) == 1 and flange not in bodies else flange

@@ -1,4 +1,4 @@
-"""A robot put where an episode starts."""
+"""Poses a robot at the start of an episode."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from oimppi_warp.usd.stage import SceneStage
 
 
 def pose_robot(stage: Usd.Stage, path: str, joints: Sequence[float]) -> None:
-    """Write joint positions as a robot's start, and the poses of its links that belong to them.
+    """Write joint positions as a robot's start, together with the corresponding poses of its links.
 
     Args:
-        stage: The scene; it is saved.
-        path: The robot's prim, which stands at the world's origin.
+        stage: The scene, which is saved.
+        path: The robot's prim, located at the world's origin.
         joints: Joint positions, length dof [rad].
     """
     stage.Save()
@@ -35,13 +35,13 @@ def pose_robot(stage: Usd.Stage, path: str, joints: Sequence[float]) -> None:
 
 
 def _bodies(stage: Usd.Stage, path: str) -> set[str]:
-    """Paths of the rigid bodies below a prim."""
+    """Returns the paths of the rigid bodies below a prim."""
     prims = Usd.PrimRange(stage.GetPrimAtPath(path))
     return {str(prim.GetPath()) for prim in prims if prim.HasAPI(UsdPhysics.RigidBodyAPI)}
 
 
 def _relative_pose(stage: Usd.Stage, link: str, part: str) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and position [m] of a prim in the frame of another, as they stand in the file."""
+    """Returns rotation and position [m] of a prim in the frame of another, as given in the file."""
     cache = UsdGeom.XformCache()
     frame = cache.GetLocalToWorldTransform(stage.GetPrimAtPath(part))
     matrix = np.array(frame * cache.GetLocalToWorldTransform(stage.GetPrimAtPath(link)).GetInverse())

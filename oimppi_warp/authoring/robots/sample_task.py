@@ -1,4 +1,4 @@
-"""A task to try a robot on: a T on an open table, no larger and no further away than the robot can push it."""
+"""Writes a sample task for a robot: a T on an open table, scaled to the robot's reach."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from oimppi_warp.geometry.reach import Reach, reach_of
 from oimppi_warp.scene import Robot
 
 _REACH = 0.717
-"""Reach of the xArm6, which the places and the T are made for [m]."""
+"""Reach of the xArm6, for which the poses and the T are designed [m]."""
 _START, _GOAL = np.array([0.30, -0.45]), np.array([0.50, 0.30])
 
 
 def write_sample_task(robot: Robot, name: str, folder: Path, *, destination: Path) -> Path:
-    """Write the task to a folder in whose ``robots`` the robot is; it is read again and checked.
+    """Write the task to a folder whose ``robots`` holds the robot, then read it back and check it.
 
     Args:
         robot: The robot.
-        name: Of its file.
-        folder: Where to.
-        destination: Where it is taken to; where another object has the T's name there, the T gets the robot's name
-            added.
+        name: Name of the task's file.
+        folder: Folder to write to.
+        destination: Folder that the files are moved to later; if another object there has the T's name, the robot's
+            name is added to the T's.
 
     Raises:
-        SceneError: The robot cannot do it, or its file is not as it should be.
+        SceneError: The robot cannot do the task, or its file is invalid.
     """
     reach = reach_of(robot)
     obj = _t_block(reach)
@@ -47,7 +47,7 @@ def write_sample_task(robot: Robot, name: str, folder: Path, *, destination: Pat
 
 
 def _t_block(reach: Reach) -> FlatObject:
-    """The T, smaller for a robot that does not reach far."""
+    """Returns the T, scaled down for a robot with a short reach."""
     scale = round(min(reach.radius / _REACH, 1.0), 1)
     if scale == 1.0:
         return T_BLOCK
@@ -62,7 +62,7 @@ def _t_block(reach: Reach) -> FlatObject:
 
 
 def _start_and_goal(reach: Reach) -> tuple[Pose, Pose]:
-    """Start and goal: those of the first shipped task, as far out as the robot reaches; else across its region."""
+    """Returns start and goal: the first shipped task's, scaled to the robot's reach, or else across its workspace."""
     scale = min(reach.radius / _REACH, 1.1) if reach.border is None else 1.0
     start, goal = scale * _START, scale * _GOAL
     if reach.margin(np.array([start, goal])).min() < 0.1:

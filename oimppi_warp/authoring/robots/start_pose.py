@@ -1,4 +1,4 @@
-"""Where an arm begins: its tool upright, the tip a little over the table in front of it."""
+"""Finds a start pose for an arm: its tool upright, the tip slightly above the table in front of it."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from oimppi_warp.scene import Robot
 HEIGHT = 0.05
 """Height of the tip at the start [m]."""
 PUSHING = (0.004, 0.03)
-"""Height that the tip of a robot without a way up must have [m]."""
+"""Range of tip heights allowed for a robot that cannot move its tool vertically [m]."""
 ROOM = 0.02
-"""Room that every link must have to the table [m]."""
+"""Clearance that every link must have to the table [m]."""
 _DISTANCES = (0.36, 0.45, 0.30, 0.55, 0.25, 0.65, 0.80, 1.0)
-"""Distances from the base at which a place for the tip is looked for, in this order [m]."""
+"""Distances from the base at which a tip position is tried, in this order [m]."""
 _AZIMUTH = -0.588
-"""Direction in which it is looked for: a little aside, as the shipped tasks begin [rad]."""
+"""Direction in which it is tried: slightly to one side, as in the shipped tasks [rad]."""
 _TRIES = 60
 _SPARE = 0.03
-"""Way that every joint must have to its limits, as a share of all its way."""
+"""Margin that every joint must have to its limits, as a share of its whole range."""
 
 
 def with_start(arm: Arm, *, file: object = "") -> Arm:
-    """An arm with joint positions to begin with, rounded to be read.
+    """Return the arm with a start pose, its joint positions rounded for readability.
 
     Args:
-        arm: The arm, at any positions.
-        file: Where it comes from, for the error.
+        arm: The arm, at any joint positions.
+        file: Source file, for the error.
 
     Raises:
-        SceneError: None are found.
+        SceneError: No start pose was found.
     """
     robot = arm.robot()
     lower, upper = _limits(robot)
@@ -62,14 +62,14 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
 
 
 def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper limits, half a turn to either side for joints that go further, shape [dof] each."""
+    """Returns lower and upper limits, at most half a turn either way for joints that go further, shape [dof] each."""
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
     revolute = revolute_joints(robot)
     return np.where(revolute, np.maximum(lower, -np.pi), lower), np.where(revolute, np.minimum(upper, np.pi), upper)
 
 
 def _guesses(robot: Robot, random: np.random.Generator) -> list[np.ndarray]:
-    """Joint positions to begin with: the first joint towards the tip, some of the others bent."""
+    """Returns initial guesses of joint positions: the first joint turned towards the tip, some of the others bent."""
     lower, upper = _limits(robot)
     middle, guesses = (lower + upper) / 2, []
     for _ in range(_TRIES):
@@ -80,7 +80,7 @@ def _guesses(robot: Robot, random: np.random.Generator) -> list[np.ndarray]:
 
 
 def _score(robot: Robot, joints: np.ndarray) -> float:
-    """How good a start is: room over the table, spare way to the limits, no needless twists; not above 0: none."""
+    """Rates a start by table clearance, margin to the limits and lack of twists; not above 0 if it is unusable."""
     lower, upper = _limits(robot)
     room = table_clearance(robot, joints)
     spare = float(np.min(np.minimum(joints - lower, upper - joints) / (upper - lower)))
@@ -91,7 +91,7 @@ def _score(robot: Robot, joints: np.ndarray) -> float:
 
 
 def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
-    """The same joint positions without whole turns, where the limits allow that, in a few digits."""
+    """Returns the joint positions without whole turns, where the limits allow, rounded to a few digits."""
     wrapped = np.mod(joints + np.pi, 2.0 * np.pi) - np.pi
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
     allowed = revolute_joints(robot) & (lower <= wrapped) & (wrapped <= upper)
@@ -99,14 +99,14 @@ def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
 
 
 def is_flat(robot: Robot) -> bool:
-    """Whether no joint moves the tool up, down or askew: all turn about upright axes or slide across them."""
+    """Return whether no joint can raise, lower or tilt the tool: all axes are vertical, or slide horizontally."""
     rotations = link_frames(robot, np.zeros(robot.dof))[0]
     upright = np.abs(rotations[:, 2, 2])
     return bool(np.where(revolute_joints(robot), upright > 1.0 - 1e-6, upright < 1e-6).all())
 
 
 def table_clearance(robot: Robot, joints: np.ndarray) -> float:
-    """Height of the lowest point of the moving links, the stick left out [m]."""
+    """Return the height of the lowest point of the moving links, excluding the stick [m]."""
     rotations, positions = link_frames(robot, joints)
     lowest = [1.0]
     for link, rotation, position in zip(robot.links, rotations, positions, strict=True):
@@ -117,7 +117,7 @@ def table_clearance(robot: Robot, joints: np.ndarray) -> float:
 
 
 def _check_height(robot: Robot, joints: np.ndarray, height: float, file: object) -> None:
-    """Raise SceneError for a robot without a way up whose tool is not upright, or not where it pushes."""
+    """Raises SceneError if a robot without vertical motion has a tilted tool, or one at a wrong height for pushing."""
     if tip_frame(robot, joints)[0][2, 2] > -1.0 + 1e-6:
         raise SceneError("its stick does not point down", file=file, allowed="down", fix="choose another --tool-axis")
     low, high = PUSHING

@@ -1,4 +1,4 @@
-"""The report's pictures, drawn from results alone; one colour a method in all of them."""
+"""Draws the report's figures from results alone, with one colour per method throughout."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from oimppi_warp.bench.statistics import summarize_results
 from oimppi_warp.plots.style import FAINT, GOAL, INK, STYLE, WALL, add_rings, method_colors
 
 FAILED = "#b91c1c"
-"""Colour of what failed."""
+"""Colour of failures."""
 
 
 def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
-    """The pictures of a report: a caption and the figure by the name of their file."""
+    """Draw the figures of a report; returns a caption and a figure for each file name."""
     with matplotlib.rc_context(STYLE):
         found = {
             "success": (
@@ -56,7 +56,7 @@ def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
 
 
 def success_figure(results: ResultSet) -> Figure:
-    """Bars of the success rates with intervals, by task and method."""
+    """Draw bars of the success rates with confidence intervals, by task and method."""
     tasks, colors = results.tasks, _colors(results)
     methods = list(colors)
     figure = Figure(figsize=(max(5.0, 1.6 + 1.5 * len(tasks)), 3.6), layout="constrained")
@@ -101,7 +101,7 @@ def success_figure(results: ResultSet) -> Figure:
 
 
 def errors_figure(results: ResultSet) -> Figure:
-    """Position error over time, by task."""
+    """Plot the position error over time, by task."""
     figure, panels = _panels(len(results.tasks), each=(3.4, 2.4))
     colors = _colors(results)
     for axes, task in zip(panels, results.tasks, strict=False):
@@ -125,7 +125,7 @@ def errors_figure(results: ResultSet) -> Figure:
 
 
 def plan_figure(results: ResultSet) -> Figure:
-    """Histograms of the plan times, one panel a method."""
+    """Plot histograms of the plan times, one panel per method."""
     colors = _colors(results)
     figure = Figure(figsize=(6.4, 0.7 + 1.15 * len(colors)), layout="constrained")
     panels = figure.subplots(len(colors), 1, sharex=True, squeeze=False)[:, 0]
@@ -158,7 +158,7 @@ def plan_figure(results: ResultSet) -> Figure:
 
 
 def paths_figure(results: ResultSet, task: str) -> Figure:
-    """Ways of the object seen from above, one panel a method."""
+    """Plot the object's paths seen from above, one panel per method."""
     footprints = results.places[task]
     colors = {method: color for method, color in _colors(results).items() if results.of(task, method)}
     low, high = _frame(footprints, results.of(task))
@@ -180,12 +180,12 @@ def paths_figure(results: ResultSet, task: str) -> Figure:
 
 
 def _colors(results: ResultSet) -> dict[str, str]:
-    """The methods in the order in which they are shown, each with its colour."""
+    """Assigns a colour to each method, in display order."""
     return method_colors(shown_methods(results))
 
 
 def _draw_scene(axes: Axes, footprints: dict[str, Any]) -> None:
-    """Table, base, obstacles and goal."""
+    """Draws table, base, obstacles and goal."""
     lower, upper = np.asarray(footprints["table"])
     axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=FAINT, lw=1.0, zorder=0))
     add_rings(axes, [np.asarray(ring) for ring in footprints["base"]], fc="#dfe5e9", ec=WALL, lw=0.8, zorder=2)
@@ -205,7 +205,7 @@ def _draw_run(axes: Axes, footprints: dict[str, Any], run: Result, color: str) -
 
 
 def _frame(footprints: dict[str, Any], runs: Sequence[Result]) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of what is shown, [2] each."""
+    """Returns the lower and upper corner of the displayed region, [2] each."""
     size = max(np.abs(np.asarray(ring)).max() for ring in footprints["object"])
     reach = 0.02 + max(size, footprints["tolerance"])
     goal = np.asarray(footprints["goal"][:2])
@@ -220,7 +220,7 @@ def _frame(footprints: dict[str, Any], runs: Sequence[Result]) -> tuple[np.ndarr
 
 
 def _panels(count: int, *, each: tuple[float, float]) -> tuple[Figure, list[Axes]]:
-    """A grid of up to three panels a row; those that are left over are not shown."""
+    """Creates a grid of up to three panels per row, hiding the unused ones."""
     columns = min(3, count)
     rows = math.ceil(count / columns)
     figure = Figure(figsize=(max(4.5, each[0] * columns), 0.5 + each[1] * rows), layout="constrained")

@@ -1,4 +1,4 @@
-"""The report as Markdown, with its pictures as files beside it."""
+"""Writes the report as Markdown, with its figures as separate files."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from oimppi_warp.bench.statistics import wilson
 
 
 def write_markdown(results: ResultSet, pictures: dict[str, tuple[str, str]]) -> str:
-    """The whole report.
+    """Write the whole report.
 
     Args:
-        results: What is reported.
-        pictures: Caption and file by name.
+        results: The results to report.
+        pictures: Caption and file of each figure, by name.
     """
     lines = [f"# {results.title}", "", *facts(results), ""]
     for table in every_table(results):
@@ -27,7 +27,7 @@ def write_markdown(results: ResultSet, pictures: dict[str, tuple[str, str]]) -> 
 
 
 def write_comparison(table: Table, pairs: Table) -> str:
-    """Two result sets compared, and the pairs that differ."""
+    """Write the comparison of two result sets, and the pairs that differ."""
     lines = [f"# {table.title}", "", table.note, "", *markdown_table(table), ""]
     if pairs.rows:
         lines += [f"## {pairs.title}", "", pairs.note, "", *markdown_table(pairs), ""]
@@ -35,14 +35,14 @@ def write_comparison(table: Table, pairs: Table) -> str:
 
 
 def markdown_table(table: Table) -> list[str]:
-    """A table's lines; numbers on the right."""
+    """Format a table as lines of Markdown, with numbers right-aligned."""
     rule = "|---|---|" + "---:|" * (len(table.header) - 2)
     lines = ["| " + " | ".join(table.header) + " |", rule]
     return lines + ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in table.rows]
 
 
 def facts(results: ResultSet) -> list[str]:
-    """With what the results were made, in a few sentences."""
+    """Describe in a few sentences how the results were made."""
     found = results.results
     succeeded = wilson(sum(result.success for result in found), len(found))
     count = f"{rate(succeeded)} trials succeeded" if found else "No trial is finished"
@@ -71,13 +71,13 @@ def facts(results: ResultSet) -> list[str]:
 
 
 def _numbers(entry: dict[str, Any]) -> str:
-    """Which trials an entry has, where they are not the first ones with the seed 0."""
+    """Describes which trials an entry has, if they are not the first ones with seed 0."""
     first, seed = entry.get("first", 0), entry.get("seed", 0)
     return f"number {first} to {first + entry['trials'] - 1}, seed {seed}" if first or seed else ""
 
 
 def _changed(entry: dict[str, Any]) -> str:
-    """What an entry of the suite changes, in words."""
+    """Describes the changes that an entry of the suite makes."""
     changes = [f"`{assignment}`" for assignment in entry.get("set", [])]
     if (limit := entry.get("max_sim_seconds")) is not None:
         changes.append(f"at most {limit:g} simulated seconds")

@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: styles and pictures are in it."""
+"""Writes the report as one self-contained HTML page, with styles and figures embedded."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ ul.causes { columns: 2 22rem; padding-left: 1.2rem; }
 
 
 def write_page(results: ResultSet, pictures: dict[str, tuple[str, bytes]]) -> str:
-    """The whole page.
+    """Write the whole page.
 
     Args:
-        results: What is reported.
-        pictures: Caption and SVG by name.
+        results: The results to report.
+        pictures: Caption and SVG of each figure, by name.
     """
     parts = [f"<h1>{escape(results.title)}</h1>"]
     parts += [f'<p class="facts">{_plain(fact)}</p>' for fact in facts(results)]
@@ -77,7 +77,7 @@ def write_page(results: ResultSet, pictures: dict[str, tuple[str, bytes]]) -> st
 
 
 def _plain(text: str) -> str:
-    """A sentence of Markdown with its emphasis and code as HTML."""
+    """Converts a Markdown sentence with emphasis and code to HTML."""
     found = escape(text, quote=False)
     for mark, tag in (("**", "b"), ("`", "code")):
         pieces = found.split(mark)
@@ -86,7 +86,7 @@ def _plain(text: str) -> str:
 
 
 def _cards(results: ResultSet, colors: dict[str, str]) -> str:
-    """The success of each method over everything, in large letters."""
+    """Shows each method's overall success rate in large type."""
     cards = []
     for method, color in colors.items():
         stats = summarize_results(results.of(method=method))
@@ -101,7 +101,7 @@ def _cards(results: ResultSet, colors: dict[str, str]) -> str:
 
 
 def _table(table: Table, dots: dict[str, str]) -> str:
-    """A table; ``dots`` stand before the cells that they are for."""
+    """Formats a table; ``dots`` are inserted before the cells that match their keys."""
     head = "".join(f"<th>{escape(name)}</th>" for name in table.header)
     rows, last = [], None
     for row in table.rows:

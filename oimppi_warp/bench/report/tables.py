@@ -1,4 +1,4 @@
-"""The report's tables as text in cells; the page and the Markdown say how they look."""
+"""The report's tables as text cells; the page and the Markdown format them."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from oimppi_warp.bench.results import Result, ResultSet
 from oimppi_warp.bench.statistics import Rate, Statistics, summarize_results
 
 PLANNED_AHEAD = 0.5
-"""Mean wall time of planning before the first step from which on it is told [s]; fields of costs take a tenth of it."""
+"""Minimum mean wall time of planning ahead for it to be reported [s]; cost fields take a tenth of it."""
 
 _NOT_REPORTED = Reported("", math.nan)
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
+    """A table of text cells.
 
     Attributes:
         title: Its heading.
-        note: How to read it.
-        header: One a column; the first two columns are words, the others numbers.
-        rows: Cells.
+        note: Reading notes.
+        header: One heading per column; the first two columns are text, the others numbers.
+        rows: Cells of each row.
     """
 
     title: str
@@ -35,13 +35,13 @@ class Table:
 
 
 def shown_methods(results: ResultSet) -> list[str]:
-    """The methods of a result set as they are shown: the paper's in its order, then all others in the suite's."""
+    """Return the methods of a result set in display order: the paper's in its order, then the others in the suite's."""
     others = [method for method in results.methods if method not in METHODS]
     return [*(method for method in METHODS if method in results.methods), *others]
 
 
 def every_table(results: ResultSet) -> list[Table]:
-    """The tables of a report, without those that would be empty."""
+    """Build the tables of a report, without empty ones."""
     tables = [
         success_table(results),
         *(paper_table(results, table) for table in TABLES),
@@ -54,7 +54,7 @@ def every_table(results: ResultSet) -> list[Table]:
 
 
 def brief_table(results: ResultSet) -> Table:
-    """What a terminal has room for."""
+    """Build a table narrow enough for a terminal."""
     rows = []
     for task, method, s in _groups(results):
         tight = rate(s.tight) if s.tight_counts else "-"
@@ -65,7 +65,7 @@ def brief_table(results: ResultSet) -> Table:
 
 
 def success_table(results: ResultSet) -> Table:
-    """Success at both tolerances and position errors."""
+    """Tabulate success at both tolerances and position errors."""
     rows = []
     for task, method, stats in _groups(results):
         errors = [stats.error_until, stats.error_until_success, stats.error, stats.error_success]
@@ -86,7 +86,7 @@ def success_table(results: ResultSet) -> Table:
 
 
 def paper_table(results: ResultSet, table: str) -> Table:
-    """One of the paper's tables with ours beside it."""
+    """Build one of the paper's tables with our results beside it."""
     rows = []
     tasks = [task for task in TABLES[table] if task in results.tasks]
     methods = shown_methods(results)
@@ -124,7 +124,7 @@ def paper_table(results: ResultSet, table: str) -> Table:
 
 
 def time_table(results: ResultSet) -> Table:
-    """Times to success and of plans."""
+    """Tabulate times to success and plan times."""
     rows = []
     for task, method, s in _groups(results):
         cells = (number(s.steps, 0), number(s.time, 1), _total([s]), number(s.plan_ms, 1), number(s.plan_ms_p95, 1))
@@ -144,7 +144,7 @@ def time_table(results: ResultSet) -> Table:
 
 
 def safety_table(results: ResultSet) -> Table:
-    """Clearance and forces."""
+    """Tabulate clearances and forces."""
     rows = []
     for task, method, s in _groups(results):
         clear = f"{rate(s.clear)}" if s.clear.total else "-"
@@ -161,7 +161,7 @@ def safety_table(results: ResultSet) -> Table:
 
 
 def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[str, str]) -> Table:
-    """Paired comparisons, one a row."""
+    """Tabulate paired comparisons, one per row."""
     rows = []
     for each in found:
         cells = [f"{each.successes[0]}", f"{each.successes[1]}", f"{len(each.only_first)}", f"{len(each.only_second)}"]
@@ -183,7 +183,7 @@ def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[st
 
 
 def differing_pairs(found: Comparison) -> Table:
-    """The pairs that succeed on one side only, named, with the command that runs the failed one again."""
+    """Tabulate the pairs that succeed on only one side, with the command that reruns the failed trial."""
     rows = []
     for pairs, side in ((found.only_first, "A"), (found.only_second, "B")):
         for a, b in pairs:
@@ -198,27 +198,27 @@ def differing_pairs(found: Comparison) -> Table:
 
 
 def failures(results: ResultSet) -> list[Result]:
-    """The trials that did not succeed, in the order of the suite."""
+    """Return the trials that did not succeed, in the order of the suite."""
     return [result for result in results.results if not result.success]
 
 
 def rate(found: Rate) -> str:
-    """Count of total."""
+    """Format a rate as count and total."""
     return f"{found.count}/{found.total}"
 
 
 def interval(found: Rate) -> str:
-    """From and to, in percent."""
+    """Format a rate's interval in percent."""
     return f"{100 * found.low:.0f} to {100 * found.high:.0f} %"
 
 
 def number(value: float, digits: int) -> str:
-    """A number; a dash for NaN."""
+    """Format a number; NaN becomes a dash."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 def p_value(p: float) -> str:
-    """A p value with as many digits as it is worth."""
+    """Format a p value with a sensible number of digits."""
     if not math.isfinite(p):
         return "-"
     return "< 0.001" if p < 0.001 else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
@@ -234,7 +234,7 @@ def _groups(results: ResultSet) -> list[tuple[str, str, Statistics]]:
 
 
 def _paper_pairs(reported: Reported, *groups: Statistics) -> tuple[str, ...]:
-    """The paper's numbers and the mean of ours, in pairs."""
+    """Pairs the paper's numbers with the means of ours."""
     total = _reported(reported.total_time_s, 0)
     if reported.preplan_time_s is not None:
         total += f" ({reported.preplan_time_s:.0f})"
@@ -250,14 +250,14 @@ def _paper_pairs(reported: Reported, *groups: Statistics) -> tuple[str, ...]:
 
 
 def _total(groups: Sequence[Statistics]) -> str:
-    """The mean total time to success of some groups, in brackets what of it was planned ahead."""
+    """Returns the mean total time to success of some groups, with the part planned in advance in brackets."""
     ahead = _mean([group.preplan_time for group in groups])
     text = number(_mean([group.total_time for group in groups]), 1)
     return f"{text} ({number(ahead, 1)})" if ahead >= PLANNED_AHEAD else text
 
 
 def _mean(values: Sequence[float]) -> float:
-    """The mean of those that are known."""
+    """Returns the mean of the finite values."""
     known = [value for value in values if math.isfinite(value)]
     return sum(known) / len(known) if known else math.nan
 

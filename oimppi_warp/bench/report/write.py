@@ -1,4 +1,4 @@
-"""Writes the report of a result set: one HTML page, and Markdown with its pictures beside it."""
+"""Writes the report of a result set: one HTML page, and Markdown with its figures beside it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PAGE, MARKDOWN, PICTURES = "report.html", "report.md", "pictures"
 
 
 def write_report(results: ResultSet, folder: Path) -> tuple[Path, Path]:
-    """Write the page and the Markdown into ``folder``, which is made if need be; returns the two files."""
+    """Write the page and the Markdown into ``folder``, created if necessary; returns the two files."""
     (folder / PICTURES).mkdir(parents=True, exist_ok=True)
     drawn = {name: (caption, rendered(figure, kind="svg")) for name, (caption, figure) in every_figure(results).items()}
     files = {name: (caption, f"{PICTURES}/{name}.svg") for name, (caption, _) in drawn.items()}

@@ -1,1 +1,1 @@
-"""What a stage goes through as it is opened: property types, units, the axis that points up."""
+"""Conversions applied to a stage as it is opened: property types, units, and the up axis."""

@@ -1,6 +1,7 @@
-"""Whether a stage's properties are of the kinds and types that their schemas want, before anything reads them.
+"""Checks that a stage's properties have the kinds and types given by their schemas, before anything reads them.
 
-USD itself takes a string for a mass, and an attribute for a relationship; who then asks for it gets whatever is there.
+USD itself accepts a string as a mass, or an attribute in place of a relationship; a reader then gets a value of the
+wrong type.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom
 
 @dataclass(frozen=True)
 class InvalidProperty:
-    """A property that cannot be read: where, what was found, what is allowed, what to do."""
+    """An unreadable property: its path, the value found, what is allowed, and the remedy."""
 
     prim: Usd.Prim
     what: str
@@ -22,12 +23,12 @@ class InvalidProperty:
 
 
 def invalid_properties(stage: Usd.Stage) -> Iterator[InvalidProperty]:
-    """Properties that are not what their schemas say, and places that USD cannot compute."""
+    """Yields properties that do not conform to their schemas, and transforms that USD cannot compute."""
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         definition, found = prim.GetPrimDefinition(), list[InvalidProperty]()
         for name in prim.GetAuthoredPropertyNames():
             wanted = definition.GetSchemaPropertySpec(name)
-            if wanted is not None and not name.startswith("oimppi:"):  # whose readers say more
+            if wanted is not None and not name.startswith("oimppi:"):  # their readers report more detail
                 found += _type_mismatch(prim, name, wanted)
         if prim.IsA(UsdGeom.Xformable) and not found:
             found += _invalid_transform(prim)
@@ -35,10 +36,10 @@ def invalid_properties(stage: Usd.Stage) -> Iterator[InvalidProperty]:
 
 
 def usd_reason(error: BaseException) -> str:
-    """The reason in an exception of USD's, whose text is a list of places in USD's own source."""
+    """Returns the reason given in a USD exception, whose text is a list of locations in USD's own source."""
     try:
         text = str(error)
-    except UnicodeDecodeError as undecoded:  # it quotes what it could not read
+    except UnicodeDecodeError as undecoded:  # it quotes the bytes that it could not decode
         text = undecoded.object.decode(errors="replace")
     return text.partition(" : ")[2].split("\n")[0].strip(" '")
 
@@ -65,7 +66,7 @@ def _type_mismatch(prim: Usd.Prim, name: str, wanted: Sdf.PropertySpec) -> Itera
 
 
 def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
-    """What a type holds, whatever its precision: a number, words, a vector of three numbers and the like."""
+    """Returns the kind of value a type holds, at any precision: a number, text, a vector of three numbers and so on."""
     value = type_name.scalarType.defaultValue
     if isinstance(value, bool):
         kind = "bool"
@@ -85,7 +86,7 @@ def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
 
 
 def _invalid_transform(prim: Usd.Prim) -> Iterator[InvalidProperty]:
-    """A place that USD would compute without the operations that it cannot follow."""
+    """Yields transforms that USD would compute without the operations that it cannot interpret."""
     allowed = "names of xformOp attributes of this prim, each of the type of its operation"
     fix = "correct xformOpOrder"
     order = UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or []

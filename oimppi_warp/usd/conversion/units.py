@@ -1,7 +1,7 @@
-"""A stage in other units, or with another axis up, taken to metres, kilograms and z up.
+"""Converts a stage in other units, or with another up axis, to metres, kilograms and z up.
 
-The changes are opinions of the stage's session layer: the files stay as they are, and whoever reads the stage reads the
-same converted numbers. Attributes of ours are in SI units and in the z-up frame whatever the stage's units are.
+The changes are opinions in the stage's session layer: the files are not modified, and every reader of the stage gets
+the same converted numbers. The package's own attributes are always in SI units and in the z-up frame.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 _LENGTH, _MASS, _FORCE, _TORQUE = (1, 0), (0, 1), (1, 1), (2, 1)
 
 _POWERS = {
-    # Powers of length and mass in the unit of an attribute, by the pattern of its name.
+    # Powers of length and mass in the unit of an attribute, by a pattern of its name.
     r"size|radius|radius(Top|Bottom)|height|width|length|widths|points|extent|extentsHint|velocities": _LENGTH,
     r"xformOp:(translate|transform).*": _LENGTH,
     r"clippingRange|focusDistance|focalLength|(horizontal|vertical)Aperture(Offset)?": _LENGTH,
@@ -33,16 +33,16 @@ _POWERS = {
     r"newton:(contactMargin|contactGap|shellThickness|sdf(TargetVoxelSize|NarrowBand.*|Padding))": _LENGTH,
 }
 _SLIDING = {
-    # The same for attributes whose unit depends on the joint: those of one that slides, and of one that turns.
+    # The same for attributes whose unit depends on the joint: first a sliding joint, then a revolute one.
     r"physics:(lowerLimit|upperLimit)|newton:velocityLimit": (_LENGTH, (0, 0)),
     r"newton:(armature|damping|limitStiffness|limitDamping)": (_MASS, _TORQUE),
     r"newton:friction": (_FORCE, _TORQUE),
 }
 _FALLBACKS = ("size", "radius", "radiusTop", "radiusBottom", "height", "width", "length")
-"""Sizes that a shape has though nobody gave them."""
+"""Size attributes whose schema fallback applies when they are not authored."""
 
 TO_Z_UP = Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), 90.0))
-"""Takes y to z."""
+"""Rotates y to z."""
 
 
 def to_si(stage: Usd.Stage) -> None:
@@ -62,7 +62,7 @@ def to_si(stage: Usd.Stage) -> None:
 
 
 def to_z_up(stage: Usd.Stage) -> None:
-    """Turns a stage on which y is up."""
+    """Rotates a stage whose up axis is y."""
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
         return
     for prim in editable_prims(stage):
@@ -77,7 +77,7 @@ def to_z_up(stage: Usd.Stage) -> None:
 
 
 def editable_prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
-    """All prims of a stage, made editable: an instance gets prims of its own. They are to be edited one by one."""
+    """Yields all prims of a stage, each made editable by uninstancing; edit each one before taking the next."""
     while instances := [prim for prim in stage.Traverse() if prim.IsInstance()]:
         for prim in instances:
             prim.SetInstanceable(False)
@@ -85,7 +85,7 @@ def editable_prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
 
 
 def turn(xform: UsdGeom.Xformable, by: Gf.Matrix4d, suffix: str) -> None:
-    """Turns a prim in its parent's frame, on top of how it stands there."""
+    """Rotates a prim in its parent's frame, on top of its present transform."""
     operations, resets = xform.GetOrderedXformOps(), xform.GetResetXformStack()
     turned = xform.AddTransformOp(UsdGeom.XformOp.PrecisionDouble, suffix)
     turned.Set(by)
@@ -95,7 +95,7 @@ def turn(xform: UsdGeom.Xformable, by: Gf.Matrix4d, suffix: str) -> None:
 def _powers(prim: Usd.Prim, attribute: Usd.Attribute) -> tuple[int, int]:
     name = attribute.GetName()
     if ":" not in name and attribute.IsCustom():
-        return 0, 0  # a size of somebody else's
+        return 0, 0  # a size defined by another schema
     for pattern, (slides, turns) in _SLIDING.items():
         if re.fullmatch(pattern, name):
             return slides if prim.IsA(UsdPhysics.PrismaticJoint) else turns
@@ -103,12 +103,12 @@ def _powers(prim: Usd.Prim, attribute: Usd.Attribute) -> tuple[int, int]:
 
 
 def _scale(attribute: Usd.Attribute, factor: float) -> None:
-    """Multiplies an attribute's numbers, at all times; what are no numbers is left to its reader."""
+    """Scales an attribute's numbers, at all times; values that are not numbers are left to their reader."""
     for time in (Usd.TimeCode.Default(), *attribute.GetTimeSamples()):
         value = attribute.Get(time)
         if isinstance(value, Gf.Matrix4d):
             attribute.Set(Gf.Matrix4d(value).SetTranslateOnly(value.ExtractTranslation() * factor), time)
-        elif isinstance(value, float) or hasattr(value, "GetLength"):  # a number, a vector
+        elif isinstance(value, float) or hasattr(value, "GetLength"):  # a number or a vector
             attribute.Set(value * factor, time)
         elif hasattr(type(value), "FromNumpy") and np.asarray(value).dtype.kind == "f":
             numbers = np.asarray(value)
@@ -116,7 +116,7 @@ def _scale(attribute: Usd.Attribute, factor: float) -> None:
 
 
 def _is_in_world_frame(prim: Usd.Prim) -> bool:
-    """Whether nothing above a prim moves it."""
+    """Returns whether no ancestor of a prim has a transform."""
     if UsdGeom.Xformable(prim).GetResetXformStack():
         return True
     above = prim.GetParent()
@@ -128,7 +128,7 @@ def _is_in_world_frame(prim: Usd.Prim) -> bool:
 
 
 def _turn_world_end(joint: UsdPhysics.Joint) -> None:
-    """The frame of a joint at the world's end is in the world's frame."""
+    """Rotates a joint's frame at the end attached to the world, which is expressed in the world's frame."""
     ends = (
         (joint.GetBody0Rel(), joint.GetLocalPos0Attr(), joint.GetLocalRot0Attr()),
         (joint.GetBody1Rel(), joint.GetLocalPos1Attr(), joint.GetLocalRot1Attr()),

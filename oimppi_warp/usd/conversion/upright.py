@@ -1,8 +1,8 @@
-"""An object whose own z axis does not point up, given a frame whose does.
+"""Reorients the frame of an object whose own z axis does not point up.
 
-Planar poses are those of a frame with z up. Shapes drawn with y up come with a body that lies on its side when it is
-stood up. Its frame is turned in the stage's session layer, by the shortest turn of its own axes, and all that is in it
-is turned back: shapes, centre of mass and inertia stay where they were.
+Planar poses require a frame with z up. A shape modelled with y up, when stood upright, has a body frame that lies on
+its side. The frame is rotated in the stage's session layer, by the shortest rotation between its own axes, and its
+contents are rotated back: shapes, centre of mass and inertia keep their place.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _NEAR = 1e-4
 
 
 def align_upright(stage: Usd.Stage) -> None:
-    """Turns the frames of objects to be pushed, where another of their axes than z points up."""
+    """Rotates the frames of pushable objects in which an axis other than z points up."""
     if any(_wrong_up(prim) is not None for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
         for prim in editable_prims(stage):
             if (up := _wrong_up(prim)) is not None:
@@ -24,7 +24,7 @@ def align_upright(stage: Usd.Stage) -> None:
 
 
 def _wrong_up(prim: Usd.Prim) -> np.ndarray | None:
-    """Which axis of an object's frame points up, if another than z, as :func:`_axis_up`."""
+    """Returns the axis of an object's frame that points up, if it is not z, as for :func:`_axis_up`."""
     is_object = "OimppiObjectAPI" in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
     if not is_object or not prim.IsA(UsdGeom.Xformable) or prim.IsA(UsdGeom.Gprim):
         return None
@@ -33,7 +33,7 @@ def _wrong_up(prim: Usd.Prim) -> np.ndarray | None:
 
 
 def _axis_up(frame: Gf.Matrix4d) -> np.ndarray | None:
-    """Which of a frame's axes points up, as a direction in it, shape [3]; ``None`` where it stands askew."""
+    """Returns the axis of a frame that points up, as a direction in it, shape [3]; ``None`` if the frame is tilted."""
     up = np.array([frame.GetRow3(i).GetNormalized()[2] for i in range(3)])
     axis = np.round(up)
     return axis if np.abs(up - axis).max() < _NEAR and np.abs(axis).sum() == 1.0 else None
@@ -56,6 +56,6 @@ def _turn_frame(body: Usd.Prim, by: Gf.Matrix4d) -> None:
     moments = mass.GetDiagonalInertiaAttr().Get()
     if center is not None and np.isfinite(center).all():
         mass.CreateCenterOfMassAttr(Gf.Vec3f(back.Transform(Gf.Vec3d(center))))
-    if moments is not None and any(moments):  # without them the shapes decide; without axes, they are the frame's
+    if moments is not None and any(moments):  # else from the shapes; principal axes default to the frame's
         own = axes if axes is not None and axes.GetLength() > 0.5 else Gf.Quatf(1.0)
         mass.CreatePrincipalAxesAttr(Gf.Quatf(back.ExtractRotationQuat() * Gf.Quatd(own)))
