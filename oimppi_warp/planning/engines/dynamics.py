@@ -98,7 +98,7 @@ class RobotDynamics(ABC):
     :class:`RolloutTask` and returns an instance of one.
 
     Args:
-        task: What it is made for.
+        task: The task to plan.
 
     Attributes:
         known_success: Share of a benchmark's starts that each method, by its name, brings to the goal with this engine.

@@ -43,7 +43,7 @@ class NewtonWorlds(NewtonDynamics):
     copy Newton's state in and out at every physics step.
 
     Args:
-        task: What it is made for.
+        task: The task to plan.
         contacts: Capacity for contact points per world, averaged over the worlds; default: estimated from the scene.
 
     Attributes:
