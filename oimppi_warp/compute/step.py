@@ -194,7 +194,7 @@ class _Shares:
             for launch in self._launches:
                 launch()
             return
-        left = iter(range(len(self._launches)))  # next() is atomic under the interpreter's lock
+        left = iter(range(len(self._launches)))  # stepping it is atomic under the interpreter's lock
         waiting = [_pool(self._helpers).submit(self._work, left) for _ in range(self._helpers)]
         self._work(left)
         for helper in waiting:
