@@ -17,9 +17,9 @@ class Places:
     """Indices of a world's joints, drives and object in its state and its commands.
 
     Attributes:
-        joint_qpos, joint_qvel: Of each joint in ``qpos`` and ``qvel``, [dof].
-        drive: Of each joint's drive in ``ctrl``, [dof].
-        object_qpos: Of the object's first coordinate in ``qpos``.
+        joint_qpos, joint_qvel: Index of each joint in ``qpos`` and ``qvel``, [dof].
+        drive: Index of each joint's drive in ``ctrl``, [dof].
+        object_qpos: Index of the object's first coordinate in ``qpos``.
     """
 
     joint_qpos: wp.array[int]

@@ -40,8 +40,8 @@ class Planner:
 
     A control step (:meth:`plan`) writes the inputs, runs one :meth:`Compute.step` and reads the outputs. A method is a
     subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`,
-    :meth:`tracked`, :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` where it needs to; what a
-    step launches before the robot level goes into ``object_launches`` in its constructor. It is registered in
+    :meth:`tracked`, :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the launches
+    of a step before the robot level go into ``object_launches`` in its constructor. It is registered in
     :data:`oimppi_warp.registries.METHODS`.
 
     Args:
@@ -53,12 +53,12 @@ class Planner:
 
     Attributes:
         engine: Name of the rollout engine.
-        engine_reason: Why it was chosen, if it was not asked for by name.
+        engine_reason: Reason for its choice, if it was not requested by name.
         geometry: Shapes of the scene.
-        goal: The scene's, of the friction centre.
+        goal: The scene's goal, of the friction centre.
         dynamics: The engine.
         optimizer: The robot level's optimizer.
-        object_launches: What a step launches before the robot level; complete before the first plan.
+        object_launches: Launches of a step before the robot level; complete before the first plan.
         object_one_graph: Whether these can be captured in a CUDA graph.
         object_plan: The object plan made at the start, poses [n, 3]; ``None`` for methods that make none.
     """
@@ -261,7 +261,7 @@ class Planner:
         jacobian = tip_jacobian(self.scene.robot, joints)
         inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6))
         noise = np.array(robot.tool_noise)
-        if lifting:  # up and down as freely as sideways
+        if lifting:  # as much noise vertically as sideways
             noise[2] = max(noise[:3])
         root = inverse * noise
         if root.shape[0] != root.shape[1]:

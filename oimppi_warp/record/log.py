@@ -14,7 +14,7 @@ device             Device that planned, e.g. ``cpu`` or ``cuda:0``
 threads            Threads that planned on the CPU
 preset, seed       Name of the preset; the seed
 plant, mode        Name of the plant; ``lockstep`` or ``realtime``
-config             Every setting as it was used, as nested dictionaries
+config             Every setting as used, as nested dictionaries
 requested          Settings that were changed for the task: ``{name: [value asked for, why it was changed]}``
 start, goal        Planar poses of the object (x, y [m], yaw [rad])
 tolerance          ``{"position": m, "yaw": rad}``; a yaw of ``None`` means that yaw does not count
@@ -22,10 +22,10 @@ tight_tolerance    The same, stricter
 hold_seconds       How long the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``
-preplan_time_s     Wall time of what was planned before the first step (SOI's object plan) [s]
-problems           ``[step, reason]`` wherever nothing could be planned from what was observed
-ended              Why the episode ended: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
-versions           Versions of what took part, see :func:`versions`
+preplan_time_s     Wall time of planning before the first step (SOI's object plan) [s]
+problems           ``[step, reason]`` wherever nothing could be planned from the observation
+ended              Reason for the end: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
+versions           Versions of Python and packages, see :func:`versions`
 ================== ==================================================================================================
 
 Records written by earlier versions lack some of these: ``threads``, ``requested``, ``engine_reason``, ``plant`` and

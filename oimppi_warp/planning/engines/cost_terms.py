@@ -42,7 +42,7 @@ class CostTerm:
     Attributes:
         function: A ``wp.func`` that takes a ``kernels.costs.terms.Stage`` and returns the unweighted cost.
         weight: Its weight if the settings give none; 0 turns it off.
-        about: What it costs, in one line, with the weight's unit.
+        about: One-line description of the cost, with the weight's unit.
     """
 
     function: wp.Function

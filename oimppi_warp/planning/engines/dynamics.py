@@ -22,7 +22,7 @@ from oimppi_warp.scene import Scene
 
 
 class Dynamics(Protocol):
-    """A model with a state of its own that turns control sequences into costs.
+    """A model that turns control sequences into costs, from a state that it keeps.
 
     Attributes:
         size: Length m of one control.

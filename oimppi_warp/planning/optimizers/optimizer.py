@@ -47,7 +47,7 @@ class Optimizer(ABC):
 
     Args:
         dynamics: Turns control sequences into costs.
-        settings: An instance of ``Settings``.
+        settings: Settings, an instance of the class's ``Settings``.
         seed: Seed of the noise; the same seed gives the same plans.
 
     Attributes:
