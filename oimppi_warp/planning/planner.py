@@ -39,9 +39,9 @@ class Planner:
     (equation 8); both without the terminal cost l_f. A rollout engine predicts the outcome of the controls.
 
     A control step (:meth:`plan`) writes the inputs, runs one :meth:`Compute.step` and reads the outputs. A method is a
-    subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`,
-    :meth:`tracked`, :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the launches
-    of a step before the robot level go into ``object_launches`` in its constructor. It is registered in
+    subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`, :meth:`tracked`,
+    :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the launches of a step before
+    the robot level go into ``object_launches`` in its constructor. It is registered in
     :data:`oimppi_warp.registries.METHODS`.
 
     Args:
