@@ -1,4 +1,4 @@
-"""Planar geometry and look-ups in distance fields, shared by all kernels."""
+"""Planar geometry and distance field look-ups, shared by all kernels."""
 
 import warp as wp
 
@@ -41,7 +41,7 @@ class PoseField:
 
 @wp.struct
 class SpaceField:
-    """A scalar over (x, y, z), trilinear between nodes; far away (``outside``) beyond its box.
+    """A scalar over (x, y, z), trilinear between nodes; ``outside`` beyond its box.
 
     Attributes:
         values: [nx, ny, nz].
@@ -58,19 +58,19 @@ class SpaceField:
 
 @wp.func
 def wrap_angle(a: float) -> float:
-    """The angle in [-pi, pi) [rad]."""
+    """Wraps an angle to [-pi, pi) [rad]."""
     return a - 2.0 * PI * wp.floor((a + PI) / (2.0 * PI))
 
 
 @wp.func
 def rotate(c: float, s: float, v: wp.vec2) -> wp.vec2:
-    """``v`` turned by the angle with cosine ``c`` and sine ``s``."""
+    """Rotates ``v`` by the angle with cosine ``c`` and sine ``s``."""
     return wp.vec2(c * v[0] - s * v[1], s * v[0] + c * v[1])
 
 
 @wp.func
 def planar_field(field: PlanarField, p: wp.vec2) -> wp.vec3:
-    """Value and gradient (value, d/dx, d/dy) of the field at ``p``."""
+    """Returns value and gradient (value, d/dx, d/dy) of the field at ``p``."""
     nx = field.values.shape[0]
     ny = field.values.shape[1]
     fx = wp.clamp((p[0] - field.origin[0]) * field.inv_step, 0.0, float(nx - 1) - 1.0e-3)
@@ -91,7 +91,7 @@ def planar_field(field: PlanarField, p: wp.vec2) -> wp.vec3:
 
 @wp.func
 def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
-    """Value and gradient (value, d/dx, d/dy, d/dyaw) of the field at a planar pose."""
+    """Returns value and gradient (value, d/dx, d/dy, d/dyaw) of the field at a planar pose."""
     nyaw = field.values.shape[0]
     nx = field.values.shape[1]
     ny = field.values.shape[2]
@@ -101,7 +101,7 @@ def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
     ft = (turns - wp.floor(turns)) * float(nyaw)
     i = int(fx)
     j = int(fy)
-    t0 = wp.clamp(int(ft), 0, nyaw - 1)  # also where the yaw is not a number
+    t0 = wp.clamp(int(ft), 0, nyaw - 1)  # also if the yaw is NaN
     t1 = t0 + 1
     if t1 == nyaw:
         t1 = 0
@@ -133,7 +133,7 @@ def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
 
 @wp.func
 def space_field(field: SpaceField, p: wp.vec3) -> float:
-    """Value of the field at ``p``."""
+    """Returns the value of the field at ``p``."""
     nx = field.values.shape[0]
     ny = field.values.shape[1]
     nz = field.values.shape[2]

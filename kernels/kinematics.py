@@ -1,7 +1,7 @@
 """Forward kinematics of a serial arm whose joints turn about or slide along their local z axes, and its clearance.
 
-A chain is written as a letter for each joint, R where it turns and P where it slides; kernels are made for a chain, so
-that a thread asks no joint of which kind it is.
+A chain is written as one letter per joint: R for one that turns, P for one that slides. Kernels are generated for a
+chain, so that no thread has to check a joint's type.
 """
 
 from functools import lru_cache
@@ -15,18 +15,18 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Arm:
-    """A serial arm with its tool, and spheres that stand for its shape.
+    """A serial arm with its tool, and spheres that approximate its shape.
 
     Attributes:
         rotation: Joint frame in the previous link's frame, at position zero, [dof].
-        position: The same, its origin [m], [dof].
+        position: Origin of that frame [m], [dof].
         lower, upper: Joint position limits [rad], [dof].
         speed: Joint velocity limits [rad/s], [dof].
         tip_position: Tool tip in the last link's frame [m].
         tip_rotation: The tip's frame in the last link's frame; its z axis points out of the tool.
         sphere: Spheres along the links: centre in the link's frame [m] and radius [m], sorted by link.
         first_sphere: Index of each link's first sphere, [dof + 1].
-        hull: A sphere around all of each link's, [dof].
+        hull: A sphere that encloses all spheres of each link, [dof].
     """
 
     rotation: wp.array[wp.mat33]
@@ -43,13 +43,13 @@ class Arm:
 
 @wp.struct
 class Environment:
-    """What the arm must keep clear of.
+    """Obstacles and table, which the arm must keep clear of.
 
     Attributes:
         obstacles: Distance to the obstacles [m].
         top: Height above which no obstacle is near [m].
-        near: Clearance from which a lower bound is as good as the exact one [m].
-        tool_radius: [m].
+        near: Clearance above which a lower bound is good enough [m].
+        tool_radius: Radius of the tool [m].
     """
 
     obstacles: SpaceField
@@ -60,7 +60,7 @@ class Environment:
 
 @wp.struct
 class ArmPlacement:
-    """Where an arm is.
+    """Placement of an arm at given joint positions.
 
     Attributes:
         tip: The tool's tip [m].
@@ -78,7 +78,7 @@ class ArmPlacement:
 
 @wp.func
 def turn_about_z(r: wp.mat33, c: float, s: float) -> wp.mat33:
-    """``r`` followed by a turn about its own z axis, by the angle with cosine ``c`` and sine ``s``."""
+    """Returns ``r`` rotated about its own z axis by the angle with cosine ``c`` and sine ``s``."""
     return wp.mat33(
         c * r[0, 0] + s * r[0, 1], c * r[0, 1] - s * r[0, 0], r[0, 2],
         c * r[1, 0] + s * r[1, 1], c * r[1, 1] - s * r[1, 0], r[1, 2],
@@ -88,7 +88,7 @@ def turn_about_z(r: wp.mat33, c: float, s: float) -> wp.mat33:
 
 @wp.func
 def lowest_clearance(environment: Environment, p: wp.vec3, r: wp.mat33, ball: wp.vec4) -> float:
-    """Clearance to table and obstacles of a sphere (centre, radius) given in a frame ``p``, ``r`` [m]."""
+    """Returns the clearance of a sphere (centre, radius) in the frame ``p``, ``r`` to table and obstacles [m]."""
     height = p[2] + r[2, 0] * ball[0] + r[2, 1] * ball[1] + r[2, 2] * ball[2] - ball[3]
     clearance = height
     if height < environment.top:
@@ -99,20 +99,20 @@ def lowest_clearance(environment: Environment, p: wp.vec3, r: wp.mat33, ball: wp
 
 @lru_cache
 def make_place_arm(chain: str) -> wp.Function:
-    """The function that places an arm with a chain of joints, like ``"RRRRRR"``."""
+    """Returns the function that places an arm with a chain of joints, such as ``"RRRRRR"``."""
     dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
-    # One bit a joint: a constant that the unrolled loop asks, so that the compiler leaves out what is not so. (With
+    # One bit per joint: a constant that the unrolled loop tests, so that the compiler drops the dead branch. (With
     # wp.static in the loop, a module's hash would depend on what was compiled before it.)
     slides = sum(1 << j for j, kind in enumerate(chain) if kind == "P")
 
     @wp.func(module=f"oimppi_warp.kernels.kinematics_{chain}")
     def place_arm(arm: Arm, environment: Environment, tip: wp.vec3, q: vec) -> ArmPlacement:
-        """Tip, tilt and clearance of the arm; the clearance is ``phi_3(x_r) >= 0`` of equation 4.
+        """Computes tip, tilt and clearance of the arm; the clearance is ``phi_3(x_r) >= 0`` of equation 4.
 
         Args:
             arm: The arm.
-            environment: What is around it.
+            environment: Obstacles and table.
             tip: The tip in the last link's frame [m].
             q: Joint positions [rad].
         """
@@ -126,7 +126,7 @@ def make_place_arm(chain: str) -> wp.Function:
                 p = p + q[j] * wp.vec3(r[0, 2], r[1, 2], r[2, 2])
             else:
                 r = turn_about_z(r * arm.rotation[j], wp.cos(q[j]), wp.sin(q[j]))
-            # A link that is far from everything as a whole is not looked at more closely.
+            # The spheres of a link whose hull is far from everything need not be checked.
             whole = lowest_clearance(environment, p, r, arm.hull[j])
             if whole > environment.near:
                 clearance = wp.min(clearance, whole)

@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class ObjectModel:
-    """The pushed object on its table.
+    """The pushed object on the table.
 
     Attributes:
         force: Friction force mu m g [N].
@@ -34,7 +34,7 @@ class ObjectModel:
 
 @wp.struct
 class Settled:
-    """Where an object came to rest against the obstacles.
+    """Result of settling an object against the obstacles.
 
     Attributes:
         pose: Pose of the friction centre.
@@ -49,18 +49,19 @@ class Settled:
 
 LEAST_YIELD = wp.constant(0.05)
 """Motion of the contact point along the normal, per unit force, below which a cone's edge is not used. Such a force
-would hardly move the contact inwards, or pull it back, and the depth that is left would take a huge force."""
+would hardly move the contact inwards, or would even pull it back, and removing the remaining depth would take a huge
+force."""
 
 LONGEST_CORRECTION = wp.constant(0.02)
-"""Longest correction of phi_2 in one projection [m]: further out the linearization does not hold."""
+"""Largest correction of phi_2 in one projection [m]; beyond it the linearization does not hold."""
 
 LEAST_GRADIENT = wp.constant(0.1)
-"""Least ``g^T D g`` in units of ``1 / (mu m g)``: the gradient vanishes at kinks of phi_2, and the step would not."""
+"""Least ``g^T D g`` in units of ``1 / (mu m g)``; bounds the step at kinks of phi_2, where the gradient vanishes."""
 
 
 @wp.func
 def mobility(model: ObjectModel) -> wp.vec3:
-    """Diagonal of the mobility ``D``, in units of ``1 / (mu m g)``: ``(1, 1, 1 / radius^2)``.
+    """Returns the diagonal of the mobility ``D``, in units of ``1 / (mu m g)``: ``(1, 1, 1 / radius^2)``.
 
     A wrench ``w`` about the friction centre moves the object with the twist ``x_o' = D w``,
     ``D = diag(mu m g, mu m g, c r mu m g)^-1`` (equation 5). The paper's ``c r`` is ``radius^2`` here, with the limit
@@ -71,10 +72,10 @@ def mobility(model: ObjectModel) -> wp.vec3:
 
 @wp.func
 def phi_1(model: ObjectModel, pose: wp.vec3, point: wp.vec2) -> float:
-    """Gap between a point of the robot and the object, negative inside [m]: ``phi_1 = d_B(R^T (x_r - p_o))``.
+    """Returns the gap between a point of the robot and the object [m]: ``phi_1 = d_B(R^T (x_r - p_o))``.
 
     This is equation 7, with the object's signed distance field ``d_B``, its pose ``(p_o, theta)``, the rotation ``R``
-    by theta, and the point ``x_r``. A round tool's gap is smaller by its radius.
+    by theta, and the point ``x_r``. It is negative inside the object. A round tool's gap is smaller by its radius.
     """
     local = rotate(wp.cos(pose[2]), -wp.sin(pose[2]), point - wp.vec2(pose[0], pose[1]))
     return planar_field(model.body, local)[0]
@@ -82,15 +83,15 @@ def phi_1(model: ObjectModel, pose: wp.vec3, point: wp.vec2) -> float:
 
 @wp.func
 def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_radius: float) -> wp.vec3:
-    """The object's pose after a round tool moved from ``start`` to ``end``.
+    """Returns the object's pose after a round tool has moved from ``start`` to ``end``.
 
-    The object yields along the limit surface just as far as the tool would otherwise enter it. The contact sticks while
-    the force stays in the friction cone and slides along the cone's edge otherwise.
+    The object yields along the limit surface by exactly as much as the tool would otherwise penetrate it. The contact
+    sticks while the force stays in the friction cone and otherwise slides along the cone's edge.
 
     In the paper's symbols: the object moves by ``x_o <- x_o + D w_o dt`` (equation 2, with ``h_o = dt D``) under the
     tool's part of the wrench, ``w_o = grad phi_1 lambda_1`` (equation 3) with friction added, where
     ``0 <= lambda_1 _|_ phi_1 >= 0`` (equation 4): no force without contact, and no overlap after it. phi_1 is that of
-    equation 7, less the tool's radius and looked up with its gradient; lambda_1 itself is not worked out.
+    equation 7, less the tool's radius and looked up with its gradient; lambda_1 itself is not computed.
     """
     moved = pose
     c = wp.cos(pose[2])
@@ -106,7 +107,7 @@ def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_r
             t = wp.vec2(-n[1], n[0])
             contact = local - field[0] * outward
             travel = rotate(c, -s, end - start)
-            # Only the part of the way that is spent in contact drags the object sideways.
+            # Only the part of the motion that is spent in contact drags the object sideways.
             approach = wp.dot(travel, n)
             share = wp.clamp(depth / wp.max(approach, 1.0e-6), 0.0, 1.0)
             want = depth * n + share * wp.dot(travel, t) * t
@@ -135,7 +136,7 @@ def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_r
 
 @wp.func
 def settle(model: ObjectModel, pose: wp.vec3, dt: float) -> Settled:
-    """Moves an object that entered an obstacle back to its surface, the shortest way by the mobility ``D``.
+    """Moves an object that entered an obstacle back to its surface, by the shortest motion in terms of ``D``.
 
     This is ``0 <= lambda_2 _|_ phi_2 >= 0`` (equation 4) by projection. The obstacles' part of the wrench is
     ``w_o = grad phi_2 lambda_2`` (equation 3), which moves the object by ``dt D w_o`` (equation 6); so the force that

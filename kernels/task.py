@@ -1,4 +1,4 @@
-"""The robot level's task as the kernels of every engine read it, and what they make of a stage."""
+"""The robot level's task in the form read by every engine's kernels, and the part of the stage that they share."""
 
 import warp as wp
 
@@ -17,11 +17,11 @@ class RobotTask:
     Attributes:
         arm: The arm.
         model: The pushed object.
-        environment: What the arm must keep clear of.
-        weights: Of the cost terms.
-        to_go: Cost-to-go of the object [m]; not looked up where ``w_to_go`` is zero.
+        environment: Obstacles and table, which the arm must keep clear of.
+        weights: Weights of the cost terms.
+        to_go: Cost-to-go of the object [m]; not read if ``w_to_go`` is zero.
         goal: The object's goal, a pose, shape [1].
-        reference: Where the object plan has the object at each step from now, poses, shape [horizon + 1 + align_ahead].
+        reference: Poses of the object plan at each step from now, shape [horizon + 1 + align_ahead].
         waypoint: Waypoint of the tip while it is repositioned, shape [1], see ``Stage``.
         dt: Control period [s].
     """
@@ -45,7 +45,7 @@ def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
 
 @wp.func
 def above_penalty(task: RobotTask, tip: wp.vec3) -> float:
-    """Returns 1 for a tip over the object, else 0; a tip that is repositioned may pass ``CROSSING`` above it."""
+    """Returns 1 for a tip over the object, else 0; while repositioning, a tip ``CROSSING`` above it does not count."""
     counts = float(0.0)
     if task.waypoint[0][3] <= 0.0 or tip[2] < task.model.top + CROSSING:
         counts = 1.0
@@ -54,7 +54,7 @@ def above_penalty(task: RobotTask, tip: wp.vec3) -> float:
 
 @wp.func
 def stage_at(task: RobotTask, h: int, placed: ArmPlacement, pose: wp.vec3) -> Stage:
-    """The stage after control step ``h`` as far as it follows from where arm and object are; the rest is zero."""
+    """Returns the stage after control step ``h`` with the fields that follow from arm and object; the rest is zero."""
     stage = Stage()
     stage.tip = placed.tip
     stage.up = placed.up

@@ -1,4 +1,4 @@
-"""Where pushes along a measured path of the arm have moved the object, step by step."""
+"""Tracking of the object: predicts its motion, step by step, from the measured path of the arm that pushes it."""
 
 from functools import lru_cache
 
@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def gap_to(model: ObjectModel, pose: wp.vec3, point: wp.vec2, tool_radius: float) -> float:
-    """Distance of a round tool at ``point`` to the object [m]; far away, the smallest there that is known."""
+    """Returns the distance of a round tool at ``point`` to the object [m]; outside the field, a lower bound."""
     local = rotate(wp.cos(pose[2]), -wp.sin(pose[2]), point - wp.vec2(pose[0], pose[1]))
     x = local[0] - model.body.origin[0]
     y = local[1] - model.body.origin[1]
@@ -25,7 +25,7 @@ def gap_to(model: ObjectModel, pose: wp.vec3, point: wp.vec2, tool_radius: float
 
 @lru_cache
 def make_track_object(chain: str) -> wp.Kernel:
-    """The kernel for a chain of joints, like ``"RRRRRR"``."""
+    """Returns the kernel for a chain of joints, such as ``"RRRRRR"``."""
     dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
     place_arm = make_place_arm(chain)
@@ -43,14 +43,14 @@ def make_track_object(chain: str) -> wp.Kernel:
         poses: wp.array[wp.vec3],
         gaps: wp.array[float],
     ):
-        """The object along a path of joint positions; launched with one thread.
+        """Computes the object's poses along a path of joint positions; launched with one thread.
 
-        The tool is a stick: it pushes with its tip, and with where it is at the height of the object's top, which is
+        The tool is a stick: it pushes with its tip and with its point at the height of the object's top, which is
         nearer to the object when the stick leans over it.
 
-        Shapes: ``joints`` [n] [rad], ``begin`` [2]: the step whose pose is known, and the one after the last to be
-        found; ``poses`` [n]: from the first of these to the last, of the friction centre; ``gaps`` [n]: between stick
-        and object, after each step [m].
+        Shapes: ``joints`` [n] [rad]; ``begin`` [2]: the step whose pose is known, and the one after the last to
+        compute; ``poses`` [n]: of the friction centre, from the first of these steps to the last; ``gaps`` [n]:
+        between stick and object, after each step [m].
         """
         pose = poses[begin[0]]
         old = place_arm(arm, environment, arm.tip_position, joints[begin[0]])

@@ -1,6 +1,6 @@
 """Object-informed MPPI: an xArm6 pushes an object to its goal, planned on a CPU or a GPU.
 
-The public names are imported on first use, so that ``import oimppi_warp`` stays light.
+Public names are imported on first use, so that ``import oimppi_warp`` is fast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The errors a person can cause, each with what was wrong, where, what is allowed and what to do."""
+"""Errors that a user can cause; each says what is wrong and where, what is allowed and how to fix it."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Literal
 
 
 class OimppiError(Exception):
-    """Base of every error that bad input raises; the command line turns it into one message and exit status 2."""
+    """Base class of all errors from bad input; the command line shows one message and exits with status 2."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Something in a scene that a person should know of; tools get its fields as they are.
+    """A problem in a scene that the user should know about, as data for tools.
 
     Attributes:
-        file: The USD file it stands in.
-        severity: An error stops a run, a warning may spoil it.
-        prim: Path of the prim it stands at; empty where it stands at none.
-        what: What was found, with the value that was found.
-        allowed: What would be allowed there.
-        fix: What to do about it.
+        file: The USD file with the problem.
+        severity: An error prevents a run, a warning may spoil it.
+        prim: Path of the prim with the problem; empty if it belongs to none.
+        what: Description of the problem, with the value found.
+        allowed: The values that would be allowed.
+        fix: How to fix it.
     """
 
     file: str
@@ -35,12 +35,12 @@ class SceneError(OimppiError):
     """A scene that cannot be run.
 
     Args:
-        what: What was found to be wrong, with the value that was found.
-        file: The USD file it stands in.
-        prim: Path of the prim it stands at, if it stands at one.
-        allowed: What would be allowed there.
-        fix: What to do about it.
-        others: How many more mistakes there are in the scene.
+        what: Description of the mistake, with the value found.
+        file: The USD file with the mistake.
+        prim: Path of the prim with the mistake, if it belongs to one.
+        allowed: The values that would be allowed.
+        fix: How to fix it.
+        others: Number of other mistakes in the scene.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class SceneError(OimppiError):
 
     @property
     def problem(self) -> Problem:
-        """The same as data."""
+        """Returns the error as data."""
         return Problem(self.file, "error", self.prim, self.what, self.allowed, self.fix)
 
     def among(self, others: int) -> SceneError:
-        """The same, with word of so many other mistakes in the scene."""
+        """Returns the same error, with a mention of ``others`` more mistakes in the scene."""
         return SceneError(self.what, file=self.file, prim=self.prim, allowed=self.allowed, fix=self.fix, others=others)
 
 
@@ -79,7 +79,7 @@ class ConfigError(OimppiError):
 
 
 class DeviceError(OimppiError):
-    """A compute device that is not there."""
+    """A compute device that does not exist."""
 
 
 class ObservationError(OimppiError):

@@ -1,4 +1,4 @@
-"""Public names of a package that are imported on first use, so that the package itself is imported at once."""
+"""Lazy import of a package's public names, so that importing the package itself is fast."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 def names_on_first_use(
     package: str, modules: Mapping[str, str], namespace: dict[str, Any]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """A package's ``__getattr__`` and ``__dir__`` (PEP 562).
+    """Returns ``__getattr__`` and ``__dir__`` for a package (PEP 562).
 
     Args:
-        package: Its name.
-        modules: The module below it that each public name is in.
-        namespace: Its globals, where a name stays once it was asked for.
+        package: Name of the package.
+        modules: The submodule of each public name.
+        namespace: Globals of the package, in which names are kept after first use.
     """
 
     def look_up(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What a plant tells a planner, all that the two share besides joint velocities, and how it is checked."""
+"""Observations, which a plant sends to a planner, and checks of them."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from oimppi_warp.errors import ObservationError
 from oimppi_warp.scene import PlanarPose, Robot
 
 FARTHEST_OBJECT = 10.0
-"""Distance from the robot beyond which an object's pose is taken for an error of perception [m]."""
+"""Distance from the robot beyond which an object's pose is considered a perception error [m]."""
 BEYOND_LIMITS = 0.5
-"""How far beyond its limits a joint may be reported before that is taken for an error of the sensor [rad; m]."""
+"""Distance beyond its limits at which a reported joint position is considered a sensor error [rad; m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a plant knows of itself at one instant.
+    """A plant's knowledge of its state at one instant.
 
     Attributes:
-        time: Since the start of the episode [s].
-        joint_position: Shape [dof] [rad].
-        joint_velocity: Shape [dof] [rad/s].
-        object_pose: The object from above, as it was last seen: (x [m], y [m], yaw [rad]), shape [3]; NaN before.
-        object_transform: The object's pose (position, quaternion xyzw), shape [7].
-        object_time: When the object was seen so [s]; ``None`` where it always is, at ``time``. NaN before it was.
-        trail: Time [s] and joint positions [rad] since the observation before, that one's included, shape [n, 1 + dof];
-            empty where a plant reports no more than once in a control period.
+        time: Time since the start of the episode [s].
+        joint_position: Joint positions, shape [dof] [rad].
+        joint_velocity: Joint velocities, shape [dof] [rad/s].
+        object_pose: Planar pose of the object as last seen: (x [m], y [m], yaw [rad]), shape [3]; NaN before that.
+        object_transform: Pose of the object (position, quaternion xyzw), shape [7].
+        object_time: Time at which the object was seen there [s]; NaN before it was seen. ``None`` if it is always
+            known, at ``time``.
+        trail: Times [s] and joint positions [rad] since the previous observation, which is included, shape
+            [n, 1 + dof]; empty if a plant reports only once per control period.
     """
 
     time: float
@@ -41,7 +42,7 @@ class Observation:
 
 
 def planar_transform(pose: PlanarPose, height: float) -> np.ndarray:
-    """A planar pose as a transform (position, quaternion xyzw), shape [7].
+    """Converts a planar pose to a transform (position, quaternion xyzw), shape [7].
 
     Args:
         pose: (x, y, yaw).
@@ -52,16 +53,16 @@ def planar_transform(pose: PlanarPose, height: float) -> np.ndarray:
 
 
 def planar_pose(transform: np.ndarray) -> np.ndarray:
-    """A transform (position, quaternion xyzw) seen from above: (x, y, yaw), yaw within (-pi, pi], shape [3]."""
+    """Projects a transform (position, quaternion xyzw) to a pose (x, y, yaw), yaw within (-pi, pi], shape [3]."""
     x, y, _, qx, qy, qz, qw = transform
     return np.array([x, y, np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))])
 
 
 def check_shapes(observation: Observation, dof: int) -> None:
-    """Checks that an observation's arrays have the lengths that a robot of ``dof`` joints and a pose need.
+    """Checks the lengths of an observation's arrays for a robot of ``dof`` joints.
 
     Raises:
-        ObservationError: One has another length; the message names it.
+        ObservationError: An array has the wrong length; the message names it.
     """
     for name, length in (
         ("joint_position", dof),
@@ -80,10 +81,10 @@ def check_shapes(observation: Observation, dof: int) -> None:
 
 
 def implausible(observation: Observation, robot: Robot) -> str:
-    """Says why nothing can be planned from an observation; empty if it can.
+    """Returns why nothing can be planned from an observation; empty if it can.
 
     Numbers that are not finite, an object farther than :data:`FARTHEST_OBJECT` away and joints more than
-    :data:`BEYOND_LIMITS` outside their limits are errors of a sensor, not states to plan from.
+    :data:`BEYOND_LIMITS` outside their limits are sensor errors, not states to plan from.
     """
     values = {
         "joint positions": observation.joint_position,
@@ -108,12 +109,12 @@ def implausible(observation: Observation, robot: Robot) -> str:
 
 
 def beyond_limits(robot: Robot, joint_position: np.ndarray) -> np.ndarray:
-    """How far joint positions [..., dof] are beyond the joints' limits; negative within them [rad; m]."""
+    """Returns the distance of joint positions [..., dof] beyond the joints' limits; negative within [rad; m]."""
     lower, upper = _limits(robot)
     return np.maximum(lower - joint_position, joint_position - upper)
 
 
 @lru_cache(maxsize=8)
 def _limits(robot: Robot) -> np.ndarray:
-    """Lower and upper limits of all joints, shape [2, dof] [rad; m]."""
+    """Returns lower and upper limits of all joints, shape [2, dof] [rad; m]."""
     return np.array([(joint.lower, joint.upper) for joint in robot.joints]).T

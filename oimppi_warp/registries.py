@@ -1,4 +1,4 @@
-"""Every registry, and where its shipped entries are. Importing this module imports none of them."""
+"""All registries, with the locations of their shipped entries. Importing this module imports none of the entries."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ METHODS: Registry[Any] = Registry(
         "cloi": "oimppi_warp.planning.cloi:ClosedLoopPlanner",
     },
 )
-"""Who replans when: subclasses of :class:`oimppi_warp.planning.planner.Planner`."""
+"""Methods: subclasses of :class:`oimppi_warp.planning.planner.Planner`."""
 
 OPTIMIZERS: Registry[Any] = Registry(
     "optimizer",
@@ -39,10 +39,10 @@ PLANTS: Registry[Any] = Registry(
     "oimppi_warp.plants",
     {"ideal": "oimppi_warp.plants.plant:ideal_plant", "lab": "oimppi_warp.plants.lab:lab_plant"},
 )
-"""What is moved: ``(scene, config, *, seed) -> Plant`` (:class:`oimppi_warp.plants.plant.Plant`)."""
+"""Plants to move: ``(scene, config, *, seed) -> Plant`` (:class:`oimppi_warp.plants.plant.Plant`)."""
 
 COST_TERMS: Registry[Any] = Registry("cost term", "oimppi_warp.cost_terms", {})
-"""Cost terms of the robot level beside the built-in ones (:class:`oimppi_warp.CostTerm`)."""
+"""Cost terms of the robot level, in addition to the built-in ones (:class:`oimppi_warp.CostTerm`)."""
 
 SHAPES: Registry[Any] = Registry(
     "shape",
@@ -63,4 +63,4 @@ SHAPES: Registry[Any] = Registry(
         "mesh": "oimppi_warp.authoring.named_shapes:MESH",
     },
 )
-"""Objects and obstacles by words, as ``letter:S`` (:class:`oimppi_warp.authoring.named_shapes.Shape`)."""
+"""Named shapes of objects and obstacles, such as ``letter:S`` (:class:`oimppi_warp.authoring.named_shapes.Shape`)."""

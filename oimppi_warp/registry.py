@@ -1,8 +1,8 @@
-"""Registries: the places where methods, optimisers, engines, plants, cost terms and shapes are added by name.
+"""Registries, in which methods, optimisers, engines, plants, cost terms and shapes are added by name.
 
 Everything that offers a choice (the command line, suites, the viewer, tables, ``oimppi doctor``) reads a registry, so a
-new entry appears in all of them. Shipped entries are imported on first use. Entries from elsewhere are registered in
-Python (:meth:`Registry.register`) or, so that the command line and worker processes know them too, declared by an
+new entry appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python
+(:meth:`Registry.register`) or, to be available on the command line and in worker processes too, declared by an
 installed package as an entry point of the registry's group. `docs/extending.md` has an example of each.
 """
 
@@ -21,12 +21,12 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Implementations of one kind by name, in the order in which they were added.
+    """Implementations of one kind, by name, in the order in which they were added.
 
     Args:
-        kind: What an entry is, in the singular, for messages: ``"method"``.
-        group: Entry point group under which installed packages add theirs: ``"oimppi_warp.methods"``.
-        shipped: Where each shipped entry is: ``"module:attribute"``.
+        kind: Noun for an entry, in the singular, for messages: ``"method"``.
+        group: Entry point group for entries of installed packages: ``"oimppi_warp.methods"``.
+        shipped: Location of each shipped entry: ``"module:attribute"``.
     """
 
     def __init__(self, kind: str, group: str, shipped: Mapping[str, str]) -> None:
@@ -36,7 +36,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._loaded: dict[str, T] = {}
 
     def register(self, name: str, value: Any = None) -> Any:
-        """Adds an entry; without ``value``, a decorator that does.
+        """Adds an entry; without ``value``, returns a decorator that does.
 
         Raises:
             ConfigError: The name is taken by another entry.
@@ -54,7 +54,7 @@ class Registry(Mapping[str, T], Generic[T]):
             self._loaded.pop(name, None)
 
     def get_checked(self, name: str) -> T:
-        """The entry of that name.
+        """Returns the entry of a name.
 
         Raises:
             ConfigError: There is none; the message lists those that exist.
@@ -63,11 +63,11 @@ class Registry(Mapping[str, T], Generic[T]):
         return self[name]
 
     def check(self, name: str, *others: str) -> None:
-        """Checks that there is an entry of that name, without importing it.
+        """Checks that an entry exists, without importing it.
 
         Args:
             name: The name.
-            *others: Names that are allowed besides, such as ``"auto"``.
+            *others: Other names that are allowed, such as ``"auto"``.
 
         Raises:
             ConfigError: There is none; the message lists those that exist.
@@ -79,20 +79,20 @@ class Registry(Mapping[str, T], Generic[T]):
             raise ConfigError(f"{self.kind} {name!r} does not exist\n  allowed: {', '.join(known)}{hint}")
 
     def is_local(self, name: str) -> bool:
-        """Whether an entry was added by :meth:`register`, so that other processes do not know it."""
+        """Returns whether an entry was added by :meth:`register`, and so is unknown to other processes."""
         return name in self._loaded and name not in self._targets and name not in self._installed
 
     def choice(self, *others: str) -> Any:
-        """The names as a ``Literal`` type, for command lines; ``others`` come first."""
+        """Returns the names as a ``Literal`` type, for command lines; ``others`` come first."""
         return Literal.__getitem__((*others, *self))  # pyright: ignore[reportAttributeAccessIssue]
 
     def package_of(self, name: str) -> str:
-        """Name of the installed package that declares an entry; empty for a shipped or a registered one."""
+        """Returns the installed package that declares an entry; empty for a shipped or registered one."""
         point = self._installed.get(name)
         return point.dist.name if point is not None and point.dist is not None else ""
 
     def loadable(self) -> Iterator[tuple[str, T]]:
-        """Yields names and entries, without those of installed packages that cannot be loaded."""
+        """Yields names and entries, except those of installed packages that cannot be loaded."""
         for name in self:
             try:
                 yield name, self[name]
@@ -127,5 +127,5 @@ class Registry(Mapping[str, T], Generic[T]):
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
-        """What installed packages declare; shipped names cannot be replaced."""
+        """Returns the entry points that installed packages declare; shipped names cannot be replaced."""
         return {point.name: point for point in entry_points(group=self.group) if point.name not in self._targets}

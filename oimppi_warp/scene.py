@@ -1,8 +1,8 @@
-"""A task as data: what stands where, what is pushed, and where it should go.
+"""A task as data: robot, obstacles, pushed object, start and goal.
 
-A :class:`Scene` is read from USD by :func:`oimppi_warp.usd.load_scene`, and is all that planner, plant, viewer and
-caches know of a task. It cannot be changed, its arrays included; ``dataclasses.replace`` and the ``with_`` methods make
-another one, and whatever is built from that one follows the change:
+A :class:`Scene` is read from USD by :func:`oimppi_warp.usd.load_scene`, and is the only description of a task that
+planner, plant, viewer and caches use. It is immutable, including its arrays; ``dataclasses.replace`` and the ``with_``
+methods make a changed copy, and everything built from that copy follows the change:
 
     heavy = replace(scene, object=replace(scene.object, mass=5.0), obstacles=())
 
@@ -30,7 +30,7 @@ _LETTERS: dict[JointKind, str] = {"revolute": "R", "prismatic": "P"}
 
 
 class _ReadOnly:
-    """A dataclass whose arrays are copies that cannot be written to: caches rely on what they were made from."""
+    """A dataclass whose arrays are read-only copies, since caches rely on them."""
 
     def __post_init__(self) -> None:
         for field in fields(self):  # pyright: ignore[reportArgumentType]
@@ -47,13 +47,13 @@ class Collider(_ReadOnly):
 
     Attributes:
         path: Prim path.
-        kind: Type of shape; a mesh is taken as the convex hull of its vertices.
+        kind: Type of shape; a mesh is treated as the convex hull of its vertices.
         transform: Pose of the shape in its body's frame (world frame for obstacles), shape [7].
         size: Box: half extents (3) [m]. Sphere: (radius,). Cylinder and capsule: (radius, half height of the straight
             part), along the shape's local z. Mesh: empty.
         vertices: Mesh vertices in the shape's frame, shape [n, 3] [m]; ``None`` for the other kinds.
-        faces: Triangles of a mesh, indices into ``vertices``, shape [m, 3]. They enclose what it weighs, which may have
-            hollows; ``None``: the hull is solid.
+        faces: Triangles of a mesh, indices into ``vertices``, shape [m, 3]. They enclose the volume that has mass,
+            which may have hollows; ``None``: the hull is solid.
     """
 
     path: str
@@ -64,7 +64,7 @@ class Collider(_ReadOnly):
     faces: np.ndarray | None = None
 
     def scaled(self, factor: float) -> Collider:
-        """The shape with all its lengths, its distance from the frame's origin included, multiplied by a factor."""
+        """Returns the shape with all lengths, including the distance from its frame's origin, scaled by a factor."""
         return replace(
             self,
             transform=np.concatenate([factor * self.transform[:3], self.transform[3:]]),
@@ -75,13 +75,13 @@ class Collider(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Welded(_ReadOnly):
-    """A body that is welded to a link, such as the tool. The link has its colliders and, in its sum, its mass.
+    """A body that is welded to a link, such as the tool. Its colliders and its mass are included in the link's.
 
     Attributes:
-        path: Prim path; colliders of the link whose paths lie below it are this body's.
+        path: Prim path; the link's colliders whose paths are below it belong to this body.
         transform: The body's frame in the link's, shape [7].
-        mass: [kg].
-        center_of_mass, unit_inertia: As those of :class:`Link`, in the body's frame.
+        mass: Mass [kg].
+        center_of_mass, unit_inertia: Like those of :class:`Link`, in the body's frame.
     """
 
     path: str
@@ -97,12 +97,13 @@ class Link(_ReadOnly):
 
     Attributes:
         path: Prim path.
-        mass: With all that is welded to it [kg].
-        colliders: Shapes in the link's frame, those of welded bodies too.
-        center_of_mass: Of the link without what is welded to it, in its frame, shape [3] [m]; ``None``: that of its
-            colliders.
-        unit_inertia: Rotational inertia of the same about its centre of mass, divided by its mass, in the axes of the
-            link's frame, shape [3, 3] [m^2]; ``None``: that of its colliders, all of one density.
+        mass: Mass, including that of welded bodies [kg].
+        colliders: Shapes in the link's frame, including those of welded bodies.
+        center_of_mass: Centre of mass of the link without welded bodies, in its frame, shape [3] [m]; ``None``: that of
+            its colliders.
+        unit_inertia: Rotational inertia of the link without welded bodies about its centre of mass, divided by its
+            mass, in the axes of the link's frame, shape [3, 3] [m^2]; ``None``: that of its colliders at uniform
+            density.
         welded: Bodies welded to it.
     """
 
@@ -118,15 +119,15 @@ class Link(_ReadOnly):
 class Joint(_ReadOnly):
     """A joint that turns about its own local z axis, or slides along it.
 
-    Wherever this package says rad, rad/s or N m of a joint, it is m, m/s or N for one that slides.
+    Wherever this package gives rad, rad/s or N m for a joint, the unit is m, m/s or N for one that slides.
 
     Attributes:
         path: Prim path.
         parent_transform: Joint frame in the frame of the previous link (the base for the first joint), shape [7]; the
             link that the joint moves has this frame at position zero.
-        lower, upper: Position limits [rad]; finite where it slides.
-        velocity_limit: [rad/s].
-        effort_limit: [N m].
+        lower, upper: Position limits [rad]; finite for one that slides.
+        velocity_limit: Velocity limit [rad/s].
+        effort_limit: Torque limit [N m].
         kind: ``"revolute"`` turns, ``"prismatic"`` slides.
         friction: Torque of dry friction in the joint [N m].
         damping: Torque of viscous friction over velocity [N m s/rad].
@@ -145,13 +146,13 @@ class Joint(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Robot(_ReadOnly):
-    """A serial arm with a stick as its tool, base fixed at the world's origin: any chain of turning or sliding joints.
+    """A serial arm of turning or sliding joints with a stick as its tool, its base fixed at the world's origin.
 
     Attributes:
         path: Prim path.
         base: The fixed base link; its shapes are in the world's frame.
         joints: The moving joints from base to flange, length dof.
-        links: The link that each joint moves, length dof; bodies welded to the last one (the tool) count to it.
+        links: The link that each joint moves, length dof; bodies welded to the last one (the tool) are part of it.
         tip: The tool's tip in the last link's frame, shape [7]; its z axis points out of the tool.
         tool_path: Prim path of the tip's prim.
         tool_radius: Radius of the stick [m].
@@ -169,12 +170,12 @@ class Robot(_ReadOnly):
 
     @property
     def dof(self) -> int:
-        """Number of moving joints."""
+        """Returns the number of moving joints."""
         return len(self.joints)
 
     @property
     def chain(self) -> str:
-        """A letter for each joint, R where it turns and P where it slides: ``"RRRRRR"`` for the xArm6."""
+        """Returns one letter per joint, R if it turns and P if it slides: ``"RRRRRR"`` for the xArm6."""
         return "".join(_LETTERS[joint.kind] for joint in self.joints)
 
 
@@ -184,14 +185,14 @@ class PushedObject(_ReadOnly):
 
     Attributes:
         path: Prim path of the rigid body.
-        mass: [kg].
+        mass: Mass [kg].
         friction: Coulomb coefficient between object and table.
         tool_friction: Coulomb coefficient between object and tool.
-        center_of_mass: In the body's frame, shape [3] [m].
+        center_of_mass: Centre of mass in the body's frame, shape [3] [m].
         colliders: Shapes in the body's frame.
         rest_height: z of the body's frame when the object lies on the table [m].
         unit_inertia: Rotational inertia about the centre of mass, divided by the mass, in the axes of the body's frame,
-            shape [3, 3] [m^2]; ``None``: that of the colliders, all of one density. It goes with the shape: give new
+            shape [3, 3] [m^2]; ``None``: that of the colliders at uniform density. It depends on the shape: set new
             colliders together with ``unit_inertia=None`` and the rest height.
     """
 
@@ -205,7 +206,7 @@ class PushedObject(_ReadOnly):
     unit_inertia: np.ndarray | None = None
 
     def scaled(self, factor: float) -> PushedObject:
-        """The object larger or smaller by a factor, of the same mass."""
+        """Returns the object scaled by a factor, with the same mass."""
         return replace(
             self,
             center_of_mass=factor * self.center_of_mass,
@@ -217,21 +218,21 @@ class PushedObject(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """Something static that neither robot nor object may run into; colliders in the world frame."""
+    """A static body that neither robot nor object may collide with; its colliders are in the world frame."""
 
     path: str
     colliders: tuple[Collider, ...]
 
     @property
     def center(self) -> np.ndarray:
-        """Mean of its colliders' origins, shape [3] [m]."""
+        """Returns the mean of its colliders' origins, shape [3] [m]."""
         return np.mean([collider.transform[:3] for collider in self.colliders], axis=0)
 
     def moved(self, by: PlanarPose) -> Obstacle:
-        """The obstacle elsewhere on the table.
+        """Returns the obstacle moved on the table.
 
         Args:
-            by: How far along x and y [m], and how far it is turned about the vertical through its centre [rad].
+            by: Displacement along x and y [m], and rotation about the vertical through its centre [rad].
         """
         x, y, turn = by
         center = self.center
@@ -246,7 +247,7 @@ class Table:
         path: Prim path.
         lower, upper: Corners of the top (x, y) [m].
         thickness: Height of the box [m].
-        others: What else of the table collides, such as its legs, in the world frame. The planner does not know of it.
+        others: Other colliders of the table, such as its legs, in the world frame. The planner ignores them.
     """
 
     path: str
@@ -258,11 +259,11 @@ class Table:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """When the object counts as being at its goal.
+    """Tolerance within which the object is at its goal.
 
     Attributes:
         position: Distance to the goal [m].
-        yaw: Absolute yaw error [rad]; infinite where yaw does not matter.
+        yaw: Absolute yaw error [rad]; infinite if yaw does not matter.
     """
 
     position: float
@@ -274,14 +275,14 @@ class Scene(_ReadOnly):
     """One task.
 
     Attributes:
-        file: The USD file it was read from. It says how things look; what they are is said here.
-        name: Its short name (the file's stem).
-        title: One line about it.
-        start: Where the object starts; ``starts`` lists the task's ten default ones, shape [n, 3].
+        file: The USD file it was read from, which is used for appearance only.
+        name: Short name (the file's stem).
+        title: One-line description.
+        start: Start pose of the object; ``starts`` lists the task's ten default ones, shape [n, 3].
         spread: Half widths of the box around ``start`` that a seed draws starts from: (position [m], yaw [rad]).
-        goal: Where the object should go.
-        tolerance, tight_tolerance: Success as the paper defines it, and a stricter one that is reported beside it.
-        gravity: Acceleration, in the world frame [m/s^2]. The plant obeys it; planners take 9.81 m/s^2 downwards.
+        goal: Goal pose of the object.
+        tolerance, tight_tolerance: The paper's criterion of success, and a stricter one that is also reported.
+        gravity: Acceleration in the world frame [m/s^2]. The plant uses it; planners assume 9.81 m/s^2 downwards.
     """
 
     file: Path
@@ -300,20 +301,20 @@ class Scene(_ReadOnly):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
     def with_start(self, start: PlanarPose) -> Scene:
-        """The same task from another start; nothing is checked (see ``feasibility.check_task``)."""
+        """Returns the same task from another start; nothing is checked (see ``feasibility.check_task``)."""
         return replace(self, start=start)
 
     def with_goal(self, goal: PlanarPose) -> Scene:
-        """The same task to another goal; nothing is checked (see ``feasibility.check_task``)."""
+        """Returns the same task to another goal; nothing is checked (see ``feasibility.check_task``)."""
         return replace(self, goal=goal)
 
     def with_obstacle(self, obstacle: Obstacle) -> Scene:
-        """The same task with another obstacle, in the place of one with the same path if there is one."""
+        """Returns the same task with another obstacle, which replaces one with the same path."""
         others = {each.path: each for each in self.obstacles} | {obstacle.path: obstacle}
         return replace(self, obstacles=tuple(others.values()))
 
     def without_obstacle(self, path: str) -> Scene:
-        """The same task without one of its obstacles.
+        """Returns the same task without one of its obstacles.
 
         Raises:
             SceneError: There is no obstacle of that path.
@@ -322,7 +323,7 @@ class Scene(_ReadOnly):
         return replace(self, obstacles=tuple(each for each in self.obstacles if each is not gone))
 
     def with_obstacle_moved(self, path: str, by: PlanarPose) -> Scene:
-        """The same task with an obstacle elsewhere, see :meth:`Obstacle.moved`; nothing is checked.
+        """Returns the same task with an obstacle moved, see :meth:`Obstacle.moved`; nothing is checked.
 
         Raises:
             SceneError: There is no obstacle of that path.
@@ -330,7 +331,7 @@ class Scene(_ReadOnly):
         return self.with_obstacle(self.obstacle(path).moved(by))
 
     def obstacle(self, path: str) -> Obstacle:
-        """The obstacle of a path.
+        """Returns the obstacle of a path.
 
         Raises:
             SceneError: There is none.
@@ -347,7 +348,7 @@ class Scene(_ReadOnly):
 
 
 def _carried(shape: Collider, center: np.ndarray, by: tuple[float, float], turn: float) -> Collider:
-    """A shape in the world, turned about the vertical through a point [3] and then moved."""
+    """Rotates a shape in the world about the vertical through a point [3], and then moves it."""
     c, s = math.cos(turn), math.sin(turn)
     x, y = shape.transform[:2] - center[:2]
     half_c, half_s = math.cos(turn / 2.0), math.sin(turn / 2.0)

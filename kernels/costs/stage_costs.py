@@ -21,7 +21,7 @@ ObjectWeights = weights_struct("ObjectWeights", ObjectCost)
 
 @wp.func
 def squared(x: float) -> float:
-    """``x`` times itself."""
+    """Returns the square of ``x``."""
     return x * x
 
 
@@ -29,20 +29,20 @@ def squared(x: float) -> float:
 def pose_distance_squared(a: wp.vec3, b: wp.vec3, w_theta: float) -> float:
     """Squared distance of two planar poses: ``d^2(a, b) = |p_a - p_b|^2 + w_theta angle^2`` (equation 16) [m^2].
 
-    The paper's ``angle = acos((trace(R_a^T R_b) - 1) / 2)`` is the size of the yaw error where poses are planar.
+    For planar poses, the paper's ``angle = acos((trace(R_a^T R_b) - 1) / 2)`` is the magnitude of the yaw error.
     """
     return squared(a[0] - b[0]) + squared(a[1] - b[1]) + w_theta * squared(wrap_angle(a[2] - b[2]))
 
 
 @wp.func
 def contact_cost(force: float, f_0: float) -> float:
-    """Hinge cost of the contact force of object and environment: ``max(lambda_2 - f_0, 0)^2`` (equation 15) [N^2]."""
+    """Returns the hinge cost of the object's contact force: ``max(lambda_2 - f_0, 0)^2`` (equation 15) [N^2]."""
     return squared(wp.max(force - f_0, 0.0))
 
 
 @wp.func
 def psi_align(tip: wp.vec2, center: wp.vec2, target: wp.vec2, gamma_0: float) -> float:
-    """By how much the tool is not behind the object, as seen in the direction in which the object should move.
+    """Returns the misalignment of the tool, which should be behind the object as seen in the direction of its motion.
 
     ``psi_align = max(gamma_0 - cos angle(p_o - p_ee, p_o* - p_o), 0)`` (equation 18), with the tip p_ee, the object's
     centre p_o and the target p_o* that the object should move to.
@@ -55,7 +55,7 @@ def psi_align(tip: wp.vec2, center: wp.vec2, target: wp.vec2, gamma_0: float) ->
 
 @wp.func
 def psi_tilt(up: wp.vec3) -> float:
-    """Tilt of the tool from vertical: ``psi_tilt = sqrt(roll^2 + pitch^2)`` (equation 19) [rad].
+    """Returns the tilt of the tool from vertical: ``psi_tilt = sqrt(roll^2 + pitch^2)`` (equation 19) [rad].
 
     ``roll = atan(R32 / R33)`` and ``pitch = atan(-R31 / sqrt(R32^2 + R33^2))``; ``up`` is the third row of the tip's
     rotation. The tip's z axis points out of the tool, so the paper's upright frame is the tip's turned by pi about x,
@@ -68,13 +68,13 @@ def psi_tilt(up: wp.vec3) -> float:
 
 @wp.func
 def shortfall(value: float, wanted: float) -> float:
-    """Square of what ``value`` lacks to ``wanted``."""
+    """Returns the squared amount by which ``value`` falls short of ``wanted``."""
     return squared(wp.max(wanted - value, 0.0))
 
 
 @wp.func
 def outside_ring(pose: wp.vec3, ring: wp.vec2) -> float:
-    """Distance of the object's centre to the ring around the base in which the arm can push well [m]."""
+    """Returns the distance of the object's centre to the ring around the base in which the arm pushes well [m]."""
     distance = wp.sqrt(pose[0] * pose[0] + pose[1] * pose[1])
     return wp.max(ring[0] - distance, 0.0) + wp.max(distance - ring[1], 0.0)
 
@@ -83,7 +83,8 @@ def outside_ring(pose: wp.vec3, ring: wp.vec2) -> float:
 def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, clearance: float, to_go: float) -> float:
     """Stage cost of the object level: ``l_o = w_d d^2(x_o, g) + w_f max(lambda_2 - f_0, 0)^2`` (equation 15), and ours.
 
-    ``d^2`` is that of equation 16. Ours are the clearance phi_2, the cost-to-go and the ring in which the arm pushes.
+    ``d^2`` is that of equation 16. Our additions are terms of the clearance phi_2, of the cost-to-go and of the ring in
+    which the arm pushes well.
     """
     return (
         w.w_d * pose_distance_squared(pose, goal, w.w_theta)
@@ -98,7 +99,7 @@ _TERMS: dict[str, wp.Function] = {}
 
 
 def term(name: str):
-    """Makes a function ``(w: RobotWeights, s: Stage) -> float`` the robot level's cost term of that name."""
+    """Decorator that adds a function ``(w: RobotWeights, s: Stage) -> float`` to the robot level's cost terms."""
 
     def add(function):
         _TERMS[name] = wp.func(function)
@@ -107,12 +108,12 @@ def term(name: str):
     return add
 
 
-# The paper's
+# Terms of the paper
 
 
 @term("goal")
 def goal_term(w: RobotWeights, s: Stage) -> float:
-    """Object away from its goal: ``w_d d^2(x_o, g)``, the first term of l_o (equation 15), and ours.
+    """Cost of the object's distance to its goal: ``w_d d^2(x_o, g)``, the first term of l_o (equation 15), and ours.
 
     Ours is ``w_to_go V(x_o)``, with the cost-to-go V.
     """
@@ -121,7 +122,7 @@ def goal_term(w: RobotWeights, s: Stage) -> float:
 
 @term("contact")
 def contact_term(w: RobotWeights, s: Stage) -> float:
-    """Object in contact with obstacles: ``w_f max(lambda_2 - f_0, 0)^2``, the second term of l_o (equation 15).
+    """Cost of contact of object and obstacles: ``w_f max(lambda_2 - f_0, 0)^2``, the second term of l_o (equation 15).
 
     Ours is ``w_margin max(margin - phi_2, 0)^2``.
     """
@@ -130,15 +131,15 @@ def contact_term(w: RobotWeights, s: Stage) -> float:
 
 @term("reference")
 def reference_term(w: RobotWeights, s: Stage) -> float:
-    """Object away from its plan: ``w_reference l_c``, the coupling cost ``l_c = d^2(x_o, x_o*)`` of equation 14."""
+    """Cost of the distance to the object plan: ``w_reference l_c``, ``l_c = d^2(x_o, x_o*)`` (equation 14)."""
     return w.w_reference * pose_distance_squared(s.pose, s.reference, w.w_theta)
 
 
 @term("approach")
 def approach_term(w: RobotWeights, s: Stage) -> float:
-    """Tool and object apart: ``w_ee max(|p_ee - p_o|^2 - r_0^2, 0)``, the first term of l_r (equation 17).
+    """Cost of the tool's distance: ``w_ee max(|p_ee - p_o|^2 - r_0^2, 0)``, the first term of l_r (equation 17).
 
-    ``p_o`` is at half the object's height. There is none while repositioning.
+    ``p_o`` is at half the object's height. The cost is zero while repositioning.
     """
     cost = float(0.0)
     if s.waypoint[3] <= 0.0:
@@ -149,10 +150,10 @@ def approach_term(w: RobotWeights, s: Stage) -> float:
 
 @term("align")
 def align_term(w: RobotWeights, s: Stage) -> float:
-    """Tool not behind the object: ``w_align psi_align``, the second term of l_r (equation 17), with equation 18.
+    """Cost of a tool not behind the object: ``w_align psi_align`` (equation 18), the second term of l_r (equation 17).
 
-    Closer than ``align_fade`` to the target the direction loses its meaning, and the cost its weight; 0 turns that off.
-    There is none while repositioning.
+    Closer than ``align_fade`` to the target, where the direction loses its meaning, the cost fades out; 0 turns that
+    off. The cost is zero while repositioning.
     """
     cost = float(0.0)
     if s.waypoint[3] <= 0.0:
@@ -167,16 +168,16 @@ def align_term(w: RobotWeights, s: Stage) -> float:
 
 @term("tilt")
 def tilt_term(w: RobotWeights, s: Stage) -> float:
-    """Tool tilted from vertical: ``w_tilt psi_tilt``, the third term of l_r (equation 17), with equation 19."""
+    """Cost of the tool's tilt from vertical: ``w_tilt psi_tilt`` (equation 19), the third term of l_r (equation 17)."""
     return w.w_tilt * psi_tilt(s.up)
 
 
-# Not in the paper
+# Terms that are not in the paper
 
 
 @term("height")
 def height_term(w: RobotWeights, s: Stage) -> float:
-    """Tip off its height above the table: ``w_height (z_ee - height)^2``; none while repositioning."""
+    """Cost of the tip's height error: ``w_height (z_ee - height)^2``; zero while repositioning."""
     cost = float(0.0)
     if s.waypoint[3] <= 0.0:
         cost = w.w_height * squared(s.tip[2] - w.height)
@@ -185,19 +186,19 @@ def height_term(w: RobotWeights, s: Stage) -> float:
 
 @term("arm_clearance")
 def arm_clearance_term(w: RobotWeights, s: Stage) -> float:
-    """Arm close to obstacles or table: ``w_arm_clearance max(arm_clearance - phi_3, 0)^2``."""
+    """Cost of an arm close to obstacles or table: ``w_arm_clearance max(arm_clearance - phi_3, 0)^2``."""
     return w.w_arm_clearance * shortfall(s.arm_clearance, w.arm_clearance)
 
 
 @term("above")
 def above_term(w: RobotWeights, s: Stage) -> float:
-    """Tip above the object: ``w_above`` a step."""
+    """Cost of a tip above the object: ``w_above`` per step."""
     return w.w_above * s.above
 
 
 @term("push_ring")
 def push_ring_term(w: RobotWeights, s: Stage) -> float:
-    """Object outside the ring, or close to the table's edge: ``w_push_ring`` and ``w_edge`` times the distance [m]."""
+    """Cost of an object off the ring or at the table's edge: ``w_push_ring`` and ``w_edge`` times the distance [m]."""
     along = wp.max(w.edge_lower[0] - s.pose[0], 0.0) + wp.max(s.pose[0] - w.edge_upper[0], 0.0)
     across = wp.max(w.edge_lower[1] - s.pose[1], 0.0) + wp.max(s.pose[1] - w.edge_upper[1], 0.0)
     return w.w_push_ring * outside_ring(s.pose, w.push_ring) + w.w_edge * (along + across)
@@ -205,28 +206,28 @@ def push_ring_term(w: RobotWeights, s: Stage) -> float:
 
 @term("press")
 def press_term(w: RobotWeights, s: Stage) -> float:
-    """Tool that presses into the object, or rises as it pushes: ``w_press depth^2 + w_lift rise^2``."""
+    """Cost of a tool that presses into the object or rises as it pushes: ``w_press depth^2 + w_lift rise^2``."""
     return w.w_press * squared(s.pressed) + w.w_lift * squared(s.rise)
 
 
 @term("control")
 def control_term(w: RobotWeights, s: Stage) -> float:
-    """Control effort: ``w_control |u|^2``."""
+    """Cost of control effort: ``w_control |u|^2``."""
     return w.w_control * s.speed_squared
 
 
 @term("collision")
 def collision_term(w: RobotWeights, s: Stage) -> float:
-    """Contact force of arm and tool on obstacles and table: ``w_collision max(lambda_3 - f_0, 0)``."""
+    """Cost of contact forces of arm and tool on obstacles and table: ``w_collision max(lambda_3 - f_0, 0)``."""
     return w.w_collision * wp.max(s.collision - w.f_0, 0.0)
 
 
 @term("topple")
 def topple_term(w: RobotWeights, s: Stage) -> float:
-    """Tipping the object: ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``, close to it.
+    """Cost of motions that may tip the object over: ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``.
 
-    A stick that leans over the object touches it at its upper rim; ``lean . n`` times the height left to the rim is by
-    how much the rim is nearer to it than the tip is.
+    It applies close to the object only. A stick that leans over the object touches it at its upper rim; ``lean . n``
+    times the height from tip to rim is how much nearer the stick is to the object there than at its tip.
     """
     cost = float(0.0)
     if w.w_overhang > 0.0 or w.w_rush > 0.0:
@@ -242,7 +243,7 @@ def topple_term(w: RobotWeights, s: Stage) -> float:
 
 @term("waypoint")
 def waypoint_term(w: RobotWeights, s: Stage) -> float:
-    """Tip away from its waypoint while repositioning: the waypoint's weight times the squared distance."""
+    """Cost of the tip's distance to its waypoint while repositioning: the waypoint's weight times its square."""
     cost = float(0.0)
     if s.waypoint[3] > 0.0:
         cost = s.waypoint[3] * wp.length_sq(s.tip - wp.vec3(s.waypoint[0], s.waypoint[1], s.waypoint[2]))
@@ -254,13 +255,13 @@ TERMS: tuple[str, ...] = tuple(_TERMS)
 
 
 def terms_vector(extra: int = 0) -> type:
-    """The vector type of the weighted cost terms: the built-in ones, then ``extra`` from outside the package."""
+    """Returns the vector type of the weighted cost terms: the built-in ones, then ``extra`` from other packages."""
     return wp.types.vector(length=len(TERMS) + extra, dtype=float)
 
 
 @lru_cache
 def make_robot_cost(extra: ExtraTerms) -> wp.Function:
-    """The stage cost ``(w: RobotWeights, s: Stage)`` of the robot level: a vector of all terms, weighted.
+    """Returns the stage cost ``(w: RobotWeights, s: Stage)`` of the robot level: a vector of all weighted terms.
 
     Its sum is ``l_o + l_r + l_c`` of equation 14, and our additions: l_o is ``goal`` and ``contact``, l_c is
     ``reference``, and ``l_r = w_ee max(|p_ee - p_o|^2 - r_0^2, 0) + w_align psi_align + w_tilt psi_tilt`` (equation 17)

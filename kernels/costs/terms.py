@@ -1,6 +1,6 @@
-"""The stage that cost terms of the robot level read, and the stage cost that terms make up together.
+"""The stage that the robot level's cost terms read, and the stage cost composed of them.
 
-A term is a function of the weights and of the :class:`Stage`: what one control step of a rollout led to. The built-in
+A term is a function of the weights and of the :class:`Stage`, the result of one control step of a rollout. The built-in
 ones are in ``kernels/costs/stage_costs.py``; those from outside the package are :class:`oimppi_warp.CostTerm`.
 """
 
@@ -23,11 +23,11 @@ ExtraTerms = tuple[tuple[str, wp.Function], ...]
 """Cost terms from outside the package: names, and functions ``(s: Stage) -> float`` of the unweighted cost."""
 
 _PACKED = {float: float, int: int, tuple[float, float]: wp.vec2}
-"""Types of settings that kernels read, and what they are there."""
+"""Types of settings that kernels read, and the corresponding types in kernels."""
 
 
 def weights_struct(name: str, settings: type, **more: type) -> Any:
-    """A struct with the fields of a dataclass of settings that are numbers or pairs of numbers, and ``more`` fields."""
+    """Makes a Warp struct of a settings dataclass's numbers and pairs of numbers, with ``more`` fields."""
     fields = {key: _PACKED[kind] for key, kind in get_type_hints(settings).items() if kind in _PACKED}
     about = f"``oimppi_warp.config.settings.{settings.__name__}`` as the kernels read it."
     return wp.struct(type(name, (), {"__module__": __name__, "__doc__": about, "__annotations__": fields | more}))
@@ -42,11 +42,11 @@ RobotWeights = weights_struct(
     size=float,
     extra=wp.array[float],
 )
-"""Weights of the robot level; see ``oimppi_warp.config.settings.RobotCost`` for each, and besides:
+"""Weights of the robot level: the fields of ``oimppi_warp.config.settings.RobotCost``, and some more.
 
 Attributes:
     edge_lower, edge_upper: Corners of the rectangle within which the object's centre keeps all of it on the table [m].
-    topple_speed: Speed from which coming close to an object that may tip costs [m/s].
+    topple_speed: Speed above which approaching an object that may tip over costs [m/s].
     size: Largest distance of the object's outline from its centre [m].
     extra: Weights of the terms from outside the package, shape [extra term].
 """
@@ -60,22 +60,22 @@ class Stage:
         tip: Tool tip [m].
         up: The world's z axis in the tip's frame.
         lean: How far the stick leans, see ``ArmPlacement``.
-        velocity: Of the tip, in x and y [m/s].
+        velocity: Velocity of the tip in x and y [m/s].
         pose: The object's pose.
         top: Height of the object's top above the table [m].
         goal: The object's goal.
-        reference: Where the object plan has the object at this step.
-        target: Where the object plan has it some steps ahead, for the alignment.
-        to_go: Cost-to-go of the pose [m]; 0 where no weight asks for it.
+        reference: The object plan's pose at this step.
+        target: The object plan's pose some steps ahead, for the alignment.
+        to_go: Cost-to-go of the pose [m]; 0 if its weight is zero.
         force: Contact force of object and environment, lambda_2 [N].
         arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m].
-        above: 1 where the tip is above the object, else 0.
+        above: 1 if the tip is above the object, else 0.
         pressed: Depth by which the tool presses into an object that cannot yield [m].
-        gap: Clearance phi_2 of the pose that the tool pushes the object to; ``NOT_PUSHED`` while it does not [m].
+        gap: Clearance phi_2 of the pose that the tool pushes the object to; ``NOT_PUSHED`` if it does not push [m].
         rise: Speed at which the tip rises while it pushes [m/s].
         speed_squared: Squared norm of the joint velocities [rad^2/s^2].
         collision: Contact force of robot and environment, lambda_3 [N].
-        waypoint: Waypoint of the tip while it is repositioned (x, y, z [m]), and its weight [1/m^2]; zero is none.
+        waypoint: Waypoint of the tip while repositioning (x, y, z [m]) and its weight [1/m^2], zero for none.
     """
 
     tip: wp.vec3
@@ -100,9 +100,9 @@ class Stage:
 
 
 def module_of(name: str, extra: ExtraTerms) -> dict[str, str]:
-    """Arguments of ``wp.kernel``: the kernel's name and module, of its own where terms from outside are compiled in.
+    """Returns arguments for ``wp.kernel`` that give a kernel with extra terms its own name and module.
 
-    That module's name has those of the terms in it and ends with a hash of all that is compiled.
+    The module's name contains the names of the terms and ends with a hash of all that is compiled.
     """
     if not extra:
         return {"module": f"oimppi_warp.kernels.{name}"}
@@ -110,7 +110,7 @@ def module_of(name: str, extra: ExtraTerms) -> dict[str, str]:
 
 
 def compose(terms: Sequence[wp.Function], extra: ExtraTerms) -> wp.Function:
-    """One function ``(w: RobotWeights, s: Stage)`` that returns a vector with the weighted cost of each term.
+    """Composes a function ``(w: RobotWeights, s: Stage)`` that returns a vector with the weighted cost of each term.
 
     Args:
         terms: Functions ``(w: RobotWeights, s: Stage) -> float``.
@@ -122,7 +122,7 @@ def compose(terms: Sequence[wp.Function], extra: ExtraTerms) -> wp.Function:
     def no_terms(w: RobotWeights, s: Stage) -> vector:
         return vector()
 
-    # One function is made of another: with wp.static in a loop over the terms, a module's hash would depend on what was
+    # Functions are nested: with wp.static in a loop over the terms, a module's hash would depend on what was
     # compiled before it.
     cost = no_terms
     for index, weighted in enumerate((*terms, *(_weighted(function, i) for i, (_, function) in enumerate(extra)))):
@@ -131,7 +131,7 @@ def compose(terms: Sequence[wp.Function], extra: ExtraTerms) -> wp.Function:
 
 
 def _weighted(function: wp.Function, index: int) -> wp.Function:
-    """A term from outside the package times its weight, which is the one at ``index`` in ``w.extra``."""
+    """Returns a term from outside the package multiplied by its weight, ``w.extra[index]``."""
 
     @wp.func(name=f"weighted_{index}", module="oimppi_warp.kernels.robot_cost")
     def weighted(w: RobotWeights, s: Stage) -> float:
@@ -141,7 +141,7 @@ def _weighted(function: wp.Function, index: int) -> wp.Function:
 
 
 def _with_term(cost: wp.Function, added: wp.Function, index: int, vector: type) -> wp.Function:
-    """A stage cost with one term more, at ``index``."""
+    """Returns a stage cost with one more term, at ``index``."""
 
     @wp.func(name=f"cost_of_{index + 1}_terms", module="oimppi_warp.kernels.robot_cost")
     def with_term(w: RobotWeights, s: Stage) -> vector:

@@ -1,4 +1,4 @@
-"""Cost-to-go of the object: the length of the shortest free way to the goal over the grid of phi_2."""
+"""Cost-to-go of the object: the length of the shortest free path to the goal over the grid of phi_2."""
 
 import warp as wp
 
@@ -8,31 +8,31 @@ wp.set_module_options({"enable_backward": False})
 
 
 HOME = wp.constant(0.05)
-"""Distance from the goal, turning counted, within which a way down the cost-to-go is straight [m]."""
+"""Distance from the goal, turning counted, within which the path to it is straight [m]."""
 
 ON_PLAN = wp.constant(0.02)
-"""Distance from a plan's poses, turning counted, within which a way is on the plan [m]."""
+"""Distance from a plan's poses, turning counted, within which a path counts as on the plan [m]."""
 
 HEADWAY = wp.constant(0.7)
 """Decrease of the cost-to-go per metre of a step along the gradient, below which the gradient is not trusted. It is 1
 where the field is smooth, and less at kinks and beside obstacles."""
 
 DETOUR = wp.constant(0.4)
-"""What a metre to a node costs when the best node around a pose is chosen. It is less than the half that a metre along
-a plan costs, so that a node further down the plan always wins over the nearest."""
+"""Cost of a metre to a node when the best node around a pose is chosen. It is below the 0.5 that a metre along a plan
+costs, so that a node further down the plan always wins over the nearest."""
 
 
 @wp.struct
 class TravelCost:
-    """What a metre of way costs.
+    """Cost of a metre of the object's path.
 
     Attributes:
         yaw_length: Length that turning by one radian counts as [m].
         comfort: Clearance below which a metre costs more [m].
-        crowded: What it costs more at no clearance at all.
-        blocked: What it costs inside an obstacle: finite, so that every pose knows its way out.
+        crowded: Its additional cost at zero clearance.
+        blocked: Its cost inside an obstacle: finite, so that there is a path out from every pose.
         ring_inner, ring_outer: Distances from the base's axis between which the arm can push well [m].
-        far: What a metre costs outside of them.
+        far: Cost of a metre outside of them.
     """
 
     yaw_length: float
@@ -46,7 +46,7 @@ class TravelCost:
 
 @wp.func
 def cost_per_metre(travel: TravelCost, clearance: float, distance: float) -> float:
-    """What a metre costs at a clearance and a distance from the base's axis."""
+    """Returns the cost of a metre at a clearance and a distance from the base's axis."""
     lack = wp.clamp((travel.comfort - clearance) / travel.comfort, 0.0, 1.0)
     cost = 1.0 + travel.crowded * lack * lack
     if distance < travel.ring_inner or distance > travel.ring_outer:
@@ -68,9 +68,9 @@ def seed_to_go(
     # out:
     to_go: wp.array3d[float],
 ):
-    """Within ``near`` of a pose that has the length ``left`` to go, the cost-to-go is the straight way there.
+    """Sets the cost-to-go around a pose to the straight distance to it plus ``left``, its own cost-to-go.
 
-    Launched over a box of the grid's nodes (yaw, x, y) from ``first`` on.
+    Only nodes within ``near`` are set. Launched over a box of the grid's nodes (yaw, x, y) that starts at ``first``.
     """
     a, b, c = wp.tid()
     t = (first[0] + a + to_go.shape[0]) % to_go.shape[0]
@@ -89,7 +89,7 @@ def seed_to_go(
 
 @wp.func
 def sweep_order(n: int, m: int, backward: int) -> int:
-    """The m-th of n indices, forward or backward."""
+    """Returns the m-th of n indices, counted forward or backward."""
     out = m
     if backward == 1:
         out = n - 1 - m
@@ -106,10 +106,10 @@ def sweep_to_go(
     to_go: wp.array3d[float],
     change: wp.array[float],
 ):
-    """One Gauss-Seidel sweep of the shortest way over the 26 neighbours, in one of 8 directions (one thread).
+    """Runs one Gauss-Seidel sweep of shortest paths over the 26 neighbours, in one of 8 directions (one thread).
 
-    Sweeps in alternating directions carry a way along the whole grid at once (fast sweeping, Zhao 2005), where
-    parallel relaxation would take a pass a cell. ``change`` [1] is the largest improvement.
+    Sweeps in alternating directions propagate paths along the whole grid at once (fast sweeping, Zhao 2005), where
+    parallel relaxation would take one pass per cell. ``change`` [1] is the largest improvement.
     """
     nt = to_go.shape[0]
     nx = to_go.shape[1]
@@ -147,18 +147,18 @@ def sweep_to_go(
 
 @wp.func
 def turned_distance(a: wp.vec3, b: wp.vec3, yaw_length: float) -> float:
-    """Distance of two poses, turning counted [m]."""
+    """Returns the distance of two poses, turning counted [m]."""
     d = b - a
     return wp.length(wp.vec3(d[0], d[1], yaw_length * wrap_angle(d[2])))
 
 
 @wp.func
 def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) -> wp.vec3:
-    """The pose a step further down the cost-to-go.
+    """Returns the pose one step further down the cost-to-go.
 
-    Along the gradient where that gets on. Where it does not (at kinks of the field, and in ways as narrow as the grid,
-    where the values between the nodes are spoiled by the obstacles beside them), towards the node around the pose from
-    which least is left, the way to it counted: by the way the field is made, one of them always leads on.
+    The step follows the gradient where that makes headway. Where it does not (at kinks of the field, and in passages as
+    narrow as the grid, where the obstacles beside them spoil the values between nodes), it goes towards the surrounding
+    node with the least remaining cost, the distance to it included; by construction one of them always leads on.
     """
     field = pose_field(to_go, pose)
     scale = wp.vec3(1.0, 1.0, 1.0 / yaw_length)
@@ -207,10 +207,10 @@ def descend(
     # out:
     way: wp.array2d[wp.vec3],
 ):
-    """The way to the goal from a pose, at an even speed: onto a plan and along it; one thread.
+    """Computes the path from a pose to the goal, at constant speed: onto a plan and along it (one thread).
 
-    Off the plan it leads down the cost-to-go. On it, that is within ``ON_PLAN`` of one of its poses, it leads on from
-    the last of those. Within ``HOME`` of the goal, the rest of the way is straight. Shapes: ``plan`` [m] or empty,
+    Off the plan it descends the cost-to-go. On the plan, which is within ``ON_PLAN`` of one of its poses, it continues
+    from the last of those. Within ``HOME`` of the goal, it is straight. Shapes: ``plan`` [m] or empty,
     ``start`` and ``goal`` [1], ``way`` [1, n].
     """
     pose = start[0]

@@ -1,4 +1,4 @@
-"""Making distance fields: phi_2 over planar poses, and the obstacles' distance over space."""
+"""Kernels that compute distance fields: phi_2 over planar poses, and the distance to the obstacles over space."""
 
 import warp as wp
 
@@ -14,9 +14,9 @@ class Pieces:
     Attributes:
         vertices: All vertices [m].
         first: Index of each piece's first vertex; one more entry closes the last piece.
-        center: A point inside of each piece [m].
+        center: A point inside each piece [m].
         reach: Largest distance of the piece from its center, radius included [m].
-        radius: [m].
+        radius: Radius that each core is grown by [m].
     """
 
     vertices: wp.array[wp.vec2]
@@ -28,7 +28,7 @@ class Pieces:
 
 @wp.func
 def segment_distance(p: wp.vec2, a: wp.vec2, b: wp.vec2) -> float:
-    """Distance of a point to a segment [m]."""
+    """Returns the distance of a point to a segment [m]."""
     ab = b - a
     t = wp.clamp(wp.dot(p - a, ab) / wp.max(wp.dot(ab, ab), 1.0e-12), 0.0, 1.0)
     return wp.length(p - (a + t * ab))
@@ -36,7 +36,7 @@ def segment_distance(p: wp.vec2, a: wp.vec2, b: wp.vec2) -> float:
 
 @wp.func
 def widest_gap(edges: Pieces, i: int, pose_e: wp.vec3, points: Pieces, j: int, pose_p: wp.vec3) -> float:
-    """Largest signed distance of piece j of ``points`` in front of any edge of piece i of ``edges`` (cores only)."""
+    """Returns the largest signed distance of piece j of ``points`` from an edge of piece i of ``edges``, cores only."""
     ce = wp.cos(pose_e[2])
     se = wp.sin(pose_e[2])
     cp = wp.cos(pose_p[2])
@@ -59,7 +59,10 @@ def widest_gap(edges: Pieces, i: int, pose_e: wp.vec3, points: Pieces, j: int, p
 
 @wp.func
 def nearest_vertex(edges: Pieces, i: int, pose_e: wp.vec3, points: Pieces, j: int, pose_p: wp.vec3) -> float:
-    """Smallest distance of a vertex of piece j of ``points`` to an edge of piece i of ``edges`` (cores only) [m]."""
+    """Returns the least distance of a vertex of piece j of ``points`` to an edge of piece i of ``edges`` [m].
+
+    The radii are not counted.
+    """
     ce = wp.cos(pose_e[2])
     se = wp.sin(pose_e[2])
     cp = wp.cos(pose_p[2])
@@ -77,10 +80,10 @@ def nearest_vertex(edges: Pieces, i: int, pose_e: wp.vec3, points: Pieces, j: in
 
 @wp.func
 def piece_distance(a: Pieces, i: int, pose_a: wp.vec3, b: Pieces, j: int, pose_b: wp.vec3) -> float:
-    """Signed distance of two convex pieces: distance apart, or minus the depth of the shallowest way out [m]."""
+    """Returns the signed distance of two convex pieces [m]; negative, it is the smallest depth of penetration."""
     gap = wp.max(widest_gap(a, i, pose_a, b, j, pose_b), widest_gap(b, j, pose_b, a, i, pose_a))
     if gap > 0.0 or gap < -1.0e5:
-        # Apart: the separating edge may only bound the distance, which lies between a vertex and an edge.
+        # Apart: the separating edge only bounds the distance, which lies between a vertex and an edge.
         gap = wp.min(nearest_vertex(a, i, pose_a, b, j, pose_b), nearest_vertex(b, j, pose_b, a, i, pose_a))
     return gap - a.radius[i] - b.radius[j]
 
@@ -98,7 +101,7 @@ def object_clearance(
     # out:
     values: wp.array3d[float],
 ):
-    """phi_2 at the nodes of a pose field: clearance of the body to obstacles and to the table's edge [m].
+    """Computes phi_2, the body's clearance to obstacles and to the table's edge, at the nodes of a pose field [m].
 
     ``phi_2(x_o)`` is the gap of object and environment in equation 4; it may not become negative.
 
@@ -134,7 +137,7 @@ def space_distance(
     # out:
     values: wp.array3d[float],
 ):
-    """Signed distance to a closed mesh at the nodes of a space field, cut off at ``furthest`` [m]."""
+    """Computes the signed distance to a closed mesh at the nodes of a space field, cut off at ``furthest`` [m]."""
     i, j, k = wp.tid()
     p = origin + step * wp.vec3(float(i), float(j), float(k))
     hit = wp.mesh_query_point_sign_winding_number(mesh, p, furthest)

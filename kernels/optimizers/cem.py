@@ -1,4 +1,4 @@
-"""The cross-entropy method: samples with a deviation of their own, the cheapest of them, and the fit to those."""
+"""The cross-entropy method: sampling with a deviation per step and axis, choosing the elites, and refitting to them."""
 
 from functools import lru_cache
 
@@ -15,7 +15,7 @@ HIGHEST_BIT = wp.constant(wp.uint32(0x80000000))
 
 @wp.func
 def rank_of(cost: float) -> wp.uint32:
-    """A number that is larger for a larger cost, whatever its sign; the largest of all where the sample is lost."""
+    """Maps a cost of either sign to an unsigned number of the same order; a lost sample gets the largest."""
     if not wp.isfinite(cost) or cost >= LOST:
         return LOST_RANK
     bits = wp.cast(cost, wp.uint32)
@@ -33,10 +33,10 @@ def select_elites(
     weights: wp.array[float],
     stats: wp.array[WeightStats],
 ):
-    """Equal weights for the cheapest samples, summing to one; launched with one block (on the CPU: one thread).
+    """Gives the cheapest samples equal weights that sum to one; launched with one block (on the CPU: one thread).
 
-    Lost samples are none of them, and where fewer are left, all of those are. Samples that cost as much as the last of
-    the cheapest share what is left for them, so that their order does not matter. Shapes: ``costs`` and ``weights``
+    Lost samples are never chosen; if fewer than wanted remain, all of those are chosen. Samples that tie with the last
+    of the chosen share the remaining weight, so that their order does not matter. Shapes: ``costs`` and ``weights``
     [sample], ``stats`` [1].
     """
     i = wp.tid()
@@ -53,7 +53,7 @@ def select_elites(
     kept = wp.tile_sum(wp.tile(kept))[0]
     wanted = wp.min(elites, kept)
 
-    # The rank of the last of the cheapest, bit by bit: the largest that fewer than ``wanted`` ranks are below.
+    # The rank of the last elite, found bit by bit: the largest with fewer than ``wanted`` ranks below it.
     last = wp.uint32(0)
     bit = wp.uint32(HIGHEST_BIT)
     for _ in range(32):
@@ -66,7 +66,7 @@ def select_elites(
             last = tried
         bit = bit >> wp.uint32(1)
 
-    ends = wp.vec2i()  # below the last, and as cheap as it
+    ends = wp.vec2i()  # number of samples below the last elite's rank, and at it
     for k in range(i, count, stride):
         rank = rank_of(costs[k])
         if rank < last:
@@ -101,7 +101,7 @@ def select_elites(
 
 @lru_cache
 def make_sample_deviating(size: int) -> wp.Kernel:
-    """The kernel that samples controls of ``size`` numbers with a deviation for each step and axis."""
+    """Returns the kernel that samples controls of ``size`` numbers with a deviation for each step and axis."""
     vec = wp.types.vector(length=size, dtype=float)
     mat = wp.types.matrix(shape=(size, size), dtype=float)
 
@@ -121,9 +121,9 @@ def make_sample_deviating(size: int) -> wp.Kernel:
         controls: wp.array2d[vec],
         perturbations: wp.array2d[vec],
     ):
-        """``u = clip(nominal + noise_map e)`` with ``e = deviation * (basis z)`` and standard normal ``z``.
+        """Samples ``u = clip(nominal + noise_map e)`` with ``e = deviation * (basis z)`` and standard normal ``z``.
 
-        The first two samples are the nominal and zero where ``special`` is 1; they count as unperturbed. Shapes:
+        If ``special`` is 1, the first two samples are the nominal and zero; they count as unperturbed. Shapes:
         ``nominal`` and ``deviation`` [horizon], ``noise_map`` [1] (a square root of Sigma_u), ``basis`` [horizon,
         knot], ``bound`` [1], ``counter`` [1] (plans made so far: each draws its own noise), ``controls`` and
         ``perturbations`` (e) [sample, horizon].
@@ -145,7 +145,7 @@ def make_sample_deviating(size: int) -> wp.Kernel:
                 z = vec()
                 for i in range(size):
                     z[i] = wp.randn(state)
-                if basis.shape[1] == horizon:  # white noise: a knot a step
+                if basis.shape[1] == horizon:  # white noise: one knot per step
                     perturbations[k, j] = z
                 else:
                     for h in range(horizon):
@@ -163,7 +163,7 @@ def make_sample_deviating(size: int) -> wp.Kernel:
 
 @lru_cache
 def make_refit(size: int) -> wp.Kernel:
-    """The kernel that fits mean and deviation to the elites, for controls of ``size`` numbers."""
+    """Returns the kernel that fits mean and deviation to the elites, for controls of ``size`` numbers."""
     vec = wp.types.vector(length=size, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.refit_{size}", enable_backward=False)
@@ -178,9 +178,9 @@ def make_refit(size: int) -> wp.Kernel:
         nominal: wp.array[vec],
         deviation: wp.array[vec],
     ):
-        """Moves nominal and deviation to the elites' mean and standard deviation; a block for each step.
+        """Moves nominal and deviation towards the elites' mean and standard deviation; one block per step.
 
-        ``smoothing`` is the share of the old ones that is kept; the deviation stays within ``least`` and one. Where all
+        ``smoothing`` is the share of the old values that is kept; the deviation stays between ``least`` and one. If all
         samples were lost, the nominal becomes zero and the deviation one. Shapes: ``controls`` and ``perturbations``
         [sample, horizon], ``weights`` [sample], ``nominal`` and ``deviation`` [horizon].
         """
@@ -222,7 +222,7 @@ def make_refit(size: int) -> wp.Kernel:
 
 @lru_cache
 def make_shift_deviation(size: int) -> wp.Kernel:
-    """The kernel that moves the deviations of controls of ``size`` numbers on by one step."""
+    """Returns the kernel that shifts the deviations of controls of ``size`` numbers by one step."""
     vec = wp.types.vector(length=size, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.shift_deviation_{size}", enable_backward=False)
@@ -232,7 +232,7 @@ def make_shift_deviation(size: int) -> wp.Kernel:
         # out:
         deviation: wp.array[vec],
     ):
-        """Drops the first, begins the last at one, and returns all towards one by a share; launched with one thread.
+        """Drops the first deviation, sets the last to one and relaxes all towards one; launched with one thread.
 
         Shape: ``deviation`` [horizon].
         """

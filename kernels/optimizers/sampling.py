@@ -1,4 +1,4 @@
-"""Drawing perturbed control sequences around a nominal one."""
+"""Sampling of perturbed control sequences around a nominal one."""
 
 from functools import lru_cache
 
@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False})
 
 @lru_cache
 def make_sample_controls(size: int) -> wp.Kernel:
-    """The sampling kernel for controls of ``size`` numbers."""
+    """Returns the sampling kernel for controls of ``size`` numbers."""
     vec = wp.types.vector(length=size, dtype=float)
     mat = wp.types.matrix(shape=(size, size), dtype=float)
 
@@ -27,10 +27,10 @@ def make_sample_controls(size: int) -> wp.Kernel:
         # out:
         controls: wp.array2d[vec],
     ):
-        """Samples: the nominal and a perturbation, ``u = u_nominal + eps`` with ``eps ~ N(0, Sigma_u)`` (equation 9).
+        """Draws samples around the nominal: ``u = u_nominal + eps`` with ``eps ~ N(0, Sigma_u)`` (equation 9).
 
-        ``eps = basis noise_map z`` with standard normal ``z`` for every knot, and ``u`` is clipped to ``bound``. The
-        first two samples are the nominal and zero where ``special`` is 1. Shapes: ``nominal`` [horizon], ``noise_map``
+        ``eps = basis noise_map z`` with standard normal ``z`` for every knot, and ``u`` is clipped to ``bound``. If
+        ``special`` is 1, the first two samples are the nominal and zero. Shapes: ``nominal`` [horizon], ``noise_map``
         [1] (a square root of Sigma_u), ``basis`` [horizon, knot], ``bound`` [1], ``counter`` [1] (plans made so far:
         each draws its own noise), ``controls`` [sample, horizon].
         """
@@ -52,7 +52,7 @@ def make_sample_controls(size: int) -> wp.Kernel:
                 for i in range(size):
                     z[i] = wp.randn(state)
                 shift = noise_map[0] * z
-                if basis.shape[1] == horizon:  # white noise: a knot a step
+                if basis.shape[1] == horizon:  # white noise: one knot per step
                     controls[k, j] = controls[k, j] + shift
                 else:
                     for h in range(horizon):

@@ -12,11 +12,11 @@ LOST = wp.constant(1.0e30)
 
 @wp.struct
 class WeightStats:
-    """What one weighting found.
+    """Statistics of one weighting of the samples.
 
     Attributes:
         min_cost: Smallest cost.
-        temperature: lambda that was used.
+        temperature: The lambda that was used.
         effective_samples: Effective sample size, 1 / sum of squared weights.
         lost: Number of samples whose cost was not finite.
     """
@@ -38,13 +38,13 @@ def weigh_samples(
     weights: wp.array[float],
     stats: wp.array[WeightStats],
 ):
-    """Softmin weights of the costs, summing to one; launched with one block (on the CPU: one thread).
+    """Computes the softmin weights of the costs, which sum to one; launched with one block (on the CPU: one thread).
 
     ``omega_k = exp(-(S_k - S_min) / lambda) / sum_j exp(-(S_j - S_min) / lambda)`` (equation 12), with the costs S, the
     smallest of them S_min and the temperature lambda.
 
-    Where ``most`` is above zero, the temperature is moved until the effective sample size lies in [fewest, most].
-    A cost that is not finite loses its sample; when all are lost, all weights are zero. Shapes: ``costs`` and
+    If ``most`` is above zero, the temperature is adjusted until the effective sample size lies in [fewest, most].
+    A sample whose cost is not finite is lost; if all are lost, all weights are zero. Shapes: ``costs`` and
     ``weights`` [sample], ``stats`` [1].
     """
     i = wp.tid()
@@ -70,7 +70,7 @@ def weigh_samples(
     total = float(0.0)
     effective = float(0.0)
     for t in range(tries):
-        part = wp.vec2()  # of the sum of the weights and of that of their squares
+        part = wp.vec2()  # this thread's share of the sums of the weights and of their squares
         for k in range(i, count, stride):
             c = costs[k]
             w = float(0.0)
@@ -83,7 +83,7 @@ def weigh_samples(
         if sums[1] > 0.0:
             effective = sums[0] * sums[0] / sums[1]
         if t + 1 < tries:
-            # Equal costs would wind the temperature to nothing.
+            # Equal costs would drive the temperature to zero.
             if effective < fewest:
                 heat = wp.clamp(heat * 1.3, 1.0e-4, 1.0e6)
             elif effective > most:
@@ -105,7 +105,7 @@ def weigh_samples(
 
 @lru_cache
 def make_update_nominal(size: int) -> wp.Kernel:
-    """The update kernel for controls of ``size`` numbers."""
+    """Returns the update kernel for controls of ``size`` numbers."""
     vec = wp.types.vector(length=size, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.update_nominal_{size}", enable_backward=False)
@@ -116,11 +116,11 @@ def make_update_nominal(size: int) -> wp.Kernel:
         # out:
         nominal: wp.array[vec],
     ):
-        """The weighted mean of the samples' controls; zero where every sample was lost.
+        """Sets the nominal to the weighted mean of the samples' controls, or to zero if every sample was lost.
 
-        Equation 11 is ``u_nominal <- u_nominal + sum_k omega_k eps_k``. Since weights sum to one, that is the mean
-        ``sum_k omega_k u_k`` of the samples ``u_k = u_nominal + eps_k``, but for what clipping took. A block for each
-        step. Shapes: ``controls`` [sample, horizon], ``weights`` [sample], ``nominal`` [horizon].
+        Equation 11 is ``u_nominal <- u_nominal + sum_k omega_k eps_k``. As the weights sum to one, this is the mean
+        ``sum_k omega_k u_k`` of the samples ``u_k = u_nominal + eps_k``, apart from clipping. One block per step.
+        Shapes: ``controls`` [sample, horizon], ``weights`` [sample], ``nominal`` [horizon].
         """
         h, i = wp.tid()
         mean = vec()
@@ -137,7 +137,7 @@ def make_update_nominal(size: int) -> wp.Kernel:
 
 @lru_cache
 def make_shift_nominal(size: int) -> wp.Kernel:
-    """The kernel that moves a nominal of controls of ``size`` numbers on by one step."""
+    """Returns the kernel that shifts a nominal of controls of ``size`` numbers by one step."""
     vec = wp.types.vector(length=size, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.shift_nominal_{size}", enable_backward=False)
@@ -149,7 +149,7 @@ def make_shift_nominal(size: int) -> wp.Kernel:
         counter: wp.array[int],
         taken: wp.array[vec],
     ):
-        """Takes the first control out and repeats the last (or ends with zero); launched with one thread.
+        """Removes the first control and repeats the last (or appends zero); launched with one thread.
 
         This is ``U <- shift(U)`` of Algorithm 2, line 7, and of Algorithm 3, lines 6 and 13.
         """

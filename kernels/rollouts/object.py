@@ -24,7 +24,7 @@ def object_rollout(
     costs: wp.array[float],
     poses: wp.array2d[wp.vec3],
 ):
-    """Cost of each wrench sequence, and its poses where ``poses`` has room for them.
+    """Computes the cost of each wrench sequence, and its poses unless ``poses`` is empty.
 
     The object moves by ``x_o <- x_o + dt D w_o`` (equation 6, which is equation 2 with ``f_o = x_o`` and
     ``h_o = dt D``), then out of obstacles by :func:`settle`. The cost is ``S_o = sum_h l_o``, equation 10 for the
@@ -54,6 +54,6 @@ def object_rollout(
 
 @wp.kernel
 def follow_path(path: wp.array2d[wp.vec3], reference: wp.array[wp.vec3]):
-    """Makes a path [1, horizon + 1] the reference [n]; its last pose is held (Algorithm 2, line 4)."""
+    """Copies a path [1, horizon + 1] to the reference [n], holding its last pose (Algorithm 2, line 4)."""
     i = wp.tid()
     reference[i] = path[0, wp.min(i, path.shape[1] - 1)]

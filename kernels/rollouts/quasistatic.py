@@ -1,4 +1,4 @@
-"""Rollouts of the robot level in one kernel: arm, contact, object, obstacles and costs, one thread a sample."""
+"""Rollouts of the robot level in one kernel: arm, contact, object, obstacles and costs, one thread per rollout."""
 
 from functools import lru_cache
 
@@ -14,12 +14,12 @@ from oimppi_warp.kernels.task import RobotTask, above_penalty, over_object, stag
 wp.set_module_options({"enable_backward": False})
 
 PENETRATION_TOLERANCE = wp.constant(5.0e-4)
-"""Depth that a contact may grow by before the arm is held back [m]."""
+"""Penetration depth beyond which the arm is stopped [m]."""
 
 
 @lru_cache
 def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
-    """The rollout kernel.
+    """Returns the rollout kernel for an arm and a set of cost terms.
 
     Args:
         chain: The chain of joints, like ``"RRRRRR"``.
@@ -48,10 +48,10 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
         tips: wp.array2d[wp.vec3],
         poses: wp.array2d[wp.vec3],
     ):
-        """Cost of each rollout of a joint velocity sequence; its terms, tips and poses where those have room for them.
+        """Computes the cost of each rollout, and its terms, tips and poses unless their arrays are empty.
 
         The arm moves by ``x_r <- x_r + dt u_r``: equation 1 with ``f_r = x_r`` and ``g_r = dt``. Its force term
-        ``h_r w_r`` is a stall: a step against what cannot yield is not taken, which also stands for
+        ``h_r w_r`` is modelled as a stall: a step against something that cannot yield is not taken, which also replaces
         ``0 <= lambda_3 _|_ phi_3 >= 0`` (equation 4). Velocities and positions within their limits are the set C of
         equation 8. The object moves by :func:`push` and :func:`settle` (equation 2). The cost is
         ``S = sum_h l_o + l_r + l_c`` (equation 10, l_c as in equation 14); there is no terminal cost l_f.
@@ -97,8 +97,8 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
             tip = placed.tip
             arm_clearance = placed.arm_clearance
 
-            # A step that would carry the arm further into an obstacle or the table, or the tool down onto the object,
-            # is not taken: the arm stalls.
+            # The arm stalls: a step that would move it further into an obstacle or the table, or the tool down onto
+            # the object, is not taken.
             stalled = arm_clearance < -PENETRATION_TOLERANCE and arm_clearance < old.arm_clearance
             above = float(0.0)
             if tip[2] >= body.top or old.tip[2] >= body.top:
@@ -125,7 +125,7 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                     gap = settled.clearance
                     rise = wp.max(tip[2] - old.tip[2], 0.0) / dt
                     if force > 0.0:
-                        # The obstacle pushed back: what is left between tool and object is a jam.
+                        # The obstacle pushed the object back: any remaining overlap of tool and object is a jam.
                         gap_to_tool = phi_1(body, new_pose, wp.vec2(tip[0], tip[1]))
                         pressed = wp.max(environment.tool_radius - gap_to_tool, 0.0)
                         stalled = pressed > 2.0e-3

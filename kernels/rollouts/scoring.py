@@ -1,4 +1,4 @@
-"""Stage costs of trajectories that a physics engine rolled out: MuJoCo's C engine, or Newton's batched worlds."""
+"""Stage costs of trajectories from a physics engine: MuJoCo's C engine or Newton's batched worlds."""
 
 from functools import lru_cache
 
@@ -28,11 +28,11 @@ class PhysicsOutcome:
 
 @lru_cache
 def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kernel:
-    """The kernel for the trajectories of an engine.
+    """Returns the kernel that computes the stage costs of an engine's trajectories.
 
     Args:
         chain: The chain of joints, like ``"RRRRRR"``.
-        precision: Of the states: ``wp.float32`` or ``wp.float64``.
+        precision: Type of the states' numbers: ``wp.float32`` or ``wp.float64``.
         extra: Cost terms from outside the package.
     """
     dof = len(chain)
@@ -61,7 +61,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
         tips: wp.array2d[wp.vec3],
         poses: wp.array2d[wp.vec3],
     ):
-        """Cost of each rollout, its terms, tips and poses.
+        """Computes the cost of each rollout, with its terms, tips and poses.
 
         The cost is ``S = sum_h l_o + l_r + l_c`` (equation 10, l_c as in equation 14); there is no terminal cost l_f.
 
@@ -120,7 +120,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
 
 @lru_cache
 def make_pick_trace(count: int) -> wp.Kernel:
-    """The kernel for so many cost terms."""
+    """Returns the kernel for ``count`` cost terms."""
     vector = wp.types.vector(length=count, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.pick_trace_{count}", enable_backward=False)
@@ -136,9 +136,9 @@ def make_pick_trace(count: int) -> wp.Kernel:
         tips: wp.array[wp.vec3],
         poses: wp.array[wp.vec3],
     ):
-        """Takes out what the cheapest sample led to; launched with one block (on the CPU: one thread).
+        """Copies the trace of the cheapest sample; launched with one block (on the CPU: one thread).
 
-        Of its rollouts the first is taken. Shapes: ``costs`` [sample], ``all_terms`` [rollout], ``all_tips`` and
+        It is that of the sample's first rollout. Shapes: ``costs`` [sample], ``all_terms`` [rollout], ``all_tips`` and
         ``all_poses`` [rollout, horizon], ``terms`` [1], ``tips`` and ``poses`` [horizon].
         """
         i = wp.tid()

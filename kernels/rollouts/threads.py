@@ -1,4 +1,4 @@
-"""What goes into and comes out of rollouts by MuJoCo's C engine: controls, and the forces that its sensors sensed."""
+"""Inputs and outputs of rollouts by MuJoCo's C engine: control sequences, and the forces read from its sensors."""
 
 from functools import lru_cache
 
@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False})
 
 @lru_cache
 def make_expand_controls(dof: int) -> wp.Kernel:
-    """The kernel for an arm of ``dof`` joints."""
+    """Returns the kernel for an arm of ``dof`` joints."""
     vec = wp.types.vector(length=dof, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.expand_controls_{dof}", enable_backward=False)
@@ -28,9 +28,9 @@ def make_expand_controls(dof: int) -> wp.Kernel:
         # out:
         drives: wp.array3d[wp.float64],
     ):
-        """Joint velocities as commands to the drives, held for the substeps of a control step.
+        """Converts joint velocities to drive commands, held for the substeps of a control step.
 
-        They are no faster than allowed and lead no further than the joints' limits, as the plant has it. Shapes:
+        They keep within the limits of joint velocity and position, as in the plant. Shapes:
         ``controls`` [sample, horizon] [rad/s], ``start`` [1] [rad], ``drive`` (entry of each joint in the commands)
         [dof], ``drives`` [rollout, horizon * substeps, drive].
         """
@@ -61,10 +61,10 @@ def read_forces(
     forces: wp.array2d[wp.vec2],
     lost: wp.array[int],
 ):
-    """The largest contact forces within each control step, and whether the simulation got to its end.
+    """Finds the largest contact forces within each control step, and whether the simulation diverged.
 
     Shapes: ``sensed`` [rollout, horizon * substeps, 3 * sensor] [N], ``group`` [sensor]: 0 for lambda_2, 1 for
-    lambda_3, ``times`` [rollout]: time at the end of each rollout [s], which is before ``end`` where it diverged,
+    lambda_3, ``times`` [rollout]: time at the end of each rollout [s], earlier than ``end`` if it diverged,
     ``forces`` [rollout, horizon] [N], ``lost`` [rollout].
     """
     n = first + wp.tid()

@@ -1,4 +1,4 @@
-"""Rollouts in several draws of the world, and the one cost that they make."""
+"""Rollouts in several draws of the world, and how their costs are combined into one."""
 
 import warp as wp
 
@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Draw:
-    """A world that a rollout may be in; see ``oimppi_warp.planning.engines.uncertainty.Draws``.
+    """One draw of the uncertain world parameters; see ``oimppi_warp.planning.engines.uncertainty.Draws``.
 
     Attributes:
         force: Factor on the object's friction force mu m g.
@@ -34,10 +34,11 @@ def combine_costs(
     # out:
     costs: wp.array[float],
 ):
-    """Cost of each sample: the mean of the ``worst`` costliest of its ``draws`` rollouts.
+    """Computes each sample's cost: the mean of the ``worst`` costliest of its ``draws`` rollouts.
 
-    With ``worst = draws`` that is their mean, with 1 the worst, in between the conditional value at risk (CVaR). A
-    rollout without a finite cost loses its sample. Shapes: ``rolled`` [sample * draws], ``costs`` [sample].
+    With ``worst = draws`` that is the mean of all, with 1 the worst, and in between the conditional value at risk
+    (CVaR). A sample with a rollout whose cost is not finite is lost. Shapes: ``rolled`` [sample * draws], ``costs``
+    [sample].
     """
     k = first + wp.tid()
     begin = k * draws
@@ -48,7 +49,7 @@ def combine_costs(
             lost = True
     cost = float(wp.inf)
     if not lost:
-        # The worst are taken in falling order; of equal costs, the earlier first.
+        # The worst are taken in descending order; among equal costs, the earlier first.
         cost = float(0.0)
         bound = float(wp.inf)
         taken = int(-1)

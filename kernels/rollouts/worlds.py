@@ -1,4 +1,4 @@
-"""What goes into and comes out of batched worlds that MuJoCo Warp steps: states, commands and contact forces."""
+"""Inputs and outputs of batched worlds that MuJoCo Warp steps: states, commands and contact forces."""
 
 from functools import lru_cache
 
@@ -9,17 +9,17 @@ from oimppi_warp.kernels.kinematics import Arm
 wp.set_module_options({"enable_backward": False})
 
 Transform = wp.types.vector(length=7, dtype=float)
-"""Position and quaternion wxyz, as MuJoCo has it."""
+"""Position and quaternion wxyz, in MuJoCo's order."""
 
 
 @wp.struct
 class Places:
-    """Places of a world's parts in its state and its commands.
+    """Indices of a world's joints, drives and object in its state and its commands.
 
     Attributes:
-        joint_qpos, joint_qvel: Of each joint in ``qpos`` and ``qvel``, [dof].
-        drive: Of each joint's drive in ``ctrl``, [dof].
-        object_qpos: Of the object's first coordinate in ``qpos``.
+        joint_qpos, joint_qvel: Index of each joint in ``qpos`` and ``qvel``, [dof].
+        drive: Index of each joint's drive in ``ctrl``, [dof].
+        object_qpos: Index of the object's first coordinate in ``qpos``.
     """
 
     joint_qpos: wp.array[int]
@@ -30,7 +30,7 @@ class Places:
 
 @lru_cache
 def make_place_worlds(dof: int) -> wp.Kernel:
-    """The kernel for an arm of ``dof`` joints."""
+    """Returns the kernel for an arm of ``dof`` joints."""
     vec = wp.types.vector(length=dof, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.place_worlds_{dof}", enable_backward=False)
@@ -47,7 +47,7 @@ def make_place_worlds(dof: int) -> wp.Kernel:
         warm_start: wp.array2d[float],
         overflow: wp.array[int],
     ):
-        """Puts all worlds into one state, the object off by each world's error, and forgets what the solver knew.
+        """Sets all worlds to one state, with the object offset by each world's error, and clears the warm start.
 
         Shapes: ``joints``, ``velocities`` and ``pushed`` [1], ``errors`` [draw] (x, y, yaw), ``qpos``, ``qvel`` and
         ``warm_start`` [world, n], ``overflow`` [world].
@@ -80,7 +80,7 @@ def make_place_worlds(dof: int) -> wp.Kernel:
 
 @lru_cache
 def make_drive_worlds(dof: int) -> wp.Kernel:
-    """The kernel for an arm of ``dof`` joints."""
+    """Returns the kernel for an arm of ``dof`` joints."""
     vec = wp.types.vector(length=dof, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.drive_worlds_{dof}", enable_backward=False)
@@ -98,9 +98,9 @@ def make_drive_worlds(dof: int) -> wp.Kernel:
         joints: wp.array2d[vec],
         objects: wp.array2d[Transform],
     ):
-        """Keeps the states that control step ``h - 1`` ended in, and commands those of step ``h``.
+        """Stores the states at the end of control step ``h - 1`` and sets the commands of step ``h``.
 
-        Commands are no faster than allowed and lead no further than the joints' limits, as the plant has it. Shapes:
+        Commands keep within the limits of joint velocity and position, as in the plant. Shapes:
         ``controls`` [sample, horizon] [rad/s], ``qpos`` and ``ctrl`` [world, n], ``joints`` and ``objects``
         [world, horizon].
         """
@@ -163,7 +163,7 @@ def take_forces(
     lost: wp.array[int],
     overflows: wp.array[int],
 ):
-    """The largest contact forces within each control step, which worlds diverged, and what overflowed anywhere.
+    """Finds the largest contact forces within each control step, diverged worlds, and overflows of any world.
 
     Shapes: ``sensed`` [world, horizon * substeps] [N], ``qpos`` [world, n], ``overflow`` [world], ``forces``
     [world, horizon] [N], ``lost`` [world], ``overflows`` [1].

@@ -1,1 +1,1 @@
-"""Where a planner computes: devices, prepared launches, and results kept on disk."""
+"""The planner's computing environment: devices, prepared launches, and results cached on disk."""

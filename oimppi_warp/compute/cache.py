@@ -1,4 +1,4 @@
-"""Computed things kept on disk by their content, so that the next run need not compute them."""
+"""Disk cache of computed arrays, keyed by the content that they depend on."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 @cache
 def source_content(*places: str) -> bytes:
-    """Hash of our own source below folders or files of the package: what other code computed is not read again.
+    """Returns a hash of source files of the package, so that results of other versions of the code are not reused.
 
     Args:
-        *places: Paths below the package, ``"kernels/fields"``.
+        *places: Files or folders below the package, such as ``"kernels/fields"``.
     """
     digest = hashlib.sha256()
     for place in places:
@@ -30,7 +30,7 @@ def source_content(*places: str) -> bytes:
 
 
 def content_of(*parts: object) -> str:
-    """Hash of arrays and numbers, and of the kernels that fields are computed with."""
+    """Returns a hash of arrays and numbers, and of the kernels that compute fields."""
     digest = hashlib.sha256(source_content("kernels/fields", "kernels/geometry.py"))
     for part in parts:
         digest.update(np.ascontiguousarray(np.asarray(part, dtype=np.float64).round(9) + 0.0).tobytes())
@@ -39,10 +39,10 @@ def content_of(*parts: object) -> str:
 
 
 def content_of_data(*parts: object) -> str:
-    """Hash of data: dataclasses, tuples, arrays, numbers, words and ``None``, each with its type, exactly.
+    """Returns an exact hash of data: dataclasses, tuples, arrays, numbers, strings and ``None``, each with its type.
 
     Raises:
-        TypeError: A part, or what is in it, is something else.
+        TypeError: A part, or something in it, is of another type.
     """
     digest = hashlib.sha256()
     for part in parts:
@@ -51,7 +51,7 @@ def content_of_data(*parts: object) -> str:
 
 
 def _feed(digest: hashlib._Hash, part: object) -> None:
-    """Adds a value to a digest, so that no two different values add the same."""
+    """Adds a value to a digest in an unambiguous encoding."""
     if is_dataclass(part) and not isinstance(part, type):
         names = [field.name for field in fields(part)]
         digest.update(f"{type(part).__name__}({','.join(names)})".encode())
@@ -77,18 +77,18 @@ def _feed(digest: hashlib._Hash, part: object) -> None:
 
 
 def cache_folder() -> Path:
-    """Where computed fields are kept: ``$OIMPPI_CACHE``, or ``oimppi-warp`` in the user's cache folder."""
+    """Returns the folder of computed fields: ``$OIMPPI_CACHE``, or ``oimppi-warp`` in the user's cache folder."""
     base = os.environ.get("OIMPPI_CACHE")
     return Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "oimppi-warp"
 
 
 def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.ndarray:
-    """The array that ``compute`` makes, from the cache if it was made before."""
+    """Returns the array that ``compute`` makes, from the cache if it is there."""
     file = cache_folder() / f"{name}-{content}.npy"
     try:
         return np.load(file)
     except (OSError, ValueError, EOFError):
-        pass  # not there, or cut short: make it again
+        pass  # missing or truncated: make it again
     values = compute()
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -97,5 +97,5 @@ def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.nda
             np.save(stream, values)
         partial.replace(file)
     except OSError:
-        return values  # a cache that cannot be written costs time, not the run
+        return values  # an unwritable cache costs time, but not the run
     return values

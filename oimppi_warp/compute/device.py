@@ -1,4 +1,4 @@
-"""Which device computes, and a word about kernels while they are compiled for it."""
+"""Selection of the compute device, and messages about kernels while they are compiled for it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from oimppi_warp.errors import DeviceError
 
 @cache
 def start_warp() -> None:
-    """Initialise Warp without its banner and its line for each module; warnings and errors are still told.
+    """Initialises Warp without its banner and its line for each module; warnings and errors are still shown.
 
-    Only the first call does anything. To read those lines, set a logger (``wp.set_logger``) or lower
-    ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set that to ``wp.LOG_INFO`` after it. Where there is no
-    NVIDIA driver, Warp's native library says so in one line on stderr, for which it has no switch.
+    Only the first call has an effect. To see those lines, set a logger (``wp.set_logger``) or lower
+    ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set that to ``wp.LOG_INFO`` after it. Without an NVIDIA
+    driver, Warp's native library prints one line about it on stderr, which cannot be turned off.
     """
     own = type(wp.get_logger()).__module__.partition(".")[0] == "warp"
     if own and wp.config.log_level == wp.LOG_INFO:
@@ -28,17 +28,17 @@ def start_warp() -> None:
 
 
 def tell_compilation(say: Callable[[str], None]) -> None:
-    """Initialise Warp, and tell by ``say(line)`` each kernel that is compiled from now on, for the command line."""
+    """Initialises Warp, and reports each kernel compiled from now on by ``say(line)``, for the command line."""
     wp.set_logger(CompileNotice(say))
     start_warp()
     wp.config.log_level = min(wp.config.log_level, wp.LOG_INFO)
 
 
 def pick_device(name: str = "auto") -> str:
-    """The device to compute on: ``auto`` is the first CUDA device, or the CPU where there is none.
+    """Returns the device to compute on; ``auto`` is the first CUDA device, or the CPU if there is none.
 
     Raises:
-        DeviceError: There is no such device here; the message lists those that are.
+        DeviceError: There is no such device; the message lists those that exist.
     """
     start_warp()
     present = [device.alias for device in wp.get_devices()]
@@ -50,23 +50,23 @@ def pick_device(name: str = "auto") -> str:
 
 
 def kernels_are_cached() -> bool:
-    """Whether an earlier run left compiled kernels of ours in Warp's cache."""
+    """Returns whether Warp's cache has compiled kernels of ours from an earlier run."""
     start_warp()
     folder = wp.config.kernel_cache_dir
     return folder is not None and any(Path(folder).glob("wp_oimppi_warp.kernels.*"))
 
 
 class CompileNotice:
-    """A Warp logger that only tells what was compiled and how long that took, by ``say(line)``."""
+    """A Warp logger that only reports compiled modules and their compile times, by ``say(line)``."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
 
     def debug(self, message: str) -> None:
-        """Drop it."""
+        """Ignores the message."""
 
     def info(self, message: str) -> None:
-        """Pass on that a module was compiled, in words of ours; drop the rest."""
+        """Reports a compiled module in our format; ignores all other messages."""
         found = re.match(r"Module (\S+) \S+ load on device '(\S+)' took ([\d.]+) ms\s+\(compiled\)", message)
         if found:
             module, device, ms = found.groups()
@@ -74,9 +74,9 @@ class CompileNotice:
             self._say(f"compiled {name} for {device} in {float(ms) / 1000:.1f} s")
 
     def warning(self, message: str, category: type[Warning] | None = None, stacklevel: int = 1) -> None:
-        """Pass it on to Python's warnings."""
+        """Passes the message on to Python's warnings."""
         warnings.warn(message, category, stacklevel=stacklevel)
 
     def error(self, message: str) -> None:
-        """Pass it on."""
+        """Passes the message on."""
         self._say(f"Warp: {message}")

@@ -1,8 +1,8 @@
-"""Where a planner computes: a device, the threads that it may use, and the memory that it shares with the host.
+"""Execution of control steps: a device, the threads that it may use, and the memory that it shares with the host.
 
-A control step is a fixed list of launches over fixed arrays. What changes from step to step goes in through *inputs*,
-what the host wants to know comes out through *outputs*: on CUDA the step is one graph with one copy at either end, on
-the CPU inputs and outputs are the host's own memory, and launches over samples are shared out among threads.
+A control step is a fixed list of launches over fixed arrays. Data that change from step to step go in through *inputs*,
+results that the host needs come out through *outputs*. On CUDA the step is one graph with one copy at either end; on
+the CPU inputs and outputs are in the host's memory, and launches over samples are distributed among threads.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ import warp as wp
 from oimppi_warp.compute.device import pick_device
 
 Launch = Callable[[], None]
-"""A prepared launch: the kernel and its arguments are fixed, calling it runs it."""
+"""A prepared launch: kernel and arguments are fixed, and a call runs it."""
 
 _SLICES_PER_THREAD = 4
-"""Slices of the samples for each thread: enough that none waits long for the others."""
+"""Slices of the samples per thread: enough that no thread waits long for the others."""
 _BLOCK = 256
-"""Threads of a block on CUDA."""
+"""Threads per block on CUDA."""
 _CHUNK = 1 << 20
-"""Bytes for all inputs, and for all outputs, of one planner on CUDA."""
+"""Size of the inputs' buffer, and of the outputs', of one planner on CUDA [B]."""
 _ALIGNMENT = 64
-"""Alignment of an array in them [B]."""
+"""Alignment of an array in these buffers [B]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class Slot:
     """An array that host and device share.
 
     Attributes:
-        array: The device's, for kernels.
-        host: The host's, for NumPy: its shape is the array's, followed by that of one entry.
+        array: The array on the device, for kernels.
+        host: The array on the host, for NumPy, whose shape is that of ``array`` followed by that of one entry.
     """
 
     array: wp.array
@@ -52,15 +52,15 @@ class Compute:
     """A device with threads, inputs and outputs.
 
     Args:
-        device: Warp device; ``"auto"`` takes the first GPU, or the CPU where there is none.
-        threads: Threads on the CPU; default: as many as the cores that the process may use.
+        device: Warp device; ``"auto"`` takes the first GPU, or the CPU if there is none.
+        threads: Number of threads on the CPU; default: the number of cores that the process may use.
 
     Attributes:
         device: The device's name.
-        threads: Threads that launches over samples are shared among.
+        threads: Number of threads among which launches over samples are distributed.
 
     Raises:
-        DeviceError: The device is not there.
+        DeviceError: The device does not exist.
     """
 
     def __init__(self, device: str = "auto", *, threads: int | None = None) -> None:
@@ -71,23 +71,23 @@ class Compute:
         self._outputs = _Shared(self.device)
 
     def input(self, shape: int | tuple[int, ...], dtype: Any) -> Slot:
-        """A new array of zeros that the host writes before a step."""
+        """Makes a new array of zeros that the host writes before a step."""
         return self._inputs.slot(shape, dtype)
 
     def output(self, shape: int | tuple[int, ...], dtype: Any) -> Slot:
-        """A new array of zeros that the host reads after a step."""
+        """Makes a new array of zeros that the host reads after a step."""
         return self._outputs.slot(shape, dtype)
 
     def launch(self, kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Launch:
-        """A launch of ``dim`` threads of the kernel, prepared."""
+        """Prepares a launch of ``dim`` threads of a kernel."""
         return _Prepared(kernel, (dim,), inputs, outputs, self.device)
 
     def launch_blocks(self, kernel: Any, blocks: int | None, inputs: Sequence[Any], outputs: Sequence[Any]) -> Launch:
-        """A launch whose threads work together in blocks (of one on the CPU), prepared.
+        """Prepares a launch whose threads cooperate in blocks (of one thread on the CPU).
 
         Args:
-            kernel: Its thread index is (block, thread), or the thread alone where there is but one block.
-            blocks: Number of blocks; ``None`` for the one.
+            kernel: Kernel whose thread index is (block, thread), or the thread alone if there is only one block.
+            blocks: Number of blocks; ``None`` for a single one.
             inputs: The kernel's inputs.
             outputs: Its outputs.
         """
@@ -96,10 +96,10 @@ class Compute:
         return _Prepared(kernel, dim, inputs, outputs, self.device)
 
     def launch_samples(self, kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Launch:
-        """A launch over samples, prepared: on the CPU in slices, shared out among threads.
+        """Prepares a launch over samples; on the CPU, slices of them are distributed among threads.
 
         Args:
-            kernel: Its first argument is the index of the slice's first sample; samples do not depend on each other.
+            kernel: Kernel whose first argument is the index of the slice's first sample; samples must be independent.
             count: Number of samples.
             inputs: The kernel's other inputs.
             outputs: Its outputs.
@@ -113,11 +113,11 @@ class Compute:
         return launches[0] if slices == 1 else _Shares(launches, self.threads)
 
     def step(self, launches: Sequence[Launch], *, one_graph: bool = True) -> Launch:
-        """A whole step: inputs up, all launches in order, outputs down; the host waits for the end.
+        """Prepares a whole step: uploads inputs, runs all launches in order, downloads outputs, and waits for the end.
 
         Args:
-            launches: The step.
-            one_graph: Whether all of it can be captured as one CUDA graph.
+            launches: Launches of the step.
+            one_graph: Whether the whole step can be captured as one CUDA graph.
         """
 
         def enqueue() -> None:
@@ -130,31 +130,31 @@ class Compute:
 
 
 class Stopwatch:
-    """A launch that notes when it ran; in a CUDA graph it never runs, nor while one is captured."""
+    """A launch that records the time when it runs; it does not run in a CUDA graph, nor during its capture."""
 
     def __init__(self, device: str) -> None:
         self._device = wp.get_device(device)
         self._at = math.nan
 
     def __call__(self) -> None:
-        """Note the time."""
+        """Records the time."""
         if not self._device.is_capturing:
             self._at = time.perf_counter()
 
     def take(self) -> float:
-        """When it last ran, by ``time.perf_counter``; NaN if it did not since it was last asked."""
+        """Returns when it last ran, by ``time.perf_counter``; NaN if it has not run since the last call."""
         at, self._at = self._at, math.nan
         return at
 
 
 @lru_cache
 def core_count() -> int:
-    """Number of cores that this process may use."""
+    """Returns the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Prepared:
-    """One launch with its arguments packed."""
+    """A launch with packed arguments."""
 
     def __init__(
         self,
@@ -177,13 +177,13 @@ class _Prepared:
 
     def __call__(self) -> None:
         if self._device.is_cpu and self._device.is_capturing:
-            wp.launch(self._kernel, **self._arguments)  # a recorded command would run, and not be captured
+            wp.launch(self._kernel, **self._arguments)  # a recorded command would run instead of being captured
         else:
             self._command.launch()
 
 
 class _Shares:
-    """Launches in any order, shared out among threads: who is done takes the next."""
+    """Launches in any order, distributed among threads: each thread takes the next when it is done."""
 
     def __init__(self, launches: Sequence[_Prepared], threads: int) -> None:
         self._launches = launches
@@ -194,11 +194,11 @@ class _Shares:
             for launch in self._launches:
                 launch()
             return
-        left = iter(range(len(self._launches)))  # its steps are atomic under the interpreter's lock
+        left = iter(range(len(self._launches)))  # stepping it is atomic under the interpreter's lock
         waiting = [_pool(self._helpers).submit(self._work, left) for _ in range(self._helpers)]
         self._work(left)
         for helper in waiting:
-            if not helper.cancel():  # one that has not even woken up has nothing left to do
+            if not helper.cancel():  # a helper that has not started yet has nothing left to do
                 helper.result()
 
     def _work(self, left: Any) -> None:
@@ -208,22 +208,22 @@ class _Shares:
 
 @lru_cache(maxsize=1)
 def _pool(helpers: int) -> ThreadPoolExecutor:
-    """The process's helping threads."""
+    """Returns the process's pool of helper threads."""
     return ThreadPoolExecutor(helpers, thread_name_prefix="oimppi")
 
 
 class _Shared:
-    """Arrays that go to the device, or come from it, together."""
+    """Arrays that are copied to the device, or from it, together."""
 
     def __init__(self, device: str) -> None:
         self._device = wp.get_device(device)
         self._used = 0
-        size = 0 if self._device.is_cpu else _CHUNK  # on the CPU, the host's own memory serves
+        size = 0 if self._device.is_cpu else _CHUNK  # on the CPU, arrays are in the host's memory
         self._host = wp.zeros(size, dtype=wp.uint8, device="cpu", pinned=size > 0)
         self._chunk = wp.zeros(size, dtype=wp.uint8, device=device)
 
     def slot(self, shape: int | tuple[int, ...], dtype: Any) -> Slot:
-        """A new array of zeros."""
+        """Makes a new array of zeros."""
         if self._device.is_cpu:
             array = wp.zeros(shape, dtype=dtype, device="cpu")
             return Slot(array, array.numpy())
@@ -238,18 +238,18 @@ class _Shared:
         return Slot(array, host.numpy())
 
     def upload(self) -> None:
-        """Host to device."""
+        """Copies host to device."""
         if self._used:
             wp.copy(self._chunk, self._host, count=self._used)
 
     def download(self) -> None:
-        """Device to host."""
+        """Copies device to host."""
         if self._used:
             wp.copy(self._host, self._chunk, count=self._used)
 
 
 class _CudaStep:
-    """A step on CUDA: captured as one graph when it first runs, replayed from then on."""
+    """A step on CUDA, captured as one graph on its first run and replayed afterwards."""
 
     def __init__(self, enqueue: Launch, device: str, one_graph: bool) -> None:
         self._enqueue = enqueue

@@ -1,1 +1,1 @@
-"""Settings: every setting with its help and bounds, presets, and how settings are named, changed and resolved."""
+"""Settings with help and bounds, presets, and functions that name, change and check settings."""

@@ -1,4 +1,4 @@
-"""Fields of the settings' dataclasses: each carries its help, its unit and its bounds as metadata."""
+"""Fields of the settings dataclasses, with help, unit and bounds as metadata."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class About:
     """Help, unit and bounds of a field of a settings dataclass.
 
     Attributes:
-        text: What it is, in a sentence.
-        unit: Its unit; of a tuple, one for each entry where they differ; empty for what has none.
+        text: Description in one sentence.
+        unit: Unit; for a tuple, one for each entry if they differ; empty if dimensionless.
         low: Smallest number allowed; of a tuple, of every entry.
-        high: Largest number allowed; infinity stands for every finite number.
-        option: Whether it can be set by its name; what cannot is kept beside the settings, such as the preset's name.
+        high: Largest number allowed; infinity allows every finite number.
+        option: Whether it can be set by name; fields that cannot, such as the preset's name, only accompany settings.
     """
 
     text: str
@@ -30,33 +30,33 @@ class About:
 
 
 def setting(default: Any, text: str, *, unit: str = "", low: float = 0.0, high: float = math.inf) -> Any:
-    """A field that is one setting.
+    """Makes a dataclass field that is one setting.
 
     Args:
-        default: Its default; its annotation is its type: bool, int, float, a tuple of them, or a ``Literal`` of texts.
-        text: What it is, in a sentence; help, tooltips and `docs/settings.md` show it.
-        unit: Its unit, SI and radians; of a tuple, one for each entry where they differ.
+        default: Default value; the annotation gives the type: bool, int, float, a tuple of them, or a ``Literal``.
+        text: Description in one sentence, shown in help, tooltips and `docs/settings.md`.
+        unit: Unit, SI and radians; for a tuple, one for each entry if they differ.
         low: Smallest number allowed; of a tuple, of every entry.
-        high: Largest number allowed; infinity stands for every finite number.
+        high: Largest number allowed; infinity allows every finite number.
     """
     return field(default=default, metadata={_KEY: About(text, unit, low, high)})
 
 
 def group(default: Any, text: str) -> Any:
-    """A field that is a group of settings, itself a frozen dataclass of such fields."""
+    """Makes a field that is a group of settings: a frozen dataclass of such fields."""
     return field(default=default, metadata={_KEY: About(text)})
 
 
 def label(default: Any, text: str) -> Any:
-    """A field that is kept beside the settings and cannot be set by its name."""
+    """Makes a field that accompanies the settings and cannot be set by name."""
     return field(default=default, metadata={_KEY: About(text, option=False)})
 
 
 def about(item: Field[Any]) -> About:
-    """What a field says of itself.
+    """Returns help, unit and bounds of a field.
 
     Raises:
-        TypeError: It was not made with :func:`setting`, :func:`group` or :func:`label`, or it has no default.
+        TypeError: The field was not made with :func:`setting`, :func:`group` or :func:`label`, or it has no default.
     """
     found = item.metadata.get(_KEY)
     if found is None or item.default is MISSING:

@@ -1,4 +1,4 @@
-"""Settings of the simulated lab and of the estimator, as :mod:`oimppi_warp.config.settings` takes them up."""
+"""Settings of the simulated lab and of the estimator, which are part of :mod:`oimppi_warp.config.settings`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from oimppi_warp.config.fields import setting
 
 @dataclass(frozen=True)
 class LabConfig:
-    """How imperfect the simulated laboratory is (:class:`oimppi_warp.plants.lab.LabPlant`).
+    """Imperfections of the simulated laboratory (:class:`oimppi_warp.plants.lab.LabPlant`).
 
-    The camera's rate is the paper's. Its noise is what fitting a known shape to a depth camera's points gives at a
-    distance of one metre; the limits and rates of the arm are from the xArm6's data sheet.
+    The camera's rate is the paper's. Its noise is typical of fitting a known shape to a depth camera's points at a
+    distance of one metre; the arm's limits and rates are from the xArm6's data sheet.
     """
 
     rate: float = setting(1.0, "Rate at which the camera detects the object.", unit="1/s", low=0.01, high=100.0)
@@ -48,9 +48,9 @@ class LabConfig:
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """What the estimator assumes about detections and about its own prediction (:mod:`oimppi_warp.runtime.estimator`).
+    """Assumptions of the estimator about detections and its prediction (:mod:`oimppi_warp.runtime.estimator`).
 
-    It is not told the laboratory's true noise: these numbers are its own.
+    They are independent of the laboratory's true noise.
     """
 
     position_noise: float = setting(0.005, "Assumed standard deviation of a detection's position error.", unit="m")

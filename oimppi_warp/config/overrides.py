@@ -1,4 +1,4 @@
-"""Settings by their names: listing them, changing one from text, reading them from a record, and what is allowed."""
+"""Settings by name: listing them, changing one from text, reading them from a record, and validation."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting as it stands.
+    """A setting and its current value.
 
     Attributes:
-        name: Its dotted name, such as ``"robot.optimizer.samples"``.
-        value: Its value; of an optimizer, the kind's name.
-        kind: Its type: bool, int, float, a tuple of them, or a ``Literal`` of texts.
-        about: Its help, unit and bounds.
+        name: Dotted name, such as ``"robot.optimizer.samples"``.
+        value: Current value; for an optimizer, the name of its kind.
+        kind: Type: bool, int, float, a tuple of them, or a ``Literal`` of strings.
+        about: Help, unit and bounds.
     """
 
     name: str
@@ -36,12 +36,12 @@ class Setting:
 
     @property
     def help(self) -> str:
-        """What it is, with its unit."""
+        """Returns the description with the unit."""
         return f"{self.about.text} [{self.about.unit}]" if self.about.unit else self.about.text
 
     @property
     def allowed(self) -> str:
-        """Its type and bounds in words."""
+        """Describes type and bounds."""
         low, high = self.about.low, self.about.high
         if get_origin(self.kind) is Literal or self.kind is bool:
             return _described(self.kind)
@@ -49,37 +49,37 @@ class Setting:
 
 
 def settings_of(config: Any) -> dict[str, Setting]:
-    """Every setting by its dotted name: the optimizers' kinds, and the settings of the present kinds."""
+    """Returns every setting by dotted name: the optimizers' kinds, and the settings of the current kinds."""
     return {setting.name: setting for setting in _walk(config, "")}
 
 
 def options(config: Any) -> dict[str, Any]:
-    """The value of every setting, e.g. ``{"control_period": 0.05, "robot.optimizer": "mppi", ...}``."""
+    """Returns the value of every setting, e.g. ``{"control_period": 0.05, "robot.optimizer": "mppi", ...}``."""
     return {name: setting.value for name, setting in settings_of(config).items()}
 
 
 def extra_weights(cost: RobotCost) -> ExtraWeights:
-    """The weight of every cost term from outside the package: the one that is set, or else the term's own."""
+    """Returns the weight of every cost term from outside the package: the one that is set, or the term's default."""
     return ExtraWeights({name: float(term.weight) for name, term in COST_TERMS.loadable()} | dict(cost.extra))
 
 
 def effective_weights(cost: RobotCost) -> ExtraWeights:
-    """The same without weights of zero, except where they turn off a term that counts of itself."""
+    """Returns the same without zero weights, except those that turn off a term with a nonzero default."""
     of_itself = {name for name, term in COST_TERMS.loadable() if term.weight != 0.0}
     return ExtraWeights({name: w for name, w in extra_weights(cost).items() if w != 0.0 or name in of_itself})
 
 
 def set_option(config: T, assignment: str) -> T:
-    """A copy of ``config`` with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.optimizer.samples=512"``.
+    """Returns a config with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.optimizer.samples=512"``.
 
-    Tuples are written with commas, ``"cost.push_ring=0.2,0.6"``. ``"robot.optimizer=cem"`` takes another optimizer,
-    which keeps what all have: samples, horizon, iterations, knots. Names of earlier versions are accepted
+    Tuples are written with commas, ``"cost.push_ring=0.2,0.6"``. ``"robot.optimizer=cem"`` selects another optimizer,
+    which keeps the common settings: samples, horizon, iterations, knots. Names of earlier versions are accepted
     (:mod:`oimppi_warp.config.renamed`). The value is checked on its own; :func:`validate` checks the settings against
     each other, once all are set.
 
     Raises:
-        ConfigError: The name is unknown (the message suggests the nearest) or the value has another type or is out of
-            bounds.
+        ConfigError: The name is unknown (the message suggests the nearest), or the value has the wrong type or is out
+            of bounds.
     """
     given, equals, text = (part.strip() for part in assignment.partition("="))
     if not equals:
@@ -99,18 +99,18 @@ def set_option(config: T, assignment: str) -> T:
 
 
 def from_record(record: Mapping[str, Any]) -> Config:
-    """The settings that a record holds as JSON, the opposite of :func:`oimppi_warp.record.log.to_json` of a ``Config``.
+    """Reads settings from a record's JSON, the inverse of :func:`oimppi_warp.record.log.to_json` of a ``Config``.
 
-    Records of earlier versions are read by today's names; what they do not have keeps its default.
+    Names of earlier versions are converted; settings that a record does not have keep their defaults.
 
     Raises:
-        ConfigError: It has a setting that does not exist, or a value that cannot be used.
+        ConfigError: The record has a setting that does not exist, or a value that cannot be used.
     """
     labels = {item.name for item in fields(Config) if not about(item).option}
     config = replace(Config(), **{name: record[name] for name in labels if name in record})
     values = {present_name(name): value for name, value in _flat(record, "") if name not in labels}
     values = {name.removesuffix(".kind"): value for name, value in values.items()}
-    # An optimizer's settings are known once its kind is.
+    # The kind determines which settings an optimizer has, so it comes first.
     for name in sorted(values, key=lambda name: name.count(".")):
         known = settings_of(config)
         if name.startswith("cost.extra.") and name not in known:
@@ -133,9 +133,9 @@ def from_record(record: Mapping[str, Any]) -> Config:
 
 
 def changed(config: Config, default: Config) -> dict[str, Any]:
-    """The settings that differ from a default, with the default's values.
+    """Returns the settings that differ from a default, with the default's values.
 
-    Settings of an optimizer that the default does not have are compared with those that it would have with it.
+    If the optimizers are of different kinds, settings are compared with those of the default after a change of kind.
     """
     wanted = default
     for name, setting in settings_of(config).items():
@@ -149,7 +149,7 @@ _OPTIMIZERS = ("robot.optimizer", "object.optimizer")
 
 
 def validate(config: Config) -> Config:
-    """``config`` itself, if a planner can be made from it.
+    """Validates a config and returns it.
 
     Raises:
         ConfigError: A value is out of bounds, or two of them contradict each other.
@@ -169,7 +169,7 @@ def validate(config: Config) -> Config:
 
 
 def _walk(config: Any, prefix: str) -> Iterator[Setting]:
-    """The settings in a dataclass and below it, their names after ``prefix``."""
+    """Yields the settings in a dataclass and below it, their names after ``prefix``."""
     types = _types(type(config))
     for item in fields(config):
         value, said, name = getattr(config, item.name), about(item), f"{prefix}{item.name}"
@@ -186,19 +186,19 @@ def _walk(config: Any, prefix: str) -> Iterator[Setting]:
 
 
 def _extra(term: str, weight: float, name: str) -> Setting:
-    """The weight of a cost term from outside the package."""
+    """Returns the setting for the weight of a cost term from outside the package."""
     text = COST_TERMS[term].about if term in COST_TERMS else "Weight of a cost term that is not registered here."
     return Setting(name, weight, float, About(text))
 
 
 @lru_cache
 def _types(kind: type) -> dict[str, Any]:
-    """The types of a dataclass's fields."""
+    """Returns the types of a dataclass's fields."""
     return get_type_hints(kind)
 
 
 def _changed(config: Any, path: list[str], setting: Setting, read: Callable[[Any], Any]) -> Any:
-    """``config`` with the setting at ``path`` replaced by what ``read`` finds for its type, checked."""
+    """Returns ``config`` with the setting at ``path`` replaced by the checked result of ``read`` for its type."""
     head, *rest = path
     value = getattr(config, head)
     if isinstance(value, Mapping):
@@ -216,7 +216,7 @@ def _changed(config: Any, path: list[str], setting: Setting, read: Callable[[Any
 
 
 def _of_kind(kind: str, before: Sampling, name: str) -> Sampling:
-    """The settings of another kind of optimizer, with what all kinds have taken over."""
+    """Returns the settings of another kind of optimizer, keeping those that all kinds have."""
     if kind == before.kind:
         return before
     try:
@@ -233,7 +233,7 @@ def _of_kind(kind: str, before: Sampling, name: str) -> Sampling:
 
 
 def _check(setting: Setting, value: Any) -> None:
-    """Raise ConfigError for a number outside its bounds, or a text that is not allowed."""
+    """Raises ConfigError for a number outside its bounds, or a string that is not allowed."""
     if get_origin(setting.kind) is Literal and value not in get_args(setting.kind):
         raise ConfigError(f"{setting.name} = {value} cannot be used\n  allowed: {_described(setting.kind)}")
     low, high = setting.about.low, setting.about.high
@@ -244,13 +244,13 @@ def _check(setting: Setting, value: Any) -> None:
 
 
 def _range(low: float, high: float) -> str:
-    """Bounds in words."""
+    """Describes bounds."""
     bounds = [f"{bound:.0f}" if 1e6 <= bound < math.inf else f"{bound:g}" for bound in (low, high)]
     return " to ".join(bounds) if math.isfinite(high) else f"{bounds[0]} or more (finite)"
 
 
 def _flat(record: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """What nested dictionaries hold, by dotted names."""
+    """Yields the entries of nested dictionaries by dotted names."""
     for name, value in record.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{name}.")
@@ -259,7 +259,7 @@ def _flat(record: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _unknown(name: str, config: Any, known: list[str]) -> str:
-    """What to say about a setting that does not exist: the nearest names, by the whole and by the last part."""
+    """Returns the message about an unknown setting: the nearest names, by the whole name and by its last part."""
     present = present_name(name)
     for group in _OPTIMIZERS:
         if present.startswith(f"{group}.") and group in known:
@@ -281,7 +281,7 @@ def _unknown(name: str, config: Any, known: list[str]) -> str:
 
 
 def _parsed(kind: Any, text: str) -> Any:
-    """``text`` as a value of the type ``kind``; ValueError if it is none."""
+    """Parses ``text`` as a value of the type ``kind``; raises ValueError if it is not one."""
     if get_origin(kind) is Literal:
         if text not in get_args(kind):
             raise ValueError(text)
@@ -297,7 +297,7 @@ def _parsed(kind: Any, text: str) -> Any:
 
 
 def _cast(kind: Any, value: Any) -> Any:
-    """A value from JSON as one of the type ``kind``; TypeError or ValueError if it is none."""
+    """Converts a value from JSON to the type ``kind``; raises TypeError or ValueError if it is not one."""
     if get_origin(kind) is tuple:
         return tuple(_cast(part_kind, part) for part_kind, part in zip(get_args(kind), value, strict=True))
     if get_origin(kind) is Literal or kind is str:
@@ -311,7 +311,7 @@ _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 
 def _described(kind: Any) -> str:
-    """The type ``kind`` in words."""
+    """Describes the type ``kind``."""
     if get_origin(kind) is Literal:
         return " or ".join(get_args(kind))
     if get_origin(kind) is tuple:

@@ -1,5 +1,7 @@
-"""Presets: :func:`paper` has the paper's values and options, :func:`best` (the default) the best that we found, and
-:func:`lab` the same for an object that is seen once a second and a planner that shares two cores with the plant.
+"""Presets of the settings.
+
+:func:`best` (the default) has the best settings that we found, :func:`paper` the paper's values and options, and
+:func:`lab` those for an object that is seen once a second and a planner that shares two cores with the plant.
 """
 
 from __future__ import annotations
@@ -21,10 +23,10 @@ from oimppi_warp.config.settings import (
 def best(method: str = "cloi") -> Config:
     """The preset ``best``: the best settings that we found for a method (`docs/results.md` has the ablation).
 
-    A method from outside the package begins with the settings of ``cloi``, in every preset.
+    In every preset, a method from outside the package starts from the settings of ``cloi``.
     """
     base = Config()
-    if method == "mppi":  # nothing to track but the goal, by the shortest free way
+    if method == "mppi":  # there is nothing to track but the goal, along the shortest free path
         return replace(base, cost=replace(base.cost, w_d=0.0, w_to_go=60.0, w_reference=0.0))
     if method == "soi":
         return replace(base, object=replace(base.object, optimizer=replace(base.object.optimizer, horizon=90)))
@@ -34,14 +36,14 @@ def best(method: str = "cloi") -> Config:
 def paper(method: str = "cloi") -> Config:
     """The preset ``paper``: its algorithms and equations as printed, with its K and horizons (`docs/paper.md`).
 
-    The paper prints K, both horizons, white noise in joint space, one update a step and a reference read by time. Where
-    it gives no figure, those of the baseline are taken that its authors built on (tud-airlab/mppi-isaac) and of their
-    own scenes for it: control period 0.05 s, joint velocities within 0.2 rad/s, noise variance 0.1, a temperature that
-    keeps 5 to 10 effective samples, weights 100 and 8 for the goal's position and yaw, 5 for the tool's distance, 45
-    for align, 20 for the tip's height. The coupling cost l_c is printed without a weight; it shares the goal's, whose
-    d^2 it has. Nowhere given, hence ours: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise. The terms that stand
-    for the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_arm_clearance``) and for the table's edge
-    (``w_edge``) stay; our other additions are off. There is no terminal cost l_f
+    The paper gives K, both horizons, white noise in joint space, one update per step and a reference read by time.
+    Values that it does not give are those of the baseline that its authors built on (tud-airlab/mppi-isaac) and of
+    their scenes for it: control period 0.05 s, joint velocities within 0.2 rad/s, noise variance 0.1, a temperature
+    that keeps 5 to 10 effective samples, weights 100 and 8 for the goal's position and yaw, 5 for the tool's distance,
+    45 for align, 20 for the tip's height. The coupling cost l_c is given without a weight; it has the weight of the
+    goal, since both use d^2. Given nowhere and hence ours: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise. The
+    terms that replace the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_arm_clearance``) and the table's edge
+    (``w_edge``) are kept; our other additions are off. There is no terminal cost l_f
     (equations 8, 10, 13 and 14), which the paper leaves open, and SOI's plan ends in the exact goal.
     """
     samples = 1200
@@ -82,11 +84,12 @@ def paper(method: str = "cloi") -> Config:
 
 
 def lab(method: str = "cloi") -> Config:
-    """The preset ``lab``: ``best``, but less is asked of perception and of the processor.
+    """The preset ``lab``: ``best`` with lower demands on perception and on the processor.
 
-    Joint velocities stay within 0.4 rad/s (the baseline's authors have 0.2 and later 0.5 on their arm): what moves less
-    far between two detections is better known, and what is hit more slowly does not tip. An arm that slow is given more
-    time before it lets go. Both levels have K = 512, so that a plan takes a fraction of the control period on one core.
+    Joint velocities stay within 0.4 rad/s (the baseline's authors use 0.2 and later 0.5 on their arm): an object that
+    moves less between two detections is better known, and one that is hit more slowly does not tip. Such a slow arm is
+    given more time before it repositions. Both levels have K = 512, so that a plan takes a fraction of the control
+    period on one core.
     """
     base = best(method)
     return replace(

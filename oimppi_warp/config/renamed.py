@@ -1,12 +1,11 @@
-"""Names that have changed: what was called otherwise in earlier versions, and what it is called now.
+"""Renamed settings: the names of earlier versions and the current ones.
 
-This is the one such table. ``--set``, :func:`oimppi_warp.set_option`, suites and records accept the old names
-through it and everything is written with the present ones, so that a command from an old record or report still runs.
+This is the only such table. Through it, ``--set``, :func:`oimppi_warp.set_option`, suites and records accept old names;
+everything is written with the current ones, so that a command from an old record or report still runs.
 
-To rename a setting, change the field and add an entry here: its old dotted name, and the present one. An entry stands
-for everything below it too: ``"robot.mppi"`` covers ``robot.mppi.samples``. Entries are never removed; where a present
-name changes again, the entries that lead to it are changed with it. ``tests/config/test_renamed.py``
-loads every old name.
+To rename a setting, change the field and add an entry here with its old and its current dotted name. An entry covers
+everything below it too: ``"robot.mppi"`` covers ``robot.mppi.samples``. Entries are never removed; if a current name
+changes again, the entries that lead to it are changed with it. ``tests/config/test_renamed.py`` loads every old name.
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ SETTINGS: Mapping[str, str] = {
     "regrasp": "reposition",
     "regrasp.w_guide": "reposition.w_waypoint",
 }
-"""Settings and groups of settings: the present dotted name by the old one."""
+"""Renamed settings and groups of settings: the current dotted name by the old one."""
 
 
 def present_name(name: str, table: Mapping[str, str] = SETTINGS) -> str:
-    """The present name for a dotted name, old or present; names that nothing replaced are returned as they are.
+    """Returns the current name for a dotted name, old or current; names that were not replaced are unchanged.
 
     Args:
         name: The name.
-        table: The entries; the longest that fits counts.
+        table: Entries to use; the longest match counts.
     """
     parts = name.split(".")
     for length in range(len(parts), 0, -1):

@@ -1,4 +1,4 @@
-"""The options of a run: who plans, with which engine, on which device, in which world."""
+"""The options of a run: method, engine, device, seed, plant and mode."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class RunSpec:
         return replace(self, **options).checked()
 
     def checked(self) -> RunSpec:
-        """Returns the same, if it can be run.
+        """Validates the options and returns them.
 
         Raises:
             ConfigError: A name is unknown, or a number out of bounds.

@@ -19,7 +19,7 @@ from oimppi_warp.errors import ConfigError
 class Sampling:
     """Settings of every sampling-based optimizer: K control sequences of H steps around a nominal one (equation 9).
 
-    An optimizer of its own has a subclass of this with its settings, with ``kind`` set to its name in
+    An optimizer defines its settings as a subclass of this, with ``kind`` set to its name in
     :data:`oimppi_warp.registries.OPTIMIZERS`.
     """
 
@@ -97,7 +97,7 @@ class Cem(Sampling):
 class Uncertainty:
     """Draws of the world in which the robot level tries each control sequence; the paper's future work.
 
-    A plan takes as many times as long as there are draws.
+    The time of a plan is proportional to the number of draws.
     """
 
     draws: int = setting(0, "Number of draws that each control sequence is tried in; 0 plans without.", high=1_000)
@@ -179,7 +179,7 @@ class ObjectLevel:
 
     @property
     def yaw_length(self) -> float:
-        """Length that turning by one radian counts as: how far the object could be moved in the same time [m]."""
+        """Length that a radian of yaw counts as: the distance that the object could move in the same time [m]."""
         return self.speed_limit[0] / self.speed_limit[2] if self.turn else 1e-4
 
 
@@ -210,7 +210,7 @@ class ObjectCost:
 
 @dataclass(frozen=True)
 class RobotCost:
-    """Weights of the robot level's stage cost ``l_o + l_r + l_c`` (equation 14); what is not in the paper says so."""
+    """Weights of the robot level's stage cost ``l_o + l_r + l_c`` (equation 14); help marks those not in the paper."""
 
     w_d: float = setting(5.0, "Weight of the object's squared distance to the goal (equation 16).", unit="1/m^2")
     w_theta: float = setting(
@@ -336,7 +336,7 @@ class Reposition:
 
 @dataclass(frozen=True)
 class EpisodeConfig:
-    """When an episode ends, and what the arm does when a plan is late."""
+    """Settings of an episode: its end, and the arm's behaviour when a plan is late."""
 
     max_sim_seconds: float = setting(40.0, "Time limit in simulated time.", unit="s", low=0.001)
     hold_seconds: float = setting(0.5, "Time for which the object must stay within tolerance for success.", unit="s")
@@ -377,10 +377,10 @@ class Config:
 
 
 def check_order(name: str, bounds: tuple[float, float]) -> None:
-    """Checks that a lower bound is not above its upper one.
+    """Checks that a lower bound is not above the upper one.
 
     Raises:
-        ConfigError: It is.
+        ConfigError: The lower bound is above the upper one.
     """
     low, high = bounds
     if low > high:

@@ -1,1 +1,1 @@
-"""Geometry of a scene: footprints, distance fields, the arm's kinematics and reach, and whether a task can be done."""
+"""Geometry of a scene: footprints, distance fields, the arm's kinematics and reach, and the feasibility of a task."""

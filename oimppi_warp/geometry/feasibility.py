@@ -1,4 +1,4 @@
-"""Whether a task can be done at all: nothing overlaps at its start and its goal, and the arm reaches both."""
+"""Feasibility of a task: nothing overlaps at its start and its goal, and the arm reaches both."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from oimppi_warp.geometry.reach import can_lift, reach_of
 from oimppi_warp.scene import Collider, PlanarPose, Scene
 
 START_CLEARANCE = 0.045
-"""Room that a drawn start leaves around the object [m]."""
+"""Clearance around the object at a drawn start [m]."""
 
 MAX_DRAWS = 2000
-"""Starts that are drawn before it is given up."""
+"""Largest number of starts drawn before giving up."""
 
 
 def check_task(scene: Scene) -> None:
-    """Check that the object can stand at the scene's start and goal, and that the arm reaches them.
+    """Checks that the object can be at the scene's start and goal, and that the arm reaches them.
 
     Raises:
         SceneError: At its start or goal the object is off the table, in an obstacle, in the robot's base or out of the
@@ -33,18 +33,18 @@ def check_task(scene: Scene) -> None:
 
 
 def task_mistakes(scene: Scene) -> Iterator[SceneError]:
-    """Everything that :func:`check_task` may raise, one after the other."""
+    """Yields every error that :func:`check_task` may raise."""
     yield from pose_mistakes(scene, "start", scene.start)
     yield from pose_mistakes(scene, "goal", scene.goal)
     yield from _tool_mistakes(scene)
 
 
 def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneError]:
-    """Why the object cannot stand at a pose or be pushed there.
+    """Yields the reasons why the object cannot be at a pose or be pushed there.
 
     Args:
         scene: The task.
-        name: What to call the pose: "start", "goal", or "start 3" of those that are listed.
+        name: Name of the pose in messages: "start", "goal", or "start 3" for one of those listed.
         pose: The pose.
     """
     label = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
@@ -76,9 +76,9 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
 
 
 def sample_start(scene: Scene, seed: int) -> PlanarPose:
-    """A start drawn from the scene's spread around its start; the same for the same seed.
+    """Draws a start from the scene's spread around its start; the same seed gives the same start.
 
-    It leaves :data:`START_CLEARANCE` around the object, and the arm reaches behind all of it.
+    It leaves :data:`START_CLEARANCE` around the object, and the arm can reach all around it.
 
     Args:
         scene: The task.
@@ -114,7 +114,7 @@ def sample_start(scene: Scene, seed: int) -> PlanarPose:
 
 
 def object_outline(scene: Scene, pose: PlanarPose) -> shapely.Geometry:
-    """What the object covers of the table at a pose."""
+    """Returns the area that the object covers at a pose."""
     shape = affinity.rotate(outline(footprint(scene.object.colliders)), pose[2], origin=(0.0, 0.0), use_radians=True)
     return affinity.translate(shape, pose[0], pose[1])
 
@@ -149,7 +149,7 @@ def _reach_mistakes(scene: Scene, name: str, label: str, pose: PlanarPose) -> It
 
 
 def _reach_text(scene: Scene) -> str:
-    """Where the arm gets, in words."""
+    """Describes the arm's reach."""
     reach = reach_of(scene.robot)
     if reach.border is None:
         return f"up to {reach.radius:.2f} m from the arm's base"
@@ -158,7 +158,7 @@ def _reach_text(scene: Scene) -> str:
 
 
 def fixed_outlines(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
-    """What the object could run into: a word for it, its prim, and what it covers at the object's height."""
+    """Yields all that the object could collide with: a noun, the prim, and the area covered at the object's height."""
     low, high = (scene.object.rest_height + z for z in height_range(scene.object.colliders))
 
     def covered(colliders: Iterable[Collider]) -> shapely.Geometry:
@@ -171,7 +171,7 @@ def fixed_outlines(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
 
 
 def _tool(scene: Scene) -> shapely.Geometry | None:
-    """What the tool covers at the start of an episode; ``None`` when it is above the object."""
+    """Returns the area that the tool covers at the start of an episode; ``None`` if it is above the object."""
     tip = tip_frame(scene.robot, scene.robot.start)[1]
     if tip[2] > scene.object.rest_height + height_range(scene.object.colliders)[1]:
         return None

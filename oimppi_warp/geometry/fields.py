@@ -1,10 +1,10 @@
-"""Distance fields of a scene: made once by kernels, kept in a cache by content, looked up by every rollout.
+"""Distance fields of a scene: computed once by kernels, cached by content, and looked up by every rollout.
 
 - ``phi_2(x, y, yaw)``: clearance of the object to obstacles, the robot's base and the table's edge (the paper's gap
   function of object and environment, in equation 4), over poses of the object's friction centre.
 - ``d_B(x, y)``: signed distance to the object's outline, in the frame of its friction centre (the paper's Example 1,
   in equation 7).
-- the obstacles' distance over space, for the arm and the tool (the paper's phi_3, in equation 4).
+- the distance to the obstacles over space, for the arm and the tool (the paper's phi_3, in equation 4).
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ STEP = 0.01
 YAW_NODES = 72
 """Nodes of phi_2 over a full turn (5 degrees)."""
 FURTHEST = 0.15
-"""Distances are cut off here [m]."""
+"""Distance at which the fields are cut off [m]."""
 BODY_STEP = 0.002
 """Grid step of the object's own distance field [m]."""
 NEAR = 0.05
-"""Shapes this far above all obstacles are not looked up [m]."""
+"""Height above all obstacles from which shapes are not looked up [m]."""
 SPACE_STEP = 0.01
 """Grid step of the obstacles' distance field [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """What the planner knows of a scene's shapes, on one device.
+    """The planner's model of a scene's shapes, on one device.
 
     Attributes:
-        surface: Limit surface of the object; planning poses are those of its ``center``.
+        surface: Limit surface of the object; the planner uses poses of its ``center``.
         top: Height of the object's top above the table [m].
         size: Largest distance of the outline from the friction centre [m].
         clearance: phi_2 over poses of the friction centre, to obstacles, the robot's base and the table's edge [m].
-        obstruction: The same without the table's edge: what stops a pushed object [m].
+        obstruction: The same without the table's edge, which does not stop a pushed object [m].
         body: Signed distance to the object's outline around its friction centre [m].
         space: Distance to the obstacles [m].
         space_top: Height above which no obstacle is nearer than ``NEAR`` [m].
@@ -75,17 +75,17 @@ class Geometry:
     space_top: float
 
     def clearance_at(self, pose: np.ndarray) -> float:
-        """phi_2 at a pose [3] of the friction centre, on the host [m]."""
+        """Returns phi_2 at a pose [3] of the friction centre, on the host [m]."""
         return pose_field_at(self.clearance, pose, self._clearance_values)
 
     @cached_property
     def _clearance_values(self) -> np.ndarray:
-        """phi_2's nodes on the host."""
+        """Returns the values of phi_2's nodes on the host."""
         return self.clearance.values.numpy()
 
 
 def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None = None) -> float:
-    """Value of a pose field, trilinear, on the host: the same as the kernels' look-up; NaN at a pose that is none."""
+    """Looks up a pose field on the host, trilinearly as the kernels do; NaN if the pose is not finite."""
     if not np.isfinite(pose).all():
         return float("nan")
     values = field.values.numpy() if values is None else values
@@ -101,7 +101,7 @@ def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None 
 
 
 def build_geometry(scene: Scene, device: str) -> Geometry:
-    """All distance fields of a scene on a device, from the cache where it has them."""
+    """Builds all distance fields of a scene on a device, or reads them from the cache."""
     start_warp()
     surface = limit_surface(scene.object)
     body = [_shifted(piece, -surface.center) for piece in footprint(scene.object.colliders)]
@@ -121,12 +121,12 @@ def build_geometry(scene: Scene, device: str) -> Geometry:
 
 
 def to_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
-    """Poses [..., 3] of the object's frame as poses of its friction centre."""
+    """Converts poses [..., 3] of the object's frame to poses of its friction centre."""
     return _translated(pose, surface.center)
 
 
 def from_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
-    """Poses [..., 3] of the object's friction centre as poses of its frame."""
+    """Converts poses [..., 3] of the object's friction centre to poses of its frame."""
     return _translated(pose, -surface.center)
 
 
@@ -139,7 +139,7 @@ def _translated(pose: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 def pack_pieces(pieces: Iterable[Piece], device: str) -> kernels.Pieces:
-    """Convex pieces as the kernels read them."""
+    """Packs convex pieces for the kernels."""
     pieces = list(pieces)
     centers = np.array([piece.vertices.mean(axis=0) for piece in pieces]).reshape(-1, 2)
     radii = [

@@ -1,7 +1,7 @@
 """Colliders seen from above: planar geometry, friction centre and limit surface.
 
 Pushing on a table is planar. An object's footprint is the vertical projection of its colliders, a union of convex
-pieces; everything the planner knows of its shape is derived from it here.
+pieces; the planner's whole model of its shape is derived from it here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from shapely.geometry.polygon import orient
 from oimppi_warp.scene import Collider, PlanarPose, PushedObject
 
 GRAVITY = 9.81
-"""[m/s^2]"""
+"""Gravitational acceleration [m/s^2]."""
 
 _CIRCLE = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 
@@ -31,18 +31,18 @@ class Piece:
 
     Attributes:
         vertices: Core, counter-clockwise, shape [n, 2] [m]: a polygon, or one vertex, which makes a disc.
-        radius: [m].
+        radius: Radius that the core is grown by [m].
     """
 
     vertices: np.ndarray
     radius: float = 0.0
 
     def polygon(self) -> BaseGeometry:
-        """The piece as a shapely geometry (arcs as 64-sided circles)."""
+        """Returns the piece as a shapely geometry (arcs as 64-sided circles)."""
         return MultiPoint(self.vertices).convex_hull.buffer(self.radius, quad_segs=16)
 
     def moved(self, pose: PlanarPose | np.ndarray) -> Piece:
-        """The piece carried from the frame ``pose`` into the frame that ``pose`` is given in."""
+        """Transforms the piece from the frame ``pose`` to the frame in which ``pose`` is given."""
         return Piece(planar_points(pose, self.vertices), self.radius)
 
 
@@ -74,7 +74,7 @@ class LimitSurface:
 
 
 def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a unit quaternion (x, y, z, w), shape [3, 3]."""
+    """Returns the rotation matrix of a unit quaternion (x, y, z, w), shape [3, 3]."""
     x, y, z, w = np.asarray(quaternion, dtype=float)
     return np.array(
         [
@@ -86,30 +86,30 @@ def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
 
 
 def quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The turn ``b`` and after it ``a``: Hamilton's product of quaternions xyzw, shape [4]."""
+    """Returns Hamilton's product of quaternions xyzw, the rotation ``b`` followed by ``a``, shape [4]."""
     return np.concatenate([a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3]), [a[3] * b[3] - a[:3] @ b[:3]]])
 
 
 def transform_points(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points [n, 3] carried by a spatial transform [7] (position, quaternion xyzw)."""
+    """Transforms points [n, 3] by a spatial transform [7] (position, quaternion xyzw)."""
     return np.atleast_2d(points) @ rotation_matrix(transform[3:]).T + transform[:3]
 
 
 def planar_points(pose: PlanarPose | np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points [n, 2] carried by a planar pose (x, y, yaw)."""
+    """Transforms points [n, 2] by a planar pose (x, y, yaw)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.atleast_2d(points) @ np.array([[c, s], [-s, c]]) + np.asarray(pose[:2])
 
 
 def wrap_angle(angle: float | np.ndarray) -> np.ndarray:
-    """The angle in [-pi, pi) [rad]."""
+    """Wraps an angle to [-pi, pi) [rad]."""
     return (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def core_points(collider: Collider) -> tuple[np.ndarray, float]:
-    """A convex point set and a radius whose grown hull is the collider, in its body's frame.
+    """Returns points and a radius such that their hull, grown by it, is the collider, in its body's frame.
 
-    Cylinders are given by 32 points on each rim, inscribed: at most 0.5 % of the radius is lost.
+    Cylinders have 32 points on each rim, inscribed: at most 0.5 % of the radius is lost.
 
     Returns:
         Points [n, 3] [m] and the radius [m].
@@ -132,7 +132,7 @@ def core_points(collider: Collider) -> tuple[np.ndarray, float]:
 
 
 def collider_mesh(collider: Collider) -> trimesh.Trimesh:
-    """The collider as a closed mesh in its body's frame (round ones with 32 sides)."""
+    """Returns the collider as a closed mesh in its body's frame (round ones with 32 sides)."""
     points, radius = core_points(collider)
     if radius > 0.0:
         ball = trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices
@@ -141,7 +141,7 @@ def collider_mesh(collider: Collider) -> trimesh.Trimesh:
 
 
 def height_range(colliders: Iterable[Collider]) -> tuple[float, float]:
-    """Lowest and highest z of the colliders in their body's frame [m]."""
+    """Returns the lowest and highest z of the colliders in their body's frame [m]."""
     cores = [core_points(collider) for collider in colliders]
     return min(p[:, 2].min() - r for p, r in cores), max(p[:, 2].max() + r for p, r in cores)
 
@@ -154,17 +154,17 @@ def _piece(collider: Collider) -> Piece:
     hull = MultiPoint(np.round(points[:, :2], 9)).convex_hull
     if hull.geom_type == "Point":
         return Piece(np.asarray(hull.coords), radius)
-    if hull.geom_type == "LineString":  # a lying capsule: no polygon to grow, so its outline itself
+    if hull.geom_type == "LineString":  # a lying capsule has no polygon to grow: use its outline
         hull, radius = hull.buffer(max(radius, 1e-4), quad_segs=8), 0.0
     return Piece(np.asarray(orient(cast(Polygon, hull)).exterior.coords)[:-1], radius)
 
 
 def footprint(colliders: Iterable[Collider], *, lower: float = -np.inf, upper: float = np.inf) -> tuple[Piece, ...]:
-    """Vertical projections of the colliders that reach into the height range.
+    """Projects the colliders that reach into a height range onto the horizontal plane.
 
     Args:
         colliders: Shapes in their body's frame (obstacles: world frame).
-        lower, upper: Shapes wholly below or above this range are left out [m].
+        lower, upper: Height range; shapes entirely outside it are left out [m].
 
     Returns:
         One convex piece for each collider, in the frame's x-y plane.
@@ -178,18 +178,18 @@ def footprint(colliders: Iterable[Collider], *, lower: float = -np.inf, upper: f
 
 
 def outline(pieces: Iterable[Piece]) -> BaseGeometry:
-    """Union of the pieces as a shapely geometry."""
+    """Returns the union of the pieces as a shapely geometry."""
     return shapely.union_all([piece.polygon() for piece in pieces])
 
 
 def limit_surface(body: PushedObject, *, support: Literal["corners", "area"] = "corners") -> LimitSurface:
-    """Limit surface of an object that rests on its footprint: ``mu m g`` and ``c r`` of equation 5.
+    """Computes the limit surface of an object that rests on its footprint: ``mu m g`` and ``c r`` of equation 5.
 
     The torque limit is the integral of ``mu p |r - r_c|`` over the support, that is ``mu m g`` times the mean distance
-    of the support to the friction centre, which is the centre of mass seen from above. What counts is where the
-    pressure ``p`` is: a rigid body on a rigid table stands on the corners of its pieces, and so it does in contact
-    engines; uniform pressure over the area is the other common assumption. For the T block they give 0.085 and 0.057 m;
-    pushes of the simulated T agree best with 0.08 to 0.09 (``tests/planning/test_parity.py``).
+    of the support to the friction centre, which is the centre of mass seen from above. It depends on the distribution
+    of the pressure ``p``: a rigid body on a rigid table rests on the corners of its pieces, as it does in contact
+    engines; the other common assumption is uniform pressure over the area. For the T block they give 0.085 and 0.057 m;
+    pushes of the simulated T agree best with 0.08 to 0.09 m (``tests/planning/test_parity.py``).
     """
     center = np.asarray(body.center_of_mass[:2], dtype=float)
     pieces = footprint(body.colliders)
@@ -203,12 +203,12 @@ def limit_surface(body: PushedObject, *, support: Literal["corners", "area"] = "
 
 
 def _rim(piece: Piece) -> np.ndarray:
-    """Points on the outline of a rounded piece, shape [n, 2]."""
+    """Returns points on the outline of a rounded piece, shape [n, 2]."""
     return np.asarray(cast(Polygon, piece.polygon()).exterior.coords)[:-1]
 
 
 def _grid_inside(shape: BaseGeometry, *, count: int) -> np.ndarray:
-    """About ``count`` points of a square grid inside a planar shape, shape [n, 2]."""
+    """Returns about ``count`` points of a square grid inside a planar shape, shape [n, 2]."""
     x0, y0, x1, y1 = shape.bounds
     step = np.sqrt(shape.area / count)
     xs, ys = np.meshgrid(np.arange(x0 + step / 2, x1, step), np.arange(y0 + step / 2, y1, step))

@@ -1,4 +1,4 @@
-"""The arm on the host: forward kinematics and Jacobian in float64, and its packing for the kernels."""
+"""The arm's kinematics on the host (forward kinematics and Jacobian in float64), and its packing for the kernels."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from oimppi_warp.kernels.kinematics import Arm
 from oimppi_warp.scene import Collider, Robot
 
 SPHERE_SPACING = 0.03
-"""Smallest spacing of the spheres that stand for a link [m]."""
+"""Smallest spacing of the spheres that approximate a link [m]."""
 
 
 def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frames of all links.
+    """Returns the frames of all links.
 
     Args:
         robot: The arm.
@@ -39,13 +39,13 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 @lru_cache(maxsize=8)
 def revolute_joints(robot: Robot) -> np.ndarray:
-    """Which joints turn; the others slide. Shape [dof]."""
+    """Returns a mask of the joints that turn; the others slide. Shape [dof]."""
     return np.array([joint.kind == "revolute" for joint in robot.joints])
 
 
 @lru_cache(maxsize=8)
 def _rest_transforms(robot: Robot) -> np.ndarray:
-    """Transform of each joint's frame in its parent's at zero, shape [dof, 4, 4]."""
+    """Returns the transform of each joint's frame in its parent's at position zero, shape [dof, 4, 4]."""
     rest = np.tile(np.eye(4), (robot.dof, 1, 1))
     for transform, joint in zip(rest, robot.joints, strict=True):
         transform[:3, :3] = rotation_matrix(joint.parent_transform[3:])
@@ -54,13 +54,13 @@ def _rest_transforms(robot: Robot) -> np.ndarray:
 
 
 def tip_frame(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation [3, 3] and position [3] of the tool's tip in the world frame [m]."""
+    """Returns rotation [3, 3] and position [3] of the tool's tip in the world frame [m]."""
     rotations, positions = link_frames(robot, joints)
     return rotations[-1] @ rotation_matrix(robot.tip[3:]), positions[-1] + rotations[-1] @ robot.tip[:3]
 
 
 def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
-    """Jacobian of the tip's velocity (linear, angular; world frame) by the joint velocities, shape [6, dof]."""
+    """Returns the tip's Jacobian (linear, angular; world frame), shape [6, dof]."""
     rotations, positions = link_frames(robot, joints)
     tip = positions[-1] + rotations[-1] @ robot.tip[:3]
     axes, revolute = rotations[:, :, 2], revolute_joints(robot)[:, None]
@@ -69,7 +69,7 @@ def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
 
 
 def collider_spheres(collider: Collider) -> np.ndarray:
-    """Spheres [n, 4] (centre, radius) that cover a long shape along its longest axis, in its body's frame [m]."""
+    """Returns spheres [n, 4] (centre, radius) that cover a shape along its longest axis, in its body's frame [m]."""
     points, radius = core_points(collider)
     middle = points.mean(axis=0)
     _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
@@ -85,7 +85,7 @@ def collider_spheres(collider: Collider) -> np.ndarray:
 
 
 def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
-    """The arm as the kernels read it.
+    """Packs the arm for the kernels.
 
     Args:
         robot: The arm.
@@ -109,11 +109,11 @@ def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
 
 
 def enclosing_sphere(spheres: np.ndarray) -> np.ndarray:
-    """A small sphere [4] (centre, radius) around spheres [n, 4]; around none, one of no size at the origin [m]."""
+    """Returns a small sphere [4] (centre, radius) around spheres [n, 4]; zero at the origin if there are none [m]."""
     if not len(spheres):
         return np.zeros(4)
     centers, radii = spheres[:, :3], spheres[:, 3]
-    # The middle of the box around them, or of the two that are furthest apart: whichever is tighter.
+    # Its centre is that of the bounding box, or that of the two spheres furthest apart, whichever is tighter.
     low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
     apart = np.linalg.norm(centers[:, None] - centers, axis=-1)
     ends = centers[list(np.unravel_index(np.argmax(apart), apart.shape))]

@@ -1,4 +1,4 @@
-"""Where the tip of a robot gets on the table with its tool pointing down, and joint positions that take it there."""
+"""Reach of a robot's tip over the table with the tool pointing down, and inverse kinematics for such positions."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from oimppi_warp.geometry.kinematics import link_frames, revolute_joints, tip_fr
 from oimppi_warp.scene import Robot, Scene
 
 _SIDES = 32
-"""Sides of the polygon around a disc that is carried along."""
+"""Sides of the polygon that approximates a disc carried by sliding joints."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 TipErrors = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""What is asked of a tip [3]: directions [n, 3], and how far it is from where it should be along each, [n] [m]."""
+"""Function of a tip position [3] that returns directions [n, 3] and the position error along each, [n] [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Where the tip gets at table height with the tool pointing down.
+    """Region that the tip reaches at table height with the tool pointing down.
 
     Attributes:
-        radius: The farthest from the base's axis [m].
+        radius: Largest distance from the base's axis [m].
         border: Corners of the region, shape [n, 2] [m]; ``None`` for an arm that turns about the base's axis, which
-            gets all around.
+            reaches all around.
     """
 
     radius: float
     border: np.ndarray | None = None
 
     def margin(self, points: np.ndarray) -> np.ndarray:
-        """How far inside of the region points [n, 2] are; negative outside [m]."""
+        """Returns the distance of points [n, 2] to the region's border; negative outside [m]."""
         if self.border is None:
             return self.radius - np.hypot(*np.asarray(points, dtype=float).T)
         region, at = shapely.convex_hull(shapely.multipoints(self.border)), shapely.points(points)
@@ -44,7 +44,7 @@ class Reach:
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper corner of the rectangle around it [m]."""
+        """Returns the lower and upper corners of the region's bounding rectangle [m]."""
         if self.border is None:
             return np.full(2, -self.radius), np.full(2, self.radius)
         return self.border.min(axis=0), self.border.max(axis=0)
@@ -52,12 +52,12 @@ class Reach:
 
 @lru_cache(maxsize=8)
 def reach_of(robot: Robot) -> Reach:
-    """Where a robot's tip gets.
+    """Computes the reach of a robot's tip.
 
-    From its start configuration the tip is led to the table and away from the axis of the first joint that turns, until
-    no joint positions within the limits are found any more: the arm gets so far to all sides. Joints that slide before
-    that one carry this disc along. A robot of sliding joints alone gets wherever their limits leave room. Where the
-    first joint that turns does not stand upright, the stretched length of the chain is the bound.
+    From its start configuration the tip is moved to the table and away from the axis of the first joint that turns,
+    until no joint positions within the limits are found: that is the arm's reach to all sides. Sliding joints before
+    that one move this disc along. A robot with sliding joints only reaches everything within their limits. If the
+    axis of the first joint that turns is not vertical, the stretched length of the chain is the bound.
     """
     revolute = np.flatnonzero(revolute_joints(robot))
     if not len(revolute):
@@ -78,9 +78,9 @@ def reach_of(robot: Robot) -> Reach:
 
 
 def object_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the rectangle within which the object is to stay [m]: the table's, or what of it the robot reaches.
+    """Returns the corners of the rectangle that the object must stay in: the table, or the part of it in reach [m].
 
-    An arm that turns about its base is kept to its reach by a cost instead, as that is no rectangle.
+    For an arm that turns about its base, whose reach is not a rectangle, a cost limits it instead.
     """
     lower, upper, reach = np.array(scene.table.lower), np.array(scene.table.upper), reach_of(scene.robot)
     if reach.border is None:
@@ -90,7 +90,7 @@ def object_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def stretched_length(robot: Robot) -> float:
-    """A bound on how far the tip can be from the base's axis [m]."""
+    """Returns an upper bound on the tip's distance from the base's axis [m]."""
     links = [np.linalg.norm(joint.parent_transform[:3]) for joint in robot.joints[1:]]
     strokes = [max(abs(joint.lower), abs(joint.upper)) for joint in robot.joints if joint.kind == "prismatic"]
     aside = np.linalg.norm(robot.joints[0].parent_transform[:2])
@@ -98,38 +98,38 @@ def stretched_length(robot: Robot) -> float:
 
 
 def _region(points: np.ndarray) -> Reach:
-    """The convex hull of points [n, 2]."""
+    """Returns the convex hull of points [n, 2]."""
     border = shapely.get_coordinates(shapely.convex_hull(shapely.multipoints(points)))[:-1]
     return Reach(float(np.hypot(*border.T).max()), border)
 
 
 @lru_cache(maxsize=8)
 def can_lift(robot: Robot) -> bool:
-    """Whether the robot can raise its tool without tilting it; one that cannot has to go around things."""
+    """Returns whether the robot can raise its tool without tilting it; otherwise it has to go around objects."""
     linear, tilting = _rates(robot, robot.start)
     both = np.vstack([tilting, linear[2]])
     return bool(np.linalg.matrix_rank(both, tol=1e-6) > np.linalg.matrix_rank(tilting, tol=1e-6))
 
 
 def inverse_kinematics(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
-    """Joint positions with the tip at a point [3] [m] and the tool pointing down; ``None`` where none are found.
+    """Finds joint positions with the tip at a point [3] [m] and the tool pointing down; ``None`` if it fails.
 
     Args:
         robot: The robot.
-        joints: Joint positions to begin with, shape [dof] [rad].
-        tip: Where the tip should be.
+        joints: Initial joint positions, shape [dof] [rad].
+        tip: Desired position of the tip.
     """
     return _solve_ik(robot, joints, lambda at: (np.eye(3), at - tip))
 
 
 def _corners(robot: Robot, count: int) -> np.ndarray:
-    """Where the tip is with each of the first sliding joints at one of its limits, the others at their start [m]."""
+    """Returns the tip positions with the first ``count`` joints, which slide, at each combination of limits [m]."""
     limits = product(*[(joint.lower, joint.upper) for joint in robot.joints[:count]])
     return np.array([tip_frame(robot, np.array([*ends, *robot.start[count:]]))[1][:2] for ends in limits])
 
 
 def _max_radius(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
-    """How far from an axis [2] the tip gets with the joints that are free, led there step by step; 0: nowhere [m]."""
+    """Returns the tip's largest distance from an axis [2] with the free joints, found step by step; 0 if none [m]."""
     start = tip_frame(robot, robot.start)[1]
     height = 0.0 if can_lift(robot) else start[2]
 
@@ -153,7 +153,7 @@ def _max_radius(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
 
 
 def _rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """By the joint velocities: the tip's velocity [3, dof], and the change of its z axis in x and y [2, dof]."""
+    """Returns Jacobians by the joint velocities: of the tip's position [3, dof], and of its z axis in x, y [2, dof]."""
     axis = tip_frame(robot, joints)[0][:, 2]
     linear, angular = np.split(tip_jacobian(robot, joints), 2)
     return linear, np.cross(angular.T, axis).T[:2]
@@ -162,9 +162,9 @@ def _rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _solve_ik(
     robot: Robot, joints: np.ndarray, tip_errors: TipErrors, free: np.ndarray | None = None
 ) -> np.ndarray | None:
-    """Joint positions without errors of the tip and the tool pointing down: damped Gauss-Newton within the limits.
+    """Solves for joint positions without tip errors and with the tool pointing down, by damped Gauss-Newton.
 
-    Only the joints that are free [dof] move; default: all.
+    Joint limits are kept. Only the joints that are free [dof] move; default: all.
     """
     lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
     q = np.array(joints, dtype=float)

@@ -1,1 +1,1 @@
-"""A scene as physics: Newton's model, and MuJoCo's made from it."""
+"""Physics models of a scene: Newton's, and MuJoCo's made from it."""

@@ -1,6 +1,6 @@
-"""The MuJoCo model that Newton's SolverMuJoCo makes of a scene, kept by content.
+"""The MuJoCo model that Newton's SolverMuJoCo makes of a scene, cached by content.
 
-Importing Newton and MuJoCo Warp to make it anew takes two seconds.
+Importing Newton and MuJoCo Warp to make it again takes two seconds.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from newton.solvers import SolverMuJoCo
 
 SENSED = ((("object",), ("obstacle", "base")), (("arm", "tool"), ("obstacle", "table")))
-"""Whose contact forces are sensed, the paper's lambda_2 and lambda_3: what moves, and what stands still."""
+"""Pairs of moving and static roles whose contact forces are sensed: the paper's lambda_2 and lambda_3."""
 
 
 @dataclass(frozen=True, eq=False)
 class MujocoModel:
-    """A scene as a MuJoCo model, and where everything is in it.
+    """A scene as a MuJoCo model, with the addresses of joints and object in it.
 
     Attributes:
         model: The compiled model; copy it before changing it.
@@ -43,7 +43,7 @@ class MujocoModel:
         object_body: The object's body, shape [].
         link_bodies: Bodies of the arm's moving links, shape [dof].
         roles: Each geom's role, an index of :data:`ROLES`, shape [ngeom].
-        sensors: What each contact force sensor belongs to, an index of :data:`SENSED`, shape [nsensor]; each has three
+        sensors: Group of each contact force sensor, an index of :data:`SENSED`, shape [nsensor]; each has three
             numbers in ``sensordata``, a force [N].
     """
 
@@ -60,31 +60,31 @@ class MujocoModel:
 
 
 def translate_scene(scene: Scene, *, sensing: bool) -> MujocoModel:
-    """The MuJoCo model of a scene, from the cache where that has it.
+    """Returns the MuJoCo model of a scene, from the cache if possible.
 
-    It does not depend on where the object and the arm start: both are at zero in ``qpos0``.
+    It does not depend on the start of object and arm: both are at zero in ``qpos0``.
 
     Args:
         scene: The task.
-        sensing: With sensors of the contact forces.
+        sensing: Whether to add contact force sensors.
     """
     file = cache_folder() / f"mujoco-{_content(scene)}{'-sensing' if sensing else ''}.npz"
     try:
         return _load(file)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        pass  # not there, or cut short: make it again
+        pass  # missing or truncated: make it again
     made = _translate(build_model(_at_zero(scene)), sensing=sensing)
-    with suppress(OSError):  # a cache that cannot be written costs time, not the run
+    with suppress(OSError):  # an unwritable cache costs time, but not the run
         _save(made, file)
     return made
 
 
 def _translate(built: NewtonModel, *, sensing: bool) -> MujocoModel:
-    """The MuJoCo model of a Newton model."""
+    """Makes the MuJoCo model of a Newton model."""
     import mujoco
     from newton.solvers import SolverMuJoCo
 
-    with TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):  # it tells where it saved
+    with TemporaryDirectory() as folder, redirect_stdout(io.StringIO()):  # it prints the path that it saved to
         file = Path(folder) / "model.xml"
         solver = SolverMuJoCo(
             built.model, use_mujoco_cpu=True, save_to_mjcf=str(file) if sensing else None, **SOLVER_OPTIONS
@@ -100,7 +100,7 @@ def _translate(built: NewtonModel, *, sensing: bool) -> MujocoModel:
 
 
 def map_model(solver: SolverMuJoCo, built: NewtonModel) -> MujocoModel:
-    """The MuJoCo model of a solver, and where everything of the Newton model's first world is in it."""
+    """Returns the MuJoCo model of a solver, with the addresses of the Newton model's first world in it."""
     import mujoco
 
     model = solver.mj_model
@@ -109,7 +109,7 @@ def map_model(solver: SolverMuJoCo, built: NewtonModel) -> MujocoModel:
     shape_of = _first_world(solver.mjc_geom_to_newton_shape)
     qvel = _indices_of(dof_of, built.joint_dofs)
     joints = model.dof_jntid[qvel]
-    # A velocity drive never makes up for what it lost while its force was limited: the tool would lag by centimetres.
+    # A velocity drive never recovers the motion lost while its force was limited: the tool would lag by centimetres.
     model.jnt_actfrclimited[joints] = 0
     object_body = _indices_of(body_of, built.object_body)
     free_joint = model.body_jntadr[object_body]
@@ -129,19 +129,19 @@ def map_model(solver: SolverMuJoCo, built: NewtonModel) -> MujocoModel:
 
 
 def _add_sensors(specification: mujoco.MjSpec, plain: MujocoModel) -> np.ndarray:
-    """Adds a contact force sensor for each pair of a moving thing and a shape that stands still.
+    """Adds a contact force sensor for each pair of a moving body and a static shape.
 
     Args:
-        specification: Of the same model, to which they are added.
+        specification: Specification of the same model, to which they are added.
         plain: The model without them.
 
     Returns:
-        What each belongs to, an index of :data:`SENSED`, shape [sensor].
+        Group of each sensor, an index of :data:`SENSED`, shape [sensor].
     """
     import mujoco
 
     model = plain.model
-    moving = (  # the object, and all that hangs on the arm's first link
+    moving = (  # the object, and everything attached to the arm's first link
         (mujoco.mjtObj.mjOBJ_BODY, int(plain.object_body)),
         (mujoco.mjtObj.mjOBJ_XBODY, int(plain.link_bodies[0])),
     )
@@ -162,23 +162,23 @@ def _add_sensors(specification: mujoco.MjSpec, plain: MujocoModel) -> np.ndarray
 
 
 def _first_world(array: Any) -> np.ndarray:
-    """The row of a Warp array [world, n] that belongs to the first world, shape [n]."""
+    """Returns the first world's row of a Warp array [world, n], shape [n]."""
     return array.numpy()[0]
 
 
 def _indices_of(values: np.ndarray, wanted: np.ndarray | int) -> np.ndarray:
-    """Where each of ``wanted`` stands in ``values``, in the shape of ``wanted``."""
+    """Returns the index in ``values`` of each of ``wanted``, in the shape of ``wanted``."""
     return np.argmax(values == np.asarray(wanted)[..., None], axis=-1)
 
 
 def _at_zero(scene: Scene) -> Scene:
-    """The scene with the object at the origin and all joint positions zero."""
+    """Returns the scene with the object at the origin and all joint positions zero."""
     robot = replace(scene.robot, start=np.zeros(scene.robot.dof))
     return replace(scene, robot=robot, start=(0.0, 0.0, 0.0))
 
 
 def _content(scene: Scene) -> str:
-    """Hash of all that a scene's MuJoCo model is made from: the scene, what is set here, and who translates."""
+    """Returns a hash of everything that determines the MuJoCo model: scene, options set here, package versions."""
     still = _at_zero(scene)
     sources = source_content("physics", "geometry", "observation.py")
     parts = (still.robot, still.object, still.table, still.obstacles, still.gravity)
@@ -186,7 +186,7 @@ def _content(scene: Scene) -> str:
 
 
 def _save(made: MujocoModel, file: Path) -> None:
-    """Write a translated model to one file."""
+    """Writes a translated model to one file."""
     import mujoco
 
     compiled = np.zeros(mujoco.mj_sizeModel(made.model), dtype=np.uint8)
@@ -200,7 +200,7 @@ def _save(made: MujocoModel, file: Path) -> None:
 
 
 def _load(file: Path) -> MujocoModel:
-    """Read what :func:`_save` wrote."""
+    """Reads a file written by :func:`_save`."""
     import mujoco
 
     with np.load(file) as saved:

@@ -1,8 +1,8 @@
-"""The Newton model of a scene, built from the :class:`oimppi_warp.scene.Scene` and nothing else.
+"""The Newton model of a scene, built from the :class:`oimppi_warp.scene.Scene` alone.
 
 It has the bodies, joints and shapes that Newton's own USD import makes of the scene's file, in the same order
-(`tests/physics/test_physics_import.py` compares the two), and what USD has no word for: velocity drives, gravity
-compensation, whose friction counts, how contacts give, what never collides.
+(`tests/physics/test_physics_import.py` compares the two), and properties that USD cannot express: velocity drives,
+gravity compensation, friction per pair of shapes, contact softness and collision filters.
 """
 
 from __future__ import annotations
@@ -28,42 +28,42 @@ DRIVE_GAIN = 200.0
 """Gain of a joint's velocity drive [N m s/rad]: the tool lags behind its command by some 5 ms."""
 
 ARMATURE = 0.1
-"""Inertia of a joint's motor and gear, seen at the joint [kg m^2]."""
+"""Inertia of a joint's motor and gear, reflected to the joint [kg m^2]."""
 
 SLIDE_GAIN, SLIDE_ARMATURE = 1500.0, 0.6
-"""The same of a joint that slides [N s/m], [kg]: what the others are to a tool 0.4 m from their axis."""
+"""The same for a sliding joint [N s/m], [kg]: equal to those of a turning joint for a tool 0.4 m from its axis."""
 
 MIN_FRICTION = 1e-4
-"""As good as none; MuJoCo takes nothing below 1e-5."""
+"""Negligible coefficient of friction; MuJoCo accepts nothing below 1e-5."""
 
 SOFT_ONSET = (0.0, 0.95, 0.0005, 0.5, 2.0)
-"""MuJoCo's contact impedance ``solimp``: none at first touch, full at half a millimetre.
+"""MuJoCo's contact impedance ``solimp``: zero at first touch, full at half a millimetre.
 
-With MuJoCo's own (0.9 at first touch) a flat object that is pushed chatters: its corners leave the table and come back,
-and the tool's sideways grip is lost in it. It then turns too far, and by another angle for every length of step.
+With MuJoCo's default (0.9 at first touch) a pushed flat object chatters: its corners leave the table and come back, and
+the tool loses its sideways grip. The object then turns too far, by an angle that depends on the step length.
 """
 
 SOLVER_OPTIONS = {
     "integrator": "implicitfast",
     "cone": "elliptic",
     "impratio": 1.0,  # with more, sliding contacts chatter
-    "enable_multiccd": True,  # without it, a cylinder or a mesh stands on one point and turns like a top
+    "enable_multiccd": True,  # without it, a cylinder or a mesh rests on one point and spins like a top
 }
-"""Options of Newton's SolverMuJoCo under which a flat object slides as it should."""
+"""Options of Newton's SolverMuJoCo with which a flat object slides correctly."""
 
 WATER = 1000.0
-"""Density of what has no collider to weigh, and of colliders before they are scaled to their body's mass [kg/m^3]."""
+"""Density of bodies without colliders, and of colliders before scaling to their body's mass [kg/m^3]."""
 
 _KINDS = ("sphere", "box", "capsule", "cylinder", "mesh")
-"""The order in which UsdPhysics lists kinds of shapes."""
+"""Kinds of shapes, in the order in which UsdPhysics lists them."""
 
 ROLES = ("other", "tool", "arm", "base", "object", "obstacle", "table")
-"""What a shape is there for; a role's number is its place in this list."""
+"""Roles of shapes; a role's number is its index in this list."""
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonModel:
-    """A scene as a Newton model, and where everything is in its first world.
+    """A scene as a Newton model, with the indices of joints and object in its first world.
 
     Attributes:
         model: The model; its ``joint_q`` holds the start of the episode.
@@ -91,7 +91,7 @@ def build_model(scene: Scene, *, worlds: int | None = None, device: str = "cpu")
 
     Args:
         scene: The task.
-        worlds: Number of batched worlds, all alike; ``None`` for a single one. Indices are those of the first.
+        worlds: Number of identical batched worlds; ``None`` for a single one. Indices are those of the first.
         device: Warp device of the model.
     """
     start_warp()
@@ -104,7 +104,7 @@ def build_model(scene: Scene, *, worlds: int | None = None, device: str = "cpu")
         return made
 
     builder = new_builder()
-    builder.rigid_gap = 0.0  # shapes that do not touch are of no interest
+    builder.rigid_gap = 0.0  # contacts of shapes that do not touch are not needed
     builder.gravity = _vector(scene.gravity)
     bodies, joints = _add_robot(builder, scene.robot)
     start = planar_transform(scene.start, scene.object.rest_height)
@@ -200,9 +200,9 @@ def _add_joint(builder: newton.ModelBuilder, joint: Joint, parent: int, child: i
 
 
 def _placed_shapes(scene: Scene, bodies: dict[str, int], object_body: int) -> list[tuple[str, int, Collider]]:
-    """Role, body (-1: the world) and, in the body's frame, each shape of a scene.
+    """Returns role, body (-1: the world) and collider, in the body's frame, of each shape of a scene.
 
-    Shapes of a kind follow each other, as in the lists of UsdPhysics that Newton's import goes through.
+    Shapes are grouped by kind, as in the lists of UsdPhysics that Newton's import goes through.
     """
     table, tool = scene.table, scene.robot.tool_path.rsplit("/", 1)[0] + "/"
     top = np.array([*np.add(table.lower, table.upper) / 2.0, -table.thickness / 2.0, 0.0, 0.0, 0.0, 1.0])
@@ -220,7 +220,7 @@ def _placed_shapes(scene: Scene, bodies: dict[str, int], object_body: int) -> li
 
 
 def _by_body(link: Link, bodies: dict[str, int]) -> Iterable[tuple[int, Collider]]:
-    """Each collider of a link with its body and in its frame: the link's own, or the welded one it lies below."""
+    """Yields each collider of a link with its body, in that frame: the link's, or the welded one it lies below."""
     for collider in link.colliders:
         owners = [part for part in link.welded if f"{collider.path}/".startswith(f"{part.path}/")]
         owner = max(owners, key=lambda part: len(part.path), default=None)
@@ -231,7 +231,7 @@ def _by_body(link: Link, bodies: dict[str, int]) -> Iterable[tuple[int, Collider
 
 
 def _in_frame(frame: np.ndarray, collider: Collider) -> Collider:
-    """A collider in a frame [7] that is given in the one it is in now."""
+    """Transforms a collider to a frame [7], which is given in the collider's current one."""
     turn_back = frame[3:] * (-1.0, -1.0, -1.0, 1.0)
     position = rotation_matrix(frame[3:]).T @ (collider.transform[:3] - frame[:3])
     return replace(
@@ -255,13 +255,13 @@ def _add_shapes(builder: newton.ModelBuilder, shapes: list[tuple[str, int, Colli
             radius, half_height = collider.size
             add = builder.add_shape_capsule if collider.kind == "capsule" else builder.add_shape_cylinder
             add(body, radius=radius, half_height=half_height, **given)
-    if hulls:  # only now: a mesh weighs what its faces enclose
+    if hulls:  # after adding: the mass of a mesh is that of the volume its faces enclose
         builder.approximate_meshes("convex_hull", shape_indices=hulls)
     return np.array([ROLES.index(role) for role, _, _ in shapes])
 
 
 def _mesh(collider: Collider) -> newton.Mesh:
-    """A mesh collider's surface, or its hull where it has no faces."""
+    """Returns a mesh collider's surface, or its hull if it has no faces."""
     import newton
 
     points, faces = collider.vertices, collider.faces
@@ -272,7 +272,7 @@ def _mesh(collider: Collider) -> newton.Mesh:
 
 
 def _set_robot_masses(builder: newton.ModelBuilder, robot: Robot, bodies: dict[str, int]) -> None:
-    """Gives the robot's bodies their masses; of a link, what is not welded to it is the link's own."""
+    """Sets the masses of the robot's bodies; a link's own mass is its total without the welded bodies."""
     for link in (robot.base, *robot.links):
         own = link.mass - sum(part.mass for part in link.welded)
         if not own > 0.0:
@@ -290,7 +290,7 @@ def _set_robot_masses(builder: newton.ModelBuilder, robot: Robot, bodies: dict[s
 def _set_mass(
     builder: newton.ModelBuilder, body: int, mass: float, center: np.ndarray | None, unit_inertia: np.ndarray | None
 ) -> None:
-    """Gives a body its mass [kg], centre of mass [3] [m] and unit inertia [3, 3] [m^2]; ``None``: of its shapes."""
+    """Sets a body's mass [kg], centre of mass [3] [m] and unit inertia [3, 3] [m^2]; ``None``: from its shapes."""
     import warp as wp
 
     of_shapes = builder.body_mass[body]
@@ -298,7 +298,7 @@ def _set_mass(
         inertia = mass * unit_inertia
     elif of_shapes > 0.0:
         inertia = np.array(builder.body_inertia[body]).reshape(3, 3) * (mass / of_shapes)
-    else:  # nothing to tell by: a ball of water
+    else:  # no data: a ball of water
         inertia = 0.4 * mass * (mass / WATER * 3.0 / (4.0 * math.pi)) ** (2.0 / 3.0) * np.eye(3)
     builder.body_mass[body], builder.body_inv_mass[body] = mass, 1.0 / mass
     tensor: Any = wp.mat33(inertia)
@@ -309,7 +309,7 @@ def _set_mass(
 
 
 def _limit(value: float) -> float | None:
-    """A limit for Newton, which has a default of its own where there is none."""
+    """Returns a limit for Newton; ``None``, for Newton's default, if it is infinite."""
     return value if math.isfinite(value) else None
 
 
@@ -326,10 +326,10 @@ def _transform(values: np.ndarray) -> Any:
 
 
 def _friction(scene: Scene, roles: np.ndarray) -> np.ndarray:
-    """Each shape's coefficient of friction, such that each pair of shapes has the scene's; shape [shape].
+    """Returns each shape's coefficient of friction, such that each pair has the scene's; shape [shape].
 
-    MuJoCo takes the larger coefficient of the two shapes in contact. The object's own is therefore as good as none, and
-    its partner's says how it slides there: the tool's is ``tool_friction``, the others' ``friction``.
+    MuJoCo takes the larger coefficient of two shapes in contact. The object's is therefore negligible, and that of the
+    other shape decides: the tool's is ``tool_friction``, all others' ``friction``.
     """
     friction = np.full(len(roles), scene.object.friction)
     friction[roles == ROLES.index("tool")] = scene.object.tool_friction
@@ -338,7 +338,7 @@ def _friction(scene: Scene, roles: np.ndarray) -> np.ndarray:
 
 
 def _never_meet(roles: np.ndarray) -> list[tuple[int, int]]:
-    """Pairs of shapes that do not collide: the robot with itself, and its base with what it stands on."""
+    """Returns pairs of shapes that do not collide: the robot with itself, and its base with the table."""
     base, arm, tool, table = (
         np.flatnonzero(roles == ROLES.index(role)).tolist() for role in ("base", "arm", "tool", "table")
     )

@@ -1,4 +1,4 @@
-"""A scene as physics, built when it is asked for."""
+"""Physics models of a scene, built on demand."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from oimppi_warp.scene import Scene
 
 
 class World:
-    """A scene's physics, built when it is asked for.
+    """Physics models of a scene, built on demand.
 
     Attributes:
-        scene: What it is built from, and all that it is built from.
+        scene: The scene, from which alone they are built.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -26,10 +26,10 @@ class World:
 
     @cached_property
     def mujoco(self) -> MujocoModel:
-        """The same for MuJoCo's C engine, as Newton's SolverMuJoCo translates it."""
+        """The model for MuJoCo's C engine, as translated by Newton's SolverMuJoCo."""
         return translate_scene(self.scene, sensing=False)
 
     @cached_property
     def mujoco_sensing(self) -> MujocoModel:
-        """:attr:`mujoco` with sensors of the contact forces, for rollouts."""
+        """The model :attr:`mujoco` with contact force sensors, for rollouts."""
         return translate_scene(self.scene, sensing=True)

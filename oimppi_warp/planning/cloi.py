@@ -17,7 +17,7 @@ from oimppi_warp.scene import Scene
 class ClosedLoopPlanner(Planner):
     """CLOI-MPPI (Algorithm 2): the object plan is updated from every observation.
 
-    Algorithm 2, its lines and where they are::
+    Algorithm 2, with the code of each line::
 
         1     while not converged:                                Planner.plan, in every control step
         2, 3      (A) update W with Algorithm 1 and S_o               object_launches: ObjectLevel
@@ -53,13 +53,13 @@ class ClosedLoopPlanner(Planner):
         return self._object.path.host[0].astype(float)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Distance that the object still has to go from a pose [3], turning counted [m]."""
+        """Returns the distance that the object still has to go from a pose [3], turning counted [m]."""
         return self._object.to_go_from(pose)
 
     def object_statistics(self) -> Update | None:
-        """Statistics of the object level's latest update."""
+        """Returns the statistics of the object level's latest update."""
         return self._object.optimizer.found()
 
     def object_finished(self) -> float:
-        """Time at which the object level was done with this step, by ``time.perf_counter``; NaN if not known."""
+        """Returns when the object level finished this step, by ``time.perf_counter``; NaN if not known."""
         return self._watch.take()

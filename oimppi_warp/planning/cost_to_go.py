@@ -1,4 +1,4 @@
-"""Ways of the object over the grid of phi_2: the cost-to-go."""
+"""Cost-to-go of the object over the grid of phi_2: lengths of the shortest free paths."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from oimppi_warp.kernels.fields import cost_to_go as kernels
 from oimppi_warp.kernels.geometry import PoseField
 
 _SWEEPS = 200
-"""Sweeps after which the cost-to-go is taken as it is; a few dozen do."""
+"""Largest number of sweeps; a few dozen usually suffice."""
 _SETTLED = 1e-4
-"""Improvement in all 8 directions below which it is done [m]."""
+"""Improvement in all 8 directions below which the sweeps have converged [m]."""
 _UNKNOWN = 1e3
 _COMFORT = 0.02
 """Clearance below which a metre costs more [m]: two cells of phi_2."""
 _CROWDED = 3.0
-"""What a metre costs more at no clearance: a detour of four times the length is taken before touching an obstacle."""
+"""Additional cost of a metre at zero clearance: a detour of four times the length is preferred to touching."""
 _OUT_OF_REACH = 10.0
-"""What a metre costs where the arm pushes badly: crossed only where there is no other way."""
+"""Cost of a metre where the arm pushes badly: crossed only if there is no other path."""
 _BLOCKED = 40.0
-"""What a metre costs inside an obstacle: more than any free way, but finite, so that every pose knows its way out."""
+"""Cost of a metre inside an obstacle: more than any free path, but finite, so that there is a path out of it."""
 _ALONG = 0.5
-"""What a metre along a known way costs: the cost-to-go leads onto it, and stays on it past a shorter way beside it."""
+"""Cost of a metre along a known path: the cost-to-go leads onto it, and stays on it past a shorter path beside it."""
 _NEAR = 4.0 * STEP
-"""Distance from the way within which the straight distance holds [m]."""
+"""Distance from the known path within which the straight distance is used [m]."""
 
 
 def build_to_go(
@@ -39,18 +39,18 @@ def build_to_go(
     bound: PoseField | None = None,
     device: str,
 ) -> PoseField:
-    """Cost-to-go: length of the shortest free way to a goal, or to a way that leads there [m].
+    """Builds the cost-to-go: the length of the shortest free path to a goal, or to a path that leads there [m].
 
-    A metre along a known way costs half. Elsewhere it costs up to four times as much close to obstacles, ten times
-    where the arm pushes badly, and forty times inside obstacles, so that every pose knows its way out. It is made on
-    the CPU by fast sweeping; that to a goal alone is kept in the cache.
+    A metre along a known path counts as half. Elsewhere it counts up to four times close to obstacles, ten times where
+    the arm pushes badly, and forty times inside obstacles, so that there is a path out of them. The field is computed
+    on the CPU by fast sweeping; the one to a goal alone is kept in the cache.
 
     Args:
         clearance: phi_2.
-        way: Poses [n, 3] of the friction centre that lead to the goal, the last one; one pose is the goal alone.
-        yaw_length: Length that turning by one radian counts as [m].
+        way: Poses [n, 3] of the friction centre that lead to the goal, which is the last; one pose is the goal alone.
+        yaw_length: Length that a radian of yaw counts as [m].
         push_ring: Distances from the base's axis between which the arm can push well [m].
-        bound: The cost-to-go to the goal alone, if it is known: it is a bound to start from, and saves most sweeps.
+        bound: The cost-to-go to the goal alone, if known: an initial bound that saves most sweeps.
         device: Warp device of the result.
     """
     way = np.atleast_2d(way)
@@ -84,7 +84,7 @@ def build_to_go(
     numbers += [travel.ring_inner, travel.ring_outer, travel.far, _NEAR, _SETTLED, _SWEEPS]
     content = content_of(host.values.numpy(), way, numbers)
     field = PoseField()
-    # A goal comes again, a planned way does not.
+    # A goal recurs, a planned path does not.
     values = cached("togo", content, compute) if len(way) == 1 else compute()
     field.values = wp.array(values, dtype=float, device=device)
     field.origin, field.inv_step, field.inv_yaw_step = clearance.origin, clearance.inv_step, clearance.inv_yaw_step
@@ -92,14 +92,14 @@ def build_to_go(
 
 
 def path_lengths(path: np.ndarray, yaw_length: float) -> np.ndarray:
-    """Length of each step of a path [n, 3], turning counted by ``yaw_length``, shape [n - 1] [m]."""
+    """Returns the length of each step of a path [n, 3], turning counted by ``yaw_length``, shape [n - 1] [m]."""
     steps = np.diff(path, axis=0)
     steps[:, 2] = yaw_length * wrap_angle(steps[:, 2])
     return np.linalg.norm(steps, axis=1)
 
 
 def _box_around(field: PoseField, pose: np.ndarray, yaw_length: float) -> tuple[list[int], list[int]]:
-    """First node and number of nodes (yaw, x, y) of a box that has all nodes within ``_NEAR`` of a pose [3]."""
+    """Returns the first node and the size (yaw, x, y) of a box with all nodes within ``_NEAR`` of a pose [3]."""
     turns = field.values.shape[0]
     half = np.array([_NEAR / yaw_length * field.inv_yaw_step, _NEAR * field.inv_step, _NEAR * field.inv_step])
     at = np.array(

@@ -1,8 +1,8 @@
-"""Which rollout engine to plan with: of those that keep up with the control period, the most successful one.
+"""Automatic choice of the rollout engine: the most successful one that keeps up with the control period.
 
-What is known of an engine stands with it: ``known_success`` and ``slower_than`` of its entry in
-:data:`oimppi_warp.registries.ENGINES` (see :class:`RobotDynamics`). An engine without a figure for the method is
-never chosen: it has to be asked for by its name.
+Known figures of an engine are attributes of its entry in :data:`oimppi_warp.registries.ENGINES`: ``known_success`` and
+``slower_than`` (see :class:`RobotDynamics`). An engine without a figure for the method is never chosen: it has to be
+requested by name.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import ENGINES
 
 _TIMED = 3
-"""Plans that are timed, if none takes longer than the control period."""
+"""Number of plans to time, if none takes longer than the control period."""
 
 
 class Rehearsable(Protocol):
-    """A planner, as far as it is timed."""
+    """The part of a planner that is needed to time it."""
 
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""
         ...
 
     def rehearse(self) -> None:
-        """One plan from the task's start."""
+        """Makes one plan from the task's start."""
         ...
 
 
@@ -37,7 +37,7 @@ P = TypeVar("P", bound=Rehearsable)
 
 @dataclass(frozen=True)
 class EngineChoice(Generic[P]):
-    """An engine and why it was chosen.
+    """An engine and the reason for its choice.
 
     Attributes:
         engine: Its name.
@@ -51,23 +51,23 @@ class EngineChoice(Generic[P]):
 
 
 def choose_engine(method: str, period: float, make: Callable[[str], P]) -> EngineChoice[P]:
-    """The engine to plan with.
+    """Chooses the engine to plan with.
 
-    Engines are tried in the order of their known success; of equals, those first that are slower than fewer others. An
-    engine that is known to be slower than one that was too slow is not tried. The first that keeps up is taken; where
-    none does, the fastest of those that were tried.
+    Engines are tried in the order of their known success; among equals, those that are slower than fewer others come
+    first. An engine that is known to be slower than one that was too slow is not tried. The first that keeps up is
+    chosen or, if none does, the fastest of those tried.
 
     Args:
-        method: How it will be used.
-        period: What a plan may take [s].
-        make: Makes a planner with an engine.
+        method: Name of the method that will use it.
+        period: Time that a plan may take [s].
+        make: Function that makes a planner with an engine.
 
     Raises:
         ConfigError: No engine has a figure for any method.
     """
     known = {name: figures for name, engine in ENGINES.loadable() if (figures := getattr(engine, "known_success", {}))}
     success = {name: figures[method] for name, figures in known.items() if method in figures}
-    if not success:  # a method of somebody's own: engines count as good as they are with the best of ours
+    if not success:  # a method from elsewhere: each engine is rated by its best figure with ours
         success = {name: max(figures.values()) for name, figures in known.items()}
     slower = {name: getattr(ENGINES[name], "slower_than", frozenset()) for name in success}
     if not success:

@@ -1,4 +1,4 @@
-"""Makes the planner that a run asks for."""
+"""Construction of the planner for a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The object level: how the object should move, as if a wrench could be put on it."""
+"""The object level: plans the object's motion as if a wrench could be applied to it directly."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class ObjectLevel:
     Attributes:
         launches: One update and the path that the nominal then takes, as launches.
         path: That path, an output of shape [horizon + 1].
-        to_go: The cost-to-go; ``None`` where the level goes without.
-        setup_seconds: Wall time of making or reading the cost-to-go [s].
+        to_go: The cost-to-go; ``None`` if the level does not use it.
+        setup_seconds: Wall time of computing or reading the cost-to-go [s].
     """
 
     def __init__(self, geometry: Geometry, goal: np.ndarray, config: Config, *, compute: Compute, seed: int) -> None:
@@ -38,7 +38,7 @@ class ObjectLevel:
         self.setup_seconds = self._dynamics.setup_seconds
 
     def set_state(self, pose: np.ndarray) -> None:
-        """Where the object is: pose [3]."""
+        """Sets the object's pose [3]."""
         left = distance(pose, self._goal, self._level.yaw_length)
         share = 1.0
         if self._level.noise_range > 0.0:
@@ -47,11 +47,11 @@ class ObjectLevel:
         self._dynamics.set_state(pose)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """What the object still has to go from a pose [3]: the cost-to-go, or without one the straight distance [m]."""
+        """Returns the distance to go from a pose [3]: the cost-to-go, or without one the straight distance [m]."""
         to_go = self._dynamics.to_go_at(pose)
         return distance(pose, self._goal, self._level.yaw_length) if to_go is None else to_go
 
 
 def distance(a: np.ndarray, b: np.ndarray, yaw_length: float) -> float:
-    """Straight distance of two planar poses [3], turning by one radian counted as ``yaw_length`` [m]."""
+    """Returns the straight distance of two planar poses [3], a radian of yaw counted as ``yaw_length`` [m]."""
     return float(np.linalg.norm([*(b - a)[:2], yaw_length * wrap_angle((b - a)[2])]))

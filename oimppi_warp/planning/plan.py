@@ -1,4 +1,4 @@
-"""What a planner returns: a plan, and samples of it to look at."""
+"""The results of planning: a plan, and samples of it for display."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ class Plan:
         command: Joint velocities to apply now, shape [dof] [rad/s].
         update: Statistics of the robot level's update.
         object_update: Statistics of the object level's update, if it planned.
-        object_seconds: Wall time of the object level [s]; NaN where it did not plan, or where it cannot be told because
+        object_seconds: Wall time of the object level [s]; NaN if it did not plan, or if it cannot be measured because
             the whole step is one CUDA graph.
         terms: Weighted cost terms of the robot's nominal, summed over the horizon.
         tips: Tool tip along the nominal, shape [horizon + 1, 3] [m].
-        object_poses: The object along it, shape [horizon + 1, 3].
+        object_poses: Object poses along the nominal, shape [horizon + 1, 3].
         reference: The object plan that was tracked, from the object's present pose on, shape [n, 3].
-        problem: Why no plan could be made, so that the command is zero; empty if a plan was made.
+        problem: Reason why no plan could be made and the command is zero; empty if a plan was made.
     """
 
     command: np.ndarray

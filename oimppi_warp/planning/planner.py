@@ -36,29 +36,29 @@ class Planner:
 
     It solves ``min over u_r of sum_h l_o(x_o) + l_r(x_r) + l_c(x_o, x_o*)`` with the coupling cost
     ``l_c = d^2(x_o, x_o*)`` of object and reference (equation 14), and plain MPPI ``min over u_r of sum_h l_o + l_r``
-    (equation 8); of both, the terminal cost l_f is left out. What the controls lead to, an engine rolls out.
+    (equation 8); both without the terminal cost l_f. A rollout engine predicts the outcome of the controls.
 
     A control step (:meth:`plan`) writes the inputs, runs one :meth:`Compute.step` and reads the outputs. A method is a
-    subclass that says where the reference comes from. It overrides :meth:`set_reference`, and :meth:`start`,
-    :meth:`tracked`, :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` where it needs to; what a
-    step launches before the robot level goes into ``object_launches`` in its constructor. It is registered in
+    subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`, :meth:`tracked`,
+    :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the launches of a step before
+    the robot level go into ``object_launches`` in its constructor. It is registered in
     :data:`oimppi_warp.registries.METHODS`.
 
     Args:
         scene: The task.
         config: All settings, resolved for the scene (:func:`oimppi_warp.planning.resolve.resolve`).
         engine: Rollout engine of the robot level.
-        compute: Where to compute.
-        seed: Of all noise; the same seed gives the same plans (on the CPU to the bit).
+        compute: The device and its threads.
+        seed: Seed of all noise; the same seed gives the same plans (on the CPU to the bit).
 
     Attributes:
         engine: Name of the rollout engine.
-        engine_reason: Why it was chosen, if it was not asked for by name.
+        engine_reason: Reason for its choice, if it was not requested by name.
         geometry: Shapes of the scene.
-        goal: The scene's, of the friction centre.
+        goal: The scene's goal, of the friction centre.
         dynamics: The engine.
         optimizer: The robot level's optimizer.
-        object_launches: What a step launches before the robot level; complete before the first plan.
+        object_launches: Launches of a step before the robot level; complete before the first plan.
         object_one_graph: Whether these can be captured in a CUDA graph.
         object_plan: The object plan made at the start, poses [n, 3]; ``None`` for methods that make none.
     """
@@ -123,14 +123,14 @@ class Planner:
 
     @cached_property
     def _step(self) -> Launch:
-        """A control step of both levels."""
+        """Returns the launch of a whole control step, of both levels."""
         launches = [*self.object_launches, *self._robot_launches]
         captured = self.dynamics.one_graph and self.optimizer.one_graph and self.object_one_graph
         return self.compute.step(launches, one_graph=captured)
 
     @property
     def repositioning(self) -> bool:
-        """Whether the tool is on its way to another side of the object."""
+        """Returns whether the tool is being moved to another side of the object."""
         return bool(self.dynamics.waypoint.host[0][3] > 0.0)
 
     def warm_up(self) -> None:
@@ -138,7 +138,7 @@ class Planner:
         self.rehearse()
 
     def rehearse(self) -> None:
-        """One control step from the task's start."""
+        """Runs one control step from the task's start."""
         start = np.array(self.scene.start)
         joints = self.scene.robot.start
         transform = planar_transform(self.scene.start, self.scene.object.rest_height)
@@ -194,10 +194,10 @@ class Planner:
         )
 
     def samples(self, count: int) -> Samples:
-        """Some samples of the latest plan, for people to look at: the heaviest, and as many of the others.
+        """Returns samples of the latest plan for display: those with the largest weights, and as many of the others.
 
         Args:
-            count: How many.
+            count: Number of samples.
         """
         weights = self.optimizer.weights.numpy()
         heaviest = np.argsort(-weights, kind="stable")
@@ -208,7 +208,7 @@ class Planner:
         return Samples(tips, shares, dict(zip(self.dynamics.terms, terms[0].tolist(), strict=True)))
 
     def _stop(self, problem: str) -> Plan:
-        """A plan that stops the arm."""
+        """Returns a plan that stops the arm."""
         nothing = Update(min_cost=math.nan, temperature=math.nan, effective_samples=math.nan, lost=0)
         return Plan(
             command=np.zeros(self.scene.robot.dof),
@@ -233,25 +233,25 @@ class Planner:
         host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
 
     def tracked(self) -> np.ndarray:
-        """The reference that was tracked in the latest step, of the friction centre, shape [n, 3]."""
+        """Returns the reference tracked in the latest step, poses of the friction centre, shape [n, 3]."""
         return self._tracked
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Distance that the object still has to go from a pose [3], turning counted [m]."""
+        """Returns the distance that the object still has to go from a pose [3], turning counted [m]."""
         if self._to_go is not None:
             return pose_field_at(self._to_go, pose, self._to_go_values)
         return distance(pose, self.goal, self.config.object.yaw_length)
 
     def object_statistics(self) -> Update | None:
-        """Statistics of the object level's update in the latest step, if it planned."""
+        """Returns the statistics of the object level's update in the latest step, if it planned."""
         return None
 
     def object_finished(self) -> float:
-        """Time at which the object level was done with this step, by ``time.perf_counter``; NaN if not known."""
+        """Returns when the object level finished this step, by ``time.perf_counter``; NaN if not known."""
         return math.nan
 
     def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
-        """A square root of the noise's covariance in joint space: ``root root^T = Sigma_u`` (equation 9).
+        """Returns a square root of the noise's covariance in joint space: ``root root^T = Sigma_u`` (equation 9).
 
         Shape [dof, dof].
         """
@@ -261,7 +261,7 @@ class Planner:
         jacobian = tip_jacobian(self.scene.robot, joints)
         inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6))
         noise = np.array(robot.tool_noise)
-        if lifting:  # up and down as freely as sideways
+        if lifting:  # as much noise vertically as sideways
             noise[2] = max(noise[:3])
         root = inverse * noise
         if root.shape[0] != root.shape[1]:

@@ -1,8 +1,8 @@
-"""Following an object plan by progress: the reference begins where the object is. Not in the paper.
+"""Following an object plan by progress: the reference begins at the object's current pose. Not in the paper.
 
-The paper's SOI reads its plan by time. An object that was held up or pushed astray is then led to poses that it cannot
-reach. Here the plan makes a cost-to-go in which a metre along the plan costs half of a metre elsewhere, and the
-reference is the way down that field from where the object is: along the plan, or back onto it, around obstacles.
+The paper's SOI reads its plan by time. An object that was delayed or pushed off the plan is then given poses that it
+cannot reach. Here a cost-to-go is built from the plan, in which a metre along the plan costs half of a metre elsewhere,
+and the reference is the path down that field from the object's pose: along the plan, or back onto it, around obstacles.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from oimppi_warp.kernels.rollouts.object import follow_path
 from oimppi_warp.planning.cost_to_go import build_to_go
 
 _STRIDE = 3
-"""Every so many poses of the plan one is kept to be followed."""
+"""One in this many poses of the plan is kept to be followed."""
 
 
 class PlanFollower:
@@ -30,10 +30,10 @@ class PlanFollower:
         config: All settings.
         goal: The goal of the friction centre, pose [3].
         reference: The robot level's reference, poses [n], which the launches write.
-        compute: Where to compute.
+        compute: The device and its threads.
 
     Attributes:
-        launches: What a control step launches: from the object's pose to the reference.
+        launches: The launches of a control step, from the object's pose to the reference.
     """
 
     def __init__(
@@ -64,9 +64,9 @@ class PlanFollower:
         """Takes a plan to follow.
 
         Args:
-            path: The object plan, poses [n, 3]. One that did not arrive leads nowhere and is not followed.
+            path: The object plan, poses [n, 3]. One that does not reach the goal is not followed.
             arrived: Whether it leads to the goal.
-            bound: The cost-to-go to the goal alone, if it is known; it saves time.
+            bound: The cost-to-go to the goal alone, if known; it saves time.
         """
         kept = path[::-_STRIDE][::-1] if arrived else self._goal[None]
         found = build_to_go(
@@ -91,5 +91,5 @@ class PlanFollower:
         return self._path.host[0].astype(float)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Cost-to-go at a pose [3], a metre along the plan counted half [m]."""
+        """Returns the cost-to-go at a pose [3], a metre along the plan counted as half [m]."""
         return pose_field_at(self._to_go, pose, self._to_go_values)

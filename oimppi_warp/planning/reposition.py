@@ -1,10 +1,10 @@
-"""Repositioning the tool: an object that makes no headway is pushed from another side. Not in the paper.
+"""Repositioning of the tool: an object that makes no headway is pushed from another side. Not in the paper.
 
-The robot level looks about a second ahead, so it pushes from where the tool is, or from around the next corner. The way
-out of a wedge between an obstacle and the tool may begin on the object's other side, two seconds away. So the planner
-watches the object's headway. When there is none, it chooses the point of the outline from which one push comes closest
-to the motion that the reference asks for, and leads the tip there along waypoints: over the object, or around it for a
-robot that cannot lift its tool.
+The robot level looks about a second ahead, so it pushes from the tool's position, or from around the next corner. An
+object wedged between an obstacle and the tool may have to be pushed from its other side, two seconds away. The planner
+therefore monitors the object's headway. When there is none, it chooses the point of the outline where a push comes
+closest to the motion of the reference, and leads the tip there along waypoints: over the object, or around it if the
+robot cannot lift its tool.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ NO_WAYPOINT = np.zeros(4)
 _POINTS = 96
 """Points of the outline that are compared."""
 _GAP = 0.012
-"""Gap between the tool and the outline where it stands to push [m]."""
+"""Gap between the tool and the outline at the position from which it pushes [m]."""
 _CLEAR = 0.03
-"""Gap between the tool and the outline at which the tip may rise, and with which it goes around [m]."""
+"""Gap between the tool and the outline at which the tip may rise, and that it keeps on its path around [m]."""
 _STRIDE = 0.06
 """Distance between waypoints around the object [m]."""
 _ABOVE = 0.035
@@ -38,19 +38,19 @@ _REACHED = 0.02
 _SAME_SIDE = 0.06
 """Tool positions closer together than this count as the same side of the object [m]."""
 _AHEAD = 15
-"""Steps along the reference over which the wanted motion is read."""
+"""Steps along the reference that give the desired motion."""
 _MARGIN = 0.004
-"""Gap between the tool and an obstacle below which the tool cannot stand there [m]."""
+"""Gap between the tool and an obstacle below which a position is blocked [m]."""
 _ROOM = 0.01
-"""Distance to the edge of the tip's reach below which the tool cannot stand there [m]."""
+"""Distance to the edge of the tip's reach below which a position is blocked [m]."""
 _BLOCKED = 10.0
-"""Lowers the score of a side that is blocked below that of every other; scores are cosines."""
+"""Subtracted from the score of a blocked side, which puts it below every other; scores are cosines."""
 _REMEMBERED = 8
-"""Sides tried before all but the latest two are forgotten, so that they are tried again."""
+"""Number of tried sides at which all but the latest two are forgotten, so that they may be tried again."""
 
 
 class Repositioner:
-    """Watches the object's headway, and leads the tip to another side of it when there is none.
+    """Monitors the object's headway, and leads the tip to another side of it when there is none.
 
     Args:
         scene: The task.
@@ -82,7 +82,7 @@ class Repositioner:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets headway, waypoints and the sides tried."""
+        """Resets headway, waypoints and the sides tried."""
         self._least = math.inf
         self._stalled = 0.0
         self._time_left = 0.0
@@ -94,7 +94,7 @@ class Repositioner:
 
         Args:
             tip: Position, shape [3] [m].
-            pose: Of the object's friction centre, shape [3].
+            pose: Pose of the object's friction centre, shape [3].
             reference: Reference poses from now on, shape [n, 3].
             to_go: Distance that the object still has to go [m].
 
@@ -117,7 +117,7 @@ class Repositioner:
         return NO_WAYPOINT
 
     def _next_waypoint(self, tip: np.ndarray, to_go: float) -> np.ndarray:
-        """Moves on to the next waypoint when one is reached; gives up when the time is over."""
+        """Advances to the next waypoint when one is reached; gives up on timeout."""
         self._time_left -= self._period
         if np.linalg.norm(tip - self._waypoints[0]) < _REACHED:
             self._waypoints.pop(0)
@@ -159,7 +159,7 @@ class Repositioner:
         self._time_left = self._settings.longest_seconds
 
     def _clear_of(self, tip: np.ndarray, body: shapely.Geometry) -> np.ndarray:
-        """Returns the nearest position [2] where a tip can rise: a tool that rises while it presses tips the object."""
+        """Returns the nearest position [2] where a tip can rise; a tool that rises while pressing tips the object."""
         boundary = shapely.boundary(body)
         nearest = np.array(boundary.interpolate(boundary.project(shapely.Point(tip))).coords[0])
         inside = shapely.contains_xy(body, *tip)
@@ -169,7 +169,7 @@ class Repositioner:
         return tip + max(shortfall, 0.0) * outward / max(distance, 1e-9)
 
     def _around(self, tip: np.ndarray, target: np.ndarray, body: shapely.Geometry) -> np.ndarray:
-        """Returns the free path, or else the shorter one, around the object from a tip [2] to a target [2], [n, 2]."""
+        """Returns the free (or else the shorter) path around the object, from a tip [2] to a target [2], [n, 2]."""
         ring = shapely.boundary(shapely.buffer(shapely.convex_hull(body), self._radius + _CLEAR))
         begin, end = (ring.project(shapely.Point(place)) for place in (tip, target))
         paths = []
@@ -180,12 +180,12 @@ class Repositioner:
         return min(paths, key=lambda path: path[:2])[2]
 
     def _alignment(self, wanted: np.ndarray) -> np.ndarray:
-        """Returns how well one push at each point of the outline gives a motion in the object's frame, shape [point].
+        """Scores a push at each point of the outline by its agreement with a motion in the object's frame, [point].
 
         It is the cosine of the angle between the wanted twist and the twist ``x_o' = D w`` of equation 5, in the metric
         of ``D``, for the best force in the friction cone.
         """
-        root = np.sqrt(self._surface.mobility * self._surface.force)  # of D, up to its scale
+        root = np.sqrt(self._surface.mobility * self._surface.force)  # square root of D, up to scale
         twist = wanted / root
         twist = twist / max(float(np.linalg.norm(twist)), 1e-9)
         tangents = np.column_stack([-self._normals[:, 1], self._normals[:, 0]])
@@ -198,14 +198,14 @@ class Repositioner:
         return best
 
     def _blocked(self, positions: np.ndarray) -> np.ndarray:
-        """Returns whether the tool cannot stand at positions [n, 2], shape [n]."""
+        """Returns whether positions [n, 2] of the tool are blocked, shape [n]."""
         points = shapely.points(positions)
         near = shapely.distance(points, self._blocks) < self._radius + _MARGIN if self._blocks else False
         return near | (self._reach.margin(positions) < _ROOM)
 
 
 def _boundary(shape: shapely.Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """Returns points evenly spread along an outline, and its inward normals, each of shape [n, 2]."""
+    """Returns evenly spaced points on an outline and its inward normals there, each of shape [n, 2]."""
     rings = [part.exterior for part in shapely.get_parts(shape)]
     length = sum(ring.length for ring in rings)
     points, normals = [], []

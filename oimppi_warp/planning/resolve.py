@@ -1,8 +1,8 @@
-"""Settings as they take effect on a task: worked out once, before anything is made of them.
+"""Resolves settings for a task: computes the values that take effect, once, before anything is built from them.
 
-Some settings depend on the robot and on the object: what is asked for is given for the xArm6 and for any object, what
-takes effect is another. :func:`resolve` is the only place where the one becomes the other; a planner uses, and a record
-holds, what it returns.
+Some settings depend on the robot and on the object: they are given for the xArm6 and for any object, and take effect
+with other values. :func:`resolve` is the only place where they are converted; planners use, and records hold, the
+resolved settings.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _EVERYWHERE = 1e3
 
 @dataclass(frozen=True)
 class Change:
-    """A setting that takes effect with another value than the one asked for.
+    """A setting that takes effect with a value other than the requested one.
 
     Attributes:
-        asked: The value asked for.
-        reason: Why it is not used, in a few words.
+        asked: The requested value.
+        reason: Short reason why it is not used.
     """
 
     asked: Any
@@ -45,8 +45,8 @@ class Resolved:
     """Settings as they take effect.
 
     Attributes:
-        config: The effective settings; ``resolved_for`` says for what.
-        changes: What differs from the settings asked for, by dotted names.
+        config: The effective settings; ``resolved_for`` describes the task.
+        changes: Changes to the requested settings, by dotted names.
     """
 
     config: Config
@@ -54,19 +54,19 @@ class Resolved:
 
 
 def resolve(config: Config, scene: Scene, *, control_period: float | None = None) -> Resolved:
-    """The settings as they take effect on a task.
+    """Resolves settings for a task.
 
     - ``cost.push_ring`` and ``object_cost.push_ring`` are scaled to the robot's own reach.
-    - Where the goal's tolerance allows every yaw, none is asked for.
-    - What keeps an object from tipping over is off for an object that a push cannot tip.
-    - The weights of cost terms from outside the package are written out.
+    - If the goal's tolerance allows every yaw, costs of yaw are off.
+    - Costs that keep an object from tipping over are off for an object that a push cannot tip.
+    - The weights of cost terms from outside the package are filled in.
 
     Settings that are resolved already are returned as they are, with no changes, so that nothing is scaled twice.
 
     Args:
-        config: The settings asked for.
+        config: The requested settings.
         scene: The task; start, goal and obstacles do not matter.
-        control_period: The plant's own control period, where it has one [s].
+        control_period: The plant's control period, if it is fixed [s].
 
     Raises:
         ConfigError: The settings were resolved for another kind of task, whose values would be wrong here.
@@ -105,7 +105,7 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
 
 
 def entries_used(spec: RunSpec, config: Config) -> list[tuple[Registry[Any], str]]:
-    """The registry entries that a run uses, an engine that is chosen automatically left out."""
+    """Returns the registry entries that a run uses, except an engine that is chosen automatically."""
     used: list[tuple[Registry[Any], str]] = [(METHODS, spec.method), (PLANTS, spec.plant)]
     used += [(ENGINES, spec.engine)] * (spec.engine != "auto")
     used += [(OPTIMIZERS, level.optimizer.kind) for level in (config.robot, config.object)]
@@ -114,18 +114,18 @@ def entries_used(spec: RunSpec, config: Config) -> list[tuple[Registry[Any], str
 
 
 def _task(reach: Reach, *, any_yaw: bool, tips: bool) -> str:
-    """All of a task that settings depend on, in words."""
+    """Describes the properties of a task that settings depend on."""
     ring = f"reach x{_scale(reach):g}" if reach.border is None else "no ring of reach"
     return ", ".join([ring, "any yaw" if any_yaw else "yaw counts", "can tip" if tips else "cannot tip"])
 
 
 def _scale(reach: Reach) -> float:
-    """How much farther than the xArm6 a robot reaches, in hundredths."""
+    """Returns a robot's reach relative to that of the xArm6, rounded to hundredths."""
     return round(reach.radius / _USUAL_REACH, 2)
 
 
 def _for_reach(config: Config, reach: Reach) -> Config:
-    """The settings with the rings for a robot's reach."""
+    """Returns the settings with the rings scaled to a robot's reach."""
 
     def ring(given: tuple[float, float]) -> tuple[float, float]:
         if reach.border is not None:
@@ -140,7 +140,7 @@ def _for_reach(config: Config, reach: Reach) -> Config:
 
 
 def _without_yaw(config: Config) -> Config:
-    """The settings with the object's yaw left alone."""
+    """Returns the settings without any cost of the object's yaw."""
     return replace(
         config,
         object=replace(config.object, turn=False),

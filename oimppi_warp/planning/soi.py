@@ -24,7 +24,7 @@ _ARRIVED = 0.01
 class SequentialPlanner(Planner):
     """SOI-MPPI (Algorithm 3): one object plan to the goal before the robot moves, then tracked.
 
-    Algorithm 3, its lines and where they are::
+    Algorithm 3, with the code of each line::
 
         1, 2      (A) set x_0^o as observed                           start
         3             while not converged:                            plan_object
@@ -36,15 +36,15 @@ class SequentialPlanner(Planner):
         12                update U with Algorithm 1 and S                 Planner
         13, 14            apply u; shift; observe x_{t+1}                 Optimizer.shift, lock_step
 
-    With ``reference="time"`` the segment begins at the pose planned for this time, as in the paper. With
-    ``reference="progress"`` it begins where the object is: :class:`PlanFollower`, which is not in the paper.
+    With ``reference="time"`` the segment begins at the pose planned for the current time, as in the paper. With
+    ``reference="progress"`` it begins at the object's pose (:class:`PlanFollower`), which is not in the paper.
     """
 
     method = "soi"
 
     def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
         super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
-        # (A) runs before the robot moves, hence as a step of its own, with its own inputs and outputs.
+        # (A) runs before the robot moves, hence as a separate step, with its own inputs and outputs.
         alone = Compute(compute.device, threads=compute.threads)
         self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=alone, seed=2 * seed + 2)
         self._object_step = alone.step(self._object.launches, one_graph=self._object.optimizer.one_graph)
@@ -59,7 +59,7 @@ class SequentialPlanner(Planner):
 
     @property
     def object_plan(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The object plan made at the start, poses [n, 3]."""
+        """Returns the object plan made at the start, poses [n, 3]."""
         return from_center(self.geometry.surface, self._path)
 
     def warm_up(self) -> None:
@@ -103,7 +103,7 @@ class SequentialPlanner(Planner):
         return self._object.path.host[0].astype(float)
 
     def set_reference(self, pose: np.ndarray) -> None:
-        """Extracts the segment to be tracked, from this time on or from the object's pose on (Algorithm 3, line 11)."""
+        """Extracts the segment to track, from the current time or from the object's pose (Algorithm 3, line 11)."""
         if self._follower is not None:
             self._follower.set_state(pose)
             return
@@ -115,5 +115,5 @@ class SequentialPlanner(Planner):
         return super().tracked() if self._follower is None else self._follower.tracked()
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Distance that the object still has to go from a pose [3], turning counted [m]."""
+        """Returns the distance that the object still has to go from a pose [3], turning counted [m]."""
         return super().to_go_from(pose) if self._follower is None else self._follower.to_go_from(pose)

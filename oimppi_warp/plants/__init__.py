@@ -1,1 +1,1 @@
-"""Plants: what a planner moves. The protocol, the simulated arm, and the simulated laboratory with its camera."""
+"""Plants, which a planner moves: the protocol, the simulated arm, and the simulated laboratory with its camera."""

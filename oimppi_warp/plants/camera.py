@@ -1,4 +1,4 @@
-"""What a camera above the table sees: an object is seen unless the arm is in the line of sight."""
+"""A camera above the table, which sees the object unless the arm is in the line of sight."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from oimppi_warp.physics.newton_model import ROLES
 from oimppi_warp.physics.world import World
 
 SEEN_SHARE = 0.5
-"""Share of an object's points that must be in sight for it to be recognised."""
+"""Share of an object's points that must be visible for it to be recognised."""
 _POINTS = 12
-"""Points of the outline of an object's top that are looked for."""
+"""Number of points on the outline of an object's top that are tested."""
 _ROBOT = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
 """Groups of geoms that hide the object: group 1 is the robot."""
 
@@ -23,7 +23,7 @@ class Camera:
 
     Args:
         world: The task's physics.
-        position: Of the camera [m].
+        position: Position of the camera [m].
     """
 
     def __init__(self, world: World, position: tuple[float, float, float]) -> None:
@@ -43,11 +43,14 @@ class Camera:
         self._height = pushed.rest_height + height_range(pushed.colliders)[1]
 
     def sees(self, joints: np.ndarray, pose: np.ndarray) -> bool:
-        """Whether enough of the object at a planar pose [3] is in sight past the arm at joint positions [dof] [rad]."""
+        """Returns whether enough of the object at a planar pose [3] is visible.
+
+        Joint positions [dof] [rad] give the arm, which may hide it.
+        """
         return self.share_seen(joints, pose) >= SEEN_SHARE
 
     def share_seen(self, joints: np.ndarray, pose: np.ndarray) -> float:
-        """Share of the points of the object's top, its outline and its middle, with no part of the arm before them."""
+        """Returns the share of points of the object's top (outline and middle) that the arm does not hide."""
         top = planar_points(pose, self._ring)
         sight = np.column_stack([top, np.full(len(top), self._height)]) - self._position
         self._data.qpos[self._joint_qpos] = joints

@@ -1,8 +1,8 @@
-"""The simulated lab: the simulated arm and object, known and moved as imperfectly as in a laboratory.
+"""The simulated lab: the simulated arm and object with the imperfect sensing and actuation of a laboratory.
 
-Behind the seam of a plant, as hardware would be: the object is seen now and then by a camera, late, with noise,
-sometimes wrongly, and not at all while the arm is in the way; joint positions come often, with noise; commands arrive
-late, and joints do not change their speed at once.
+It has the interface of a plant, as hardware would. A camera detects the object now and then, with delay and noise,
+sometimes wrongly, and not while the arm hides it; joint positions come often, with noise; commands take effect late,
+and the joints' accelerations are limited.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from oimppi_warp.plants.plant import Contacts, SimulatedPlant
 from oimppi_warp.scene import PlanarPose, Scene
 
 TICK = 0.01
-"""Time between two reports of the joints, 100 Hz as on the xArm's real-time port [s]."""
+"""Time between two joint reports, 100 Hz as on the xArm's real-time port [s]."""
 _SUBSTEPS = 4
-"""Steps of the physics in it."""
+"""Physics steps per tick."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Detection:
-    """What the camera made of one picture.
+    """The camera's result from one picture.
 
     Attributes:
         taken: When it was taken [s].
-        due: When its result is there [s].
-        pose: Planar pose that was recognised in it, shape [3].
-        outlier: Whether that is something else than the object.
+        due: When its result becomes available [s].
+        pose: Planar pose recognised in it, shape [3].
+        outlier: Whether that is the pose of something other than the object.
     """
 
     taken: float
@@ -50,17 +50,17 @@ class LabPlant:
     Args:
         world: The scene.
         config: How imperfect the lab is.
-        start: Where the object starts; default: the scene's start.
-        control_period: [s]; a multiple of :data:`TICK`.
-        seed: Of noise, wrong detections and nothing else: the same seed and commands give the same observations.
+        start: The object's start pose; default: the scene's.
+        control_period: Control period [s], a multiple of :data:`TICK`.
+        seed: Seed of noise and wrong detections only; the same seed and commands give the same observations.
 
     Raises:
-        ConfigError: The control period is no multiple of :data:`TICK`, or the latency longer than it.
+        ConfigError: The control period is not a multiple of :data:`TICK`, or shorter than the latency.
 
     Attributes:
-        camera: What sees the object.
+        camera: The camera.
         latency: Time from a command to its effect [s].
-        wrong_detections: Wrong detections that were delivered so far.
+        wrong_detections: Number of wrong detections delivered so far.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class LabPlant:
         self._take_picture()
 
     def observe(self) -> Observation:
-        """What is known now: the newest report of the joints, all since the last call, the newest detection."""
+        """Returns the newest joint report, all joint reports since the last call, and the newest detection."""
         trail, self._trail = np.array(self._trail), self._trail[-1:]
         last = trail[-1, 1:]
         velocity = np.zeros_like(last)
@@ -124,25 +124,25 @@ class LabPlant:
         )
 
     def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
-        """Puts everything somewhere at once, at rest; see :meth:`oimppi_warp.plants.plant.SimulatedPlant.place`."""
+        """Places arm and object, at rest; see :meth:`oimppi_warp.plants.plant.SimulatedPlant.place`."""
         self._plant.place(joint_position, object_transform)
         self._trail = [self._measure()]
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Knocks at the object with an impulse [3] [N s]."""
+        """Applies an impulse [3] to the object [N s]."""
         self._plant.knock(impulse)
 
     @property
     def contact_points(self) -> np.ndarray:
-        """Contact points and forces now; see :attr:`oimppi_warp.plants.plant.SimulatedPlant.contact_points`."""
+        """Contact points and forces; see :attr:`oimppi_warp.plants.plant.SimulatedPlant.contact_points`."""
         return self._plant.contact_points
 
     def truth(self) -> Observation:
-        """The exact state, for the record; nothing that plans may ask for it."""
+        """Returns the exact state, for the record; planners must not use it."""
         return self._plant.observe()
 
     def apply(self, joint_velocity: np.ndarray) -> None:
-        """Send joint velocities [rad/s], shape [dof], and let one control period pass.
+        """Sends joint velocities [rad/s], shape [dof], and runs one control period.
 
         Raises:
             ValueError: The command is not finite.
@@ -167,17 +167,17 @@ class LabPlant:
 
     @property
     def driven(self) -> np.ndarray:
-        """Joint velocities that are driven now, shape [dof] [rad/s]."""
+        """Returns the joint velocities that the drives currently follow, shape [dof] [rad/s]."""
         return self._driven
 
     @property
     def contacts(self) -> Contacts:
-        """Largest contact forces within the last control period."""
+        """Returns the largest contact forces within the last control period."""
         return self._contacts
 
     @property
     def tipped(self) -> bool:
-        """Whether the object no longer stands as it did."""
+        """Returns whether the object has tipped over."""
         return self._plant.tipped
 
     @property
@@ -185,19 +185,19 @@ class LabPlant:
         return self._tick * TICK
 
     def _measure(self) -> np.ndarray:
-        """Time [s] and measured joint positions [rad], shape [1 + dof]."""
+        """Returns time [s] and measured joint positions [rad], shape [1 + dof]."""
         joints = self._plant.observe().joint_position
         noise = self._joint_noise.normal(0.0, self._config.joint_noise, len(joints))
         return np.concatenate([[self._time], joints + noise])
 
     def _take_picture(self) -> None:
-        """Take a picture if it is time."""
+        """Takes a picture if one is due."""
         if self._tick < self._next_picture:
             return
         config, random = self._config, self._sight_noise
         self._next_picture += max(round(1.0 / (config.rate * TICK)), 1)
         state = self._plant.observe()
-        # All draws are made for every picture, so that what one shows does not depend on those before.
+        # Every picture makes all draws, so that its result does not depend on earlier pictures.
         noise = random.normal(size=3) * (config.position_noise, config.position_noise, config.yaw_noise)
         outlier, direction = random.uniform() < config.outlier_probability, random.uniform(-np.pi, np.pi)
         away, turn = random.uniform(0.5, 1.5) * config.outlier_size, random.uniform(-np.pi, np.pi)

@@ -1,6 +1,6 @@
-"""What is moved: the seam between a planner and an arm, and the simulated arm behind it.
+"""The plant: the interface between a planner and an arm, and the simulated arm.
 
-A planner and a plant share observations and joint velocities, nothing else.
+A planner and a plant exchange observations and joint velocities, nothing else.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ UPRIGHT = math.cos(0.35)
 """Upward part of the object's own z axis below which it counts as tipped."""
 
 LONGEST_STEP = 0.0025
-"""Longest step of the plant's physics [s]; longer ones make a sliding object gain energy."""
+"""Longest physics step of the plant [s]; with longer ones a sliding object gains energy."""
 
 _PAIRS = (
     (("tool",), ("object",)),
@@ -31,7 +31,7 @@ _PAIRS = (
     (("arm", "tool"), ("obstacle", "table")),
     (("object",), ("table",)),
 )
-"""The pairs of roles that each field of :class:`Contacts` counts, in its order."""
+"""The pairs of roles that each field of :class:`Contacts` covers, in its order."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +52,19 @@ class Contacts:
 
 
 class Plant(Protocol):
-    """Something with an arm that takes joint velocities: all that a planner needs of the world.
+    """An arm that takes joint velocities: everything that a planner needs of the world.
 
-    These three are enough. A plant may also have ``latency``, the time from a command to its effect [s]
-    (:func:`latency_of`), and take part in :class:`TruthfulPlant`, :class:`ContactPlant` and :class:`MovablePlant`.
+    The members below suffice. A plant may also have ``latency``, the time from a command to its effect [s]
+    (:func:`latency_of`), and implement :class:`TruthfulPlant`, :class:`ContactPlant` and :class:`MovablePlant`.
 
     Attributes:
-        control_period: Time that one command lasts [s]; planners plan in steps of it.
+        control_period: Duration of one command [s]; planners plan in steps of it.
     """
 
     control_period: float
 
     def observe(self) -> Observation:
-        """Returns what is known of the present state."""
+        """Returns the current observation."""
         ...
 
     def apply(self, joint_velocity: np.ndarray) -> None:
@@ -74,7 +74,7 @@ class Plant(Protocol):
 
 @runtime_checkable
 class TruthfulPlant(Protocol):
-    """A plant that knows its exact state, for the record; a simulator, say. Nothing that plans may ask for it."""
+    """A plant that knows its exact state, such as a simulator; for the record, planners must not use it."""
 
     def truth(self) -> Observation:
         """Returns the exact state."""
@@ -87,30 +87,30 @@ class ContactPlant(Protocol):
 
     @property
     def contacts(self) -> Contacts:
-        """Largest contact forces within the last control period."""
+        """Returns the largest contact forces within the last control period."""
         ...
 
 
 @runtime_checkable
 class MovablePlant(Protocol):
-    """A plant that can be meddled with, as the viewer does."""
+    """A plant whose arm and object can be placed and knocked, as the viewer does."""
 
     def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
-        """Puts the arm at joint positions [dof] [rad] and the object at a transform [7], at rest."""
+        """Places the arm at joint positions [dof] [rad] and the object at a transform [7], at rest."""
         ...
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Knocks at the object with an impulse [3] [N s]."""
+        """Applies an impulse [3] to the object [N s]."""
         ...
 
     @property
     def contact_points(self) -> np.ndarray:
-        """Contact points and normal forces now, shape [n, 6] [m, N]."""
+        """Returns the current contact points and normal forces, shape [n, 6] [m, N]."""
         ...
 
 
 def latency_of(plant: Plant) -> float:
-    """Returns the time from a command to its effect [s]; 0 for a plant that does not say."""
+    """Returns the time from a command to its effect [s]; 0 for a plant that does not state it."""
     return float(getattr(plant, "latency", 0.0))
 
 
@@ -123,18 +123,18 @@ def has_tipped(object_transform: np.ndarray) -> bool:
 class SimulatedPlant:
     """The scene in MuJoCo's C engine: rigid bodies, friction, a velocity drive at each joint, gravity compensated.
 
-    A flat object slides as it should only under some settings, and ``tests/plants/test_plant.py`` measures it: the
-    object on a free joint, implicit integration, elliptic friction cones, contacts that set in softly, steps of 2.5 ms.
+    A flat object slides correctly only under certain settings, as ``tests/plants/test_plant.py`` measures: the object
+    on a free joint, implicit integration, elliptic friction cones, contacts with a soft onset, steps of 2.5 ms.
 
     Args:
         world: The scene; many plants can share it.
-        start: Where the object starts; default: the scene's start.
-        control_period: [s].
-        substeps: Steps of the physics in one control period.
+        start: The object's start pose; default: the scene's.
+        control_period: Control period [s].
+        substeps: Physics steps per control period.
 
     Attributes:
         latency: None.
-        model, data: MuJoCo's own, for tests and pictures; :attr:`World.mujoco` says where everything is in them.
+        model, data: MuJoCo's, for tests and pictures; :attr:`World.mujoco` has the addresses of joints and object.
     """
 
     latency = 0.0
@@ -170,11 +170,11 @@ class SimulatedPlant:
         self.place(world.scene.robot.start, transform)
 
     def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
-        """Puts everything somewhere at once, at rest.
+        """Places arm and object, at rest.
 
         Args:
             joint_position: Shape [dof] [rad].
-            object_transform: Of the object's frame, shape [7].
+            object_transform: Transform of the object's frame, shape [7].
         """
         self.data.qpos[self._map.joint_qpos] = joint_position
         self.data.qpos[self._map.object_qpos] = np.asarray(object_transform)[[0, 1, 2, 6, 3, 4, 5]]
@@ -182,7 +182,7 @@ class SimulatedPlant:
         self._mj_forward(self.model, self.data)
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Knocks at the object's centre of mass, within the next control period.
+        """Applies an impulse to the object's centre of mass, within the next control period.
 
         Args:
             impulse: Shape [3] [N s].
@@ -190,7 +190,7 @@ class SimulatedPlant:
         self._knock += np.asarray(impulse) / self.control_period
 
     def observe(self) -> Observation:
-        """The present state, exactly."""
+        """Returns the exact current state."""
         qpos, qvel = self.data.qpos, self.data.qvel
         transform = qpos[self._map.object_qpos][[0, 1, 2, 4, 5, 6, 3]]
         return Observation(
@@ -202,11 +202,11 @@ class SimulatedPlant:
         )
 
     def truth(self) -> Observation:
-        """The exact state, for the record: what is observed too."""
+        """Returns the exact state, for the record; here the same as the observation."""
         return self.observe()
 
     def apply(self, joint_velocity: np.ndarray) -> None:
-        """Drive the joints for one control period, no faster than they may and no further than their limits.
+        """Drives the joints for one control period, within their velocity and position limits.
 
         Args:
             joint_velocity: Shape [dof] [rad/s].
@@ -236,14 +236,14 @@ class SimulatedPlant:
 
     @property
     def contacts(self) -> Contacts:
-        """Contact forces within the last control step, read four times."""
+        """Returns the largest contact forces within the last control step, sampled four times."""
         return self._contacts
 
     @property
     def contact_points(self) -> np.ndarray:
-        """Where something is touched that is pushed or hindered, now: contact points and normal forces, shape [n, 6].
+        """Returns the current contact points and normal forces of everything pushed or obstructed, shape [n, 6].
 
-        The object's rest on the table does not count.
+        Contacts of the object with the table are left out.
         """
         contact = self.data.contact
         active = contact.efc_address >= 0
@@ -254,11 +254,11 @@ class SimulatedPlant:
 
     @property
     def tipped(self) -> bool:
-        """Whether the object no longer lies flat."""
+        """Returns whether the object no longer lies flat."""
         return has_tipped(self.truth().object_transform)
 
     def _normal_forces(self) -> np.ndarray:
-        """Sum of the normal forces of each pair in :data:`_PAIRS`, shape [pair] [N]."""
+        """Returns the sum of the normal forces of each pair in :data:`_PAIRS`, shape [pair] [N]."""
         contact = self.data.contact
         active = contact.efc_address >= 0
         pair = self._touch[tuple(self._map.roles[contact.geom[active]].T)]
@@ -274,7 +274,7 @@ def ideal_plant(scene: Scene, config: Config, *, seed: int = 0) -> SimulatedPlan
 
 
 def _pair_table() -> np.ndarray:
-    """Which entry of :data:`_PAIRS` a pair of roles belongs to, or one past the last; shape [role, role]."""
+    """Returns the index in :data:`_PAIRS` of each pair of roles, one past the last if none; shape [role, role]."""
     table = np.full((len(ROLES), len(ROLES)), len(_PAIRS))
     for index, (some, others) in enumerate(_PAIRS):
         for a, b in product(some, others):

@@ -1,1 +1,1 @@
-"""Pictures of an episode: plots and a film, drawn from its record alone."""
+"""Plots and a film of an episode, drawn from its record alone."""

@@ -1,4 +1,4 @@
-"""Pictures of an episode, drawn from its log and its scene; no planning in them."""
+"""Plots of an episode, drawn from its log and its scene, without planning."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _TERMS = ["#34558b", "#8fb4d8", "#d08c60", "#efc9a5", "#5f8a6b", "#b3cfa8", "#7d
 
 
 def draw(log: EpisodeLog, scene: Scene, folder: str | Path) -> tuple[Path, ...]:
-    """Draw every picture of a log into ``folder``, which exists.
+    """Draws every plot of a log to ``folder``, which must exist.
 
     Args:
-        log: The episode; one without steps gives the scene with start and goal only.
-        scene: The scene it ran in.
-        folder: Where the PNGs go.
+        log: The episode; without steps, only the scene with start and goal is drawn.
+        scene: The scene of the episode.
+        folder: Folder for the PNGs.
 
     Returns:
         The files written: ``way.png`` (from above), ``errors.png`` (errors, clearance and costs over time),
@@ -47,7 +47,7 @@ def draw(log: EpisodeLog, scene: Scene, folder: str | Path) -> tuple[Path, ...]:
 
 
 def path_figure(log: EpisodeLog, scene: Scene) -> Figure:
-    """The object's path from above: its footprint at even steps of it, coloured by time."""
+    """Draws the object's path from above: its footprint at even intervals, coloured by time."""
     figure = Figure(layout="constrained")
     axes = figure.add_subplot()
     width, height = draw_scene(axes, log, scene)
@@ -71,7 +71,7 @@ def path_figure(log: EpisodeLog, scene: Scene) -> Figure:
 
 
 def errors_figure(log: EpisodeLog) -> Figure:
-    """Errors to the goal, clearance and cost terms over time."""
+    """Draws errors to the goal, clearance and cost terms over time."""
     figure = Figure(figsize=(7.0, 8.0), layout="constrained")
     position, yaw, clearance, cost = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1, 1, 1.6])
     time, tolerance, tight = log["time"], log.header["tolerance"], log.header["tight_tolerance"]
@@ -97,7 +97,7 @@ def errors_figure(log: EpisodeLog) -> Figure:
 
 
 def plan_times_figure(log: EpisodeLog) -> Figure:
-    """Wall time of each plan and the effective sample sizes over time."""
+    """Draws the wall time of each plan and the effective sample sizes over time."""
     figure = Figure(figsize=(7.0, 4.8), layout="constrained")
     plan, samples = figure.subplots(2, 1, sharex=True)
     time = log["time"]
@@ -121,19 +121,19 @@ def plan_times_figure(log: EpisodeLog) -> Figure:
 
 
 def title_of(log: EpisodeLog) -> str:
-    """What was run and how it ended, in one line."""
+    """Returns a one-line title with the run's options and its outcome."""
     header = log.header
     return f"{header['scene']}, {header['method'].upper()}, seed {header['seed']}: {header.get('ended', 'running')}"
 
 
 def _legend(axes: Axes) -> None:
-    """A legend above the axes, on the right of the title's line; none if nothing has a label."""
+    """Adds a legend above the axes, right of the title; none if nothing has a label."""
     if names := axes.get_legend_handles_labels()[1]:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(5, len(names)), borderaxespad=0.2)
 
 
 def draw_scene(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]:
-    """Table, robot base and obstacles, and the frame around what matters; the frame's width and height [m]."""
+    """Draws table, robot base and obstacles, and sets the view; returns its width and height [m]."""
     lower, upper = np.asarray(scene.table.lower), np.asarray(scene.table.upper)
     axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=FAINT, lw=1.0, zorder=0))
     base = footprint(scene.robot.base.colliders)
@@ -152,10 +152,10 @@ def draw_scene(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]
 
 
 def _draw_path(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Normalize) -> None:
-    """Tool path, first object plan, path of the object, and its footprint at intervals."""
+    """Draws the tool path, the first object plan, the object's path, and its footprint at intervals."""
     time, poses, tool = log["time"], log["object_pose"], log["tool_position"]
     axes.plot(tool[:, 0], tool[:, 1], color="#8b98a1", lw=0.6, label="tool", zorder=1)
-    if len(log.references) == 1:  # it was made once, ahead, and not anew on the way
+    if len(log.references) == 1:  # planned once in advance, and not again during the episode
         plan = log.references[0][1]
         axes.plot(plan[:, 0], plan[:, 1], color=INK, lw=1.0, ls=(0, (1, 1.5)), label="object plan", zorder=4)
     for row in _rows_along(poses, count=12):
@@ -167,21 +167,21 @@ def _draw_path(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Nor
 
 
 def _rows_along(poses: np.ndarray, *, count: int) -> list[int]:
-    """Up to ``count`` rows at even steps of the way, on which a radian counts as 0.1 m."""
+    """Returns up to ``count`` rows at even intervals of the path, on which a radian counts as 0.1 m."""
     moves = np.abs(np.diff(poses, axis=0))
     path = np.concatenate([[0.0], np.cumsum(np.hypot(moves[:, 0], moves[:, 1]) + 0.1 * np.minimum(moves[:, 2], 1.0))])
     return np.unique(np.searchsorted(path, np.linspace(0.0, path[-1], count + 1)[:-1])).tolist()
 
 
 def draw_shape(axes: Axes, pieces: tuple[Piece, ...], pose: np.ndarray, **style: Any) -> None:
-    """The union of the pieces at a planar pose, as one patch."""
+    """Draws the union of the pieces at a planar pose as one patch."""
     shape = outline(piece.moved(pose) for piece in pieces)
     rings = [np.asarray(part.exterior.coords) for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     add_rings(axes, rings, **style)
 
 
 def _draw_costs(axes: Axes, log: EpisodeLog) -> None:
-    """The largest cost terms, each smoothed over half a second, stacked."""
+    """Draws the largest cost terms, stacked, each smoothed over half a second."""
     names, terms = log.header.get("cost_terms", []), log["cost_terms"]
     if not len(log) or not terms.shape[1]:
         return

@@ -1,4 +1,4 @@
-"""A film of an episode from above, made from its log alone: object, tool, goal and the plan that was followed."""
+"""A film of an episode from above, drawn from its log alone: object, tool, goal and the tracked plan."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from oimppi_warp.record.log import EpisodeLog, write_atomically
 from oimppi_warp.scene import Scene
 
 FPS = 10
-"""Frames a second."""
+"""Frames per second."""
 
 
 def film(log: EpisodeLog, scene: Scene, file: str | Path, *, speed: float = 2.0) -> int:
-    """Write an animated GIF.
+    """Writes an animated GIF.
 
     Args:
-        log: The episode, of one step at the least.
-        scene: The scene it ran in.
-        file: Where to.
-        speed: Simulated seconds a second.
+        log: The episode, with at least one step.
+        scene: The scene of the episode.
+        file: File to write.
+        speed: Simulated seconds per second of film.
 
     Returns:
         Number of frames.
@@ -48,14 +48,14 @@ def film(log: EpisodeLog, scene: Scene, file: str | Path, *, speed: float = 2.0)
 
 
 def frames(log: EpisodeLog, scene: Scene, rows: Iterable[int]) -> Iterator[Image.Image]:
-    """The scene from above after each of these control steps."""
+    """Yields pictures of the scene from above after each of these control steps."""
     with matplotlib.rc_context(STYLE):
         for row in rows:
             yield _frame(log, scene, row)
 
 
 def _frame(log: EpisodeLog, scene: Scene, row: int) -> Image.Image:
-    """The scene at the end of one control step."""
+    """Draws the scene at the end of one control step."""
     figure = Figure(figsize=(3.6, 4.8), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot()

@@ -1,4 +1,4 @@
-"""What all pictures share: style, colours, and shapes seen from above."""
+"""Shared parts of all pictures: style, colours, and shapes seen from above."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ STYLE: Any = {
     "text.color": INK,
     "xtick.color": INK,
     "ytick.color": INK,
-    "svg.hashsalt": "oimppi",  # the same picture is the same file
+    "svg.hashsalt": "oimppi",  # makes files reproducible
 }
 
 
 def method_colors(methods: Iterable[str]) -> dict[str, str]:
-    """A colour for each method: the paper's have their own, all others take the further ones in their order."""
+    """Returns a colour for each method: fixed for the paper's, the further ones in order for all others."""
     further = cycle(FURTHER_COLORS)
     return {name: METHOD_COLORS.get(name) or next(further) for name in methods}
 
 
 def rendered(figure: Figure, *, kind: str = "png", dpi: int = 150) -> bytes:
-    """A figure as the content of a file: ``png`` or ``svg``."""
+    """Renders a figure to the content of a file, ``png`` or ``svg``."""
     picture = io.BytesIO()
     with matplotlib.rc_context(STYLE):
         figure.savefig(picture, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
@@ -56,7 +56,7 @@ def rendered(figure: Figure, *, kind: str = "png", dpi: int = 150) -> bytes:
 
 
 def add_rings(axes: Axes, rings: Iterable[np.ndarray], **style: Any) -> None:
-    """Closed rings [n, 2] as one patch."""
+    """Adds closed rings [n, 2] as one patch."""
     paths = [Outline(np.asarray(ring), closed=True) for ring in rings]
     if paths:
         axes.add_patch(PathPatch(Outline.make_compound_path(*paths), **style))

@@ -1,6 +1,6 @@
-"""The record of one episode: a header that says what was run, and columns with one row a control step.
+"""The record of one episode: a header that describes the run, and columns with one row per control step.
 
-Everything that is reported (metrics, plots, the viewer) is computed from this record and from nothing else. On disk it
+Everything that is reported (metrics, plots, the viewer) is computed from this record alone. On disk it
 is a folder with ``episode.npz`` (columns and plans) and ``episode.json`` (the header); the JSON is written last, so a
 folder that has it is complete.
 
@@ -14,7 +14,7 @@ device             Device that planned, e.g. ``cpu`` or ``cuda:0``
 threads            Threads that planned on the CPU
 preset, seed       Name of the preset; the seed
 plant, mode        Name of the plant; ``lockstep`` or ``realtime``
-config             Every setting as it was used, as nested dictionaries
+config             Every setting as used, as nested dictionaries
 requested          Settings that were changed for the task: ``{name: [value asked for, why it was changed]}``
 start, goal        Planar poses of the object (x, y [m], yaw [rad])
 tolerance          ``{"position": m, "yaw": rad}``; a yaw of ``None`` means that yaw does not count
@@ -22,10 +22,10 @@ tight_tolerance    The same, stricter
 hold_seconds       How long the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``
-preplan_time_s     Wall time of what was planned before the first step (SOI's object plan) [s]
-problems           ``[step, reason]`` wherever nothing could be planned from what was observed
-ended              Why the episode ended: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
-versions           Versions of what took part, see :func:`versions`
+preplan_time_s     Wall time of planning before the first step (SOI's object plan) [s]
+problems           ``[step, reason]`` wherever nothing could be planned from the observation
+ended              Reason for the end: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
+versions           Versions of Python and packages, see :func:`versions`
 ================== ==================================================================================================
 
 Records written by earlier versions lack some of these: ``threads``, ``requested``, ``engine_reason``, ``plant`` and
@@ -57,12 +57,12 @@ class LogError(OimppiError):
 
 @dataclass(frozen=True)
 class Column:
-    """What a column holds.
+    """Description of a column.
 
     Attributes:
-        shape: Shape of one row; names stand for lengths that the robot or the cost decide.
+        shape: Shape of one row; names denote lengths that depend on the robot or the cost.
         unit: SI unit.
-        meaning: One line.
+        meaning: Its meaning, in one line.
     """
 
     shape: tuple[int | str, ...]
@@ -96,12 +96,12 @@ COLUMNS: dict[str, Column] = {
     "stopped": Column((), "1", "1 where the arm was told to stop: the plan had expired, or none could be made"),
     "lag_ms": Column((), "ms", "how far the loop was behind the wall clock"),
 }
-"""Every column, one row a control step. A row stands for one step: the command applied during it, the plan that gave
-the command, and the state observed at the end of it. What a method does not have (MPPI's object level) is NaN."""
+"""Every column. A row holds one control step: the command applied during it, the plan that gave the command, and the
+state observed at its end. Values that a method does not have (the object level for MPPI) are NaN."""
 
 EVENTS = ("none", "first", "accepted", "rejected", "recovered")
-"""What becomes of a detection: there is none, it waits for another that bears it out, it corrects the prediction, it is
-rejected, it overrules the prediction together with the one before."""
+"""Results of processing a detection: there is none, it awaits confirmation by another, it corrects the prediction, it
+is rejected, it overrules the prediction together with the one before."""
 
 _NPZ, _JSON = "episode.npz", "episode.json"
 
@@ -109,11 +109,11 @@ _NPZ, _JSON = "episode.npz", "episode.json"
 class EpisodeLog:
     """The record of one episode.
 
-    Rows are appended into arrays that double when they are full; reading a column gives a view of the rows so far.
+    Rows are appended to arrays that double when full; reading a column gives a view of the rows so far.
 
     Attributes:
-        header: What was run, see the module's table.
-        references: Object plans as ``(step, path)``: the step before which it was made (0 for SOI's) and the planar
+        header: Description of the run, see the module's table.
+        references: Object plans as ``(step, path)``: the step before which each was made (0 for SOI's) and its planar
             poses, shape [length, 3].
     """
 
@@ -125,10 +125,10 @@ class EpisodeLog:
 
     @property
     def run(self) -> RunSpec:
-        """The options of the run: engine, device and threads as they were chosen (threads ``None`` if not recorded).
+        """Returns the options of the run, with engine, device and threads as chosen (threads ``None`` if not recorded).
 
         Raises:
-            KeyError: The header does not say which method, engine, device or seed.
+            KeyError: The header lacks the method, engine, device or seed.
         """
         needed = {name: self.header[name] for name in ("method", "engine", "device", "seed")}
         return RunSpec(
@@ -139,11 +139,11 @@ class EpisodeLog:
         )
 
     def __len__(self) -> int:
-        """Number of control steps so far."""
+        """Returns the number of control steps so far."""
         return self._rows
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The column ``name``, shape [steps, ...]; all NaN if no row had it.
+        """Returns the column ``name``, shape [steps, ...]; all NaN if no row had it.
 
         Raises:
             KeyError: There is no such column (see :data:`COLUMNS`).
@@ -154,7 +154,7 @@ class EpisodeLog:
         return np.full((self._rows, *(size if isinstance(size, int) else 0 for size in column.shape)), np.nan)
 
     def append(self, **row: Any) -> None:
-        """Add one control step; columns that are left out are NaN in it.
+        """Adds one control step; columns that are left out are NaN in it.
 
         Raises:
             KeyError: There is no such column.
@@ -175,11 +175,11 @@ class EpisodeLog:
         self._rows += 1
 
     def add_reference(self, path: np.ndarray, step: int | None = None) -> None:
-        """Keep a copy of an object plan, planar poses [length, 3], made before ``step`` (default: the next)."""
+        """Stores a copy of an object plan, planar poses [length, 3], made before ``step`` (default: the next)."""
         self.references.append((self._rows if step is None else step, np.array(path, dtype=float).reshape(-1, 3)))
 
     def save(self, folder: str | Path) -> Path:
-        """Write the record into ``folder``, which is made if need be; the JSON is there only if both files are whole.
+        """Writes the record to ``folder``, which is created if needed; the JSON exists only if both files are complete.
 
         Raises:
             LogError: The folder cannot be written to.
@@ -204,7 +204,7 @@ class EpisodeLog:
 
     @classmethod
     def load(cls, folder: str | Path) -> EpisodeLog:
-        """Read a record that :meth:`save` wrote.
+        """Reads a record that :meth:`save` wrote.
 
         Raises:
             LogError: There is no complete record in ``folder``.
@@ -226,7 +226,7 @@ class EpisodeLog:
 
 
 def write_atomically(path: str | Path, content: bytes) -> None:
-    """Write a whole file or nothing: into a temporary name first, then renamed."""
+    """Writes a file completely or not at all: under a temporary name first, then renamed."""
     path = Path(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -237,7 +237,7 @@ def write_atomically(path: str | Path, content: bytes) -> None:
 
 
 def flatten(value: Any) -> dict[str, Any]:
-    """The fields of a dataclass by name; those of dataclasses among them stand in their place, as in all JSON files."""
+    """Returns the fields of a dataclass by name, with those of nested dataclasses inlined, as in all JSON files."""
     found: dict[str, Any] = {}
     for item in fields(value):
         inner = getattr(value, item.name)
@@ -246,7 +246,7 @@ def flatten(value: Any) -> dict[str, Any]:
 
 
 def to_json(value: Any) -> Any:
-    """``value`` in types that JSON knows: arrays become lists, dataclasses objects, infinity and NaN ``None``."""
+    """Converts a value to JSON types: arrays become lists, dataclasses objects, infinity and NaN ``None``."""
     if is_dataclass(value) and not isinstance(value, type):
         return to_json(asdict(value))
     if isinstance(value, Mapping):
@@ -263,7 +263,7 @@ def to_json(value: Any) -> Any:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that take part in a result, without importing them."""
+    """Returns the versions of Python and of the packages that affect results, without importing them."""
     found = {"python": platform.python_version()}
     for name in ("oimppi-warp", "warp-lang", "newton", "mujoco", "mujoco-warp", "numpy", "usd-core"):
         try:

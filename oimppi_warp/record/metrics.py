@@ -1,4 +1,4 @@
-"""Numbers of an episode, as plain functions of its log; the paper's metrics and those that explain them."""
+"""Metrics of an episode, as plain functions of its log: the paper's, and others that explain them."""
 
 from __future__ import annotations
 
@@ -16,39 +16,38 @@ from oimppi_warp.record.log import EVENTS, EpisodeLog, flatten, to_json
 
 @dataclass(frozen=True)
 class Metrics:
-    """What came out of one episode. A number that the episode does not have is NaN (``null`` in JSON).
+    """Metrics of one episode. Numbers that the episode does not have are NaN (``null`` in JSON).
 
     Attributes:
-        scene, preset: What was run, with which settings.
-        run: The options of the run, engine, device and threads as they were chosen. In JSON its fields stand beside the
-            others.
+        scene, preset: Names of the scene and the preset.
+        run: The options of the run, with engine, device and threads as chosen. In JSON its fields are inlined.
         start, goal: Planar poses of the object (x, y [m], yaw [rad]).
-        ended: Why it ended, see :mod:`oimppi_warp.record.log`.
-        success: The object stayed within tolerance for the hold time.
+        ended: Reason for its end, see :mod:`oimppi_warp.record.log`.
+        success: Whether the object stayed within tolerance for the hold time.
         success_tight: The same for the tight tolerance.
-        position_error_m, yaw_error_rad: At the end.
-        mean_position_error_m: Averaged over time (the paper's epsilon_d).
+        position_error_m, yaw_error_rad: Errors at the end.
+        mean_position_error_m: Position error averaged over time (the paper's epsilon_d).
         min_clearance_m: Smallest phi_2; negative where the object overlapped an obstacle.
         steps: Control steps.
         sim_time_s: Simulated time.
-        success_time_s: Simulated time at which the object came within tolerance to stay; NaN without success.
+        success_time_s: Simulated time at which the object came within tolerance and stayed; NaN without success.
         preplan_time_s: Wall time of SOI's object plan.
         total_time_s: The paper's T: pre-planning, then each step as long as its planning or the control period,
             whichever is longer, until success (without success: to the end).
         plan_ms_median, plan_ms_p95: Wall time of a plan.
-        object_plan_ms_median: Of that, the object level.
+        object_plan_ms_median: The object level's share of it.
         control_hz: Inverse of the mean time of a plan (the paper's f).
         max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces.
         mean_effective_samples, mean_object_effective_samples: Effective sample sizes of the two levels.
-        lost_samples: Samples whose cost was not finite, in all.
-        missed_deadlines: Control steps in which a plan was due and not there.
-        stops: Control steps in which the arm was told to stop: the last plan had expired, or nothing could be planned.
-        max_lag_ms: Most that the loop was behind the wall clock.
+        lost_samples: Total number of samples whose cost was not finite.
+        missed_deadlines: Control steps in which a plan was due but not ready.
+        stops: Control steps in which the arm was stopped: the last plan had expired, or nothing could be planned.
+        max_lag_ms: Largest delay of the loop behind the wall clock.
         detections, rejected_detections, recoveries: Detections that arrived, those of them that were rejected, and
             those that overruled the prediction.
-        mean_estimate_error_m, max_estimate_error_m: Distance of where the object was believed to be from where it was.
+        mean_estimate_error_m, max_estimate_error_m: Distance between the object's estimated and true positions.
         mean_cost_terms: Mean of each cost term over time.
-        versions: Of Python and of the packages that took part.
+        versions: Versions of Python and of the packages that were used.
     """
 
     scene: str
@@ -90,16 +89,16 @@ class Metrics:
     versions: dict[str, str]
 
     def json(self) -> str:
-        """One JSON object with these fields, ``null`` for NaN."""
+        """Returns a JSON object with these fields, ``null`` for NaN."""
         return json.dumps(self.row(), indent=2, allow_nan=False) + "\n"
 
     def row(self) -> dict[str, Any]:
-        """The same in types that JSON knows."""
+        """Returns the fields in JSON types."""
         return to_json(flatten(self))
 
 
 def summarize(log: EpisodeLog) -> Metrics:
-    """The metrics of a log, which may be one that was interrupted before its first step."""
+    """Computes the metrics of a log, which may have been interrupted before its first step."""
     header = log.header
     period = float(header["control_period"])
     need = hold_steps(header["hold_seconds"], period)
@@ -156,25 +155,25 @@ def summarize(log: EpisodeLog) -> Metrics:
 
 
 def pose_error(pose: Any, goal: Any) -> tuple[float, float]:
-    """Distance [m] and absolute angle [rad], within 0 to pi, between two planar poses."""
+    """Returns distance [m] and absolute angle [rad], within 0 to pi, between two planar poses."""
     turn = (float(pose[2]) - float(goal[2]) + math.pi) % (2 * math.pi) - math.pi
     return math.hypot(float(pose[0]) - float(goal[0]), float(pose[1]) - float(goal[1])), abs(turn)
 
 
 def within(log: EpisodeLog, tolerance: Mapping[str, float | None]) -> np.ndarray:
-    """Whether the object is within a tolerance, shape [steps]; a yaw tolerance of ``None`` allows every yaw."""
+    """Returns whether the object is within a tolerance, shape [steps]; a yaw of ``None`` allows every yaw."""
     yaw = tolerance["yaw"]
     near = log["position_error"] <= tolerance["position"]
     return near if yaw is None else near & (log["yaw_error"] <= yaw)
 
 
 def hold_steps(hold_seconds: float, control_period: float) -> int:
-    """Number of successive control steps that make ``hold_seconds``, at least one."""
+    """Returns the number of successive control steps in ``hold_seconds``, at least one."""
     return max(1, math.ceil(hold_seconds / control_period - 1e-6))
 
 
 def first_hold(inside: np.ndarray, steps: int) -> int | None:
-    """Index at which the first run of ``steps`` true entries begins; ``None`` if there is none."""
+    """Returns the index at which the first run of ``steps`` true entries begins; ``None`` if there is none."""
     runs = np.convolve(inside, np.ones(steps, dtype=int), mode="valid") if len(inside) >= steps else np.zeros(0)
     starts = np.flatnonzero(runs == steps)
     return int(starts[0]) if len(starts) else None
@@ -185,7 +184,7 @@ def _p95(values: np.ndarray) -> float:
 
 
 def _of_finite(reduce: Callable[[np.ndarray], Any], values: np.ndarray) -> float:
-    """``reduce`` over the finite values; NaN if there are none."""
+    """Applies ``reduce`` to the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(reduce(finite)) if len(finite) else math.nan
 

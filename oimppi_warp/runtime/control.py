@@ -1,9 +1,9 @@
-"""Who waits for whom: planner, estimator and plant in lock step, or each at its own pace on the wall clock.
+"""The control loop of planner, estimator and plant: in lock step, or in real time on the wall clock.
 
-Either way a control period gives one :class:`ControlStep`. In lock step the world stands still while the planner
-thinks. In real time it does not: the planner works beside the plant on the command that will be due at the next step,
-from where things will be by then; a plan that is late waits for the step after, the command before it is kept up
-meanwhile, and when that has expired the arm is told to stop.
+In both modes each control period gives one :class:`ControlStep`. In lock step the world is paused while the planner
+runs. In real time the planner runs in parallel with the plant and computes the command that is due at the next step,
+from the state predicted for that time. A late plan is used one step later; meanwhile the previous command is held,
+and once that has expired the arm is stopped.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from oimppi_warp.runtime.estimator import Estimator, Event
 
 
 class SupportsPlanning(Protocol):
-    """What the loop needs of a planner."""
+    """The methods that the loop needs of a planner."""
 
     def start(self, observation: Observation) -> float:
         """Prepares for an episode; returns the wall time that planning took [s]."""
@@ -36,10 +36,10 @@ class SupportsPlanning(Protocol):
 
 
 class PlanExecutor(Protocol):
-    """Where the planner works, like :class:`concurrent.futures.Executor`."""
+    """Executor that the planner runs in, like :class:`concurrent.futures.Executor`."""
 
     def submit(self, work: Callable[[Observation], _TimedPlan], observation: Observation, /) -> Future[_TimedPlan]:
-        """Begin with a plan."""
+        """Starts making a plan."""
         ...
 
 
@@ -49,15 +49,15 @@ class ControlStep:
 
     Attributes:
         command: Joint velocities that were sent, shape [dof] [rad/s].
-        plan: The plan that was new in it, if one was.
-        plan_seconds: How long that took [s].
-        preplan_seconds: Wall time of what was planned before the first plan [s]; 0 in all steps but that plan's.
-        observed: What the plant reported at its end.
-        estimate: Where the object is believed to be at its end, shape [3]; NaN where nothing is believed.
-        event: What became of a detection in it.
-        missed: Whether a plan was due and not there.
-        stopped: Whether the arm was told to stop: the last plan had expired, or nothing could be planned.
-        lag: How far the loop was behind the clock [s].
+        plan: The plan that took effect in it, if there was a new one.
+        plan_seconds: Wall time of that plan [s].
+        preplan_seconds: Wall time of planning before the first plan [s]; 0 in all steps but that plan's.
+        observed: The plant's observation at its end.
+        estimate: The object's estimated pose at its end, shape [3]; NaN if there is none.
+        event: Result of processing a detection in it.
+        missed: Whether a plan was due but not ready.
+        stopped: Whether the arm was stopped: the last plan had expired, or nothing could be planned.
+        lag: Delay of the loop behind the clock [s].
     """
 
     command: np.ndarray
@@ -74,7 +74,7 @@ class ControlStep:
 
 @dataclass(frozen=True, eq=False)
 class _TimedPlan:
-    """A plan, and how long it and what came before it took [s]."""
+    """A plan, with its wall time and that of the planning before the first plan [s]."""
 
     plan: Plan
     seconds: float
@@ -82,7 +82,7 @@ class _TimedPlan:
 
 
 class _TimedPlanner:
-    """The planner, started with the first thing that is known."""
+    """Runs the planner with timing, and starts it with the first observation."""
 
     def __init__(self, planner: SupportsPlanning) -> None:
         self._planner = planner
@@ -99,14 +99,14 @@ class _TimedPlanner:
 def lock_step(
     plant: Plant, planner: SupportsPlanning, estimator: Estimator | None, *, dof: int
 ) -> Generator[ControlStep]:
-    """Control steps without end in which the world waits for the planner.
+    """Yields control steps without end in which the world waits for the planner.
 
-    A beat applies ``u`` and observes ``x_{t+1}``: Algorithm 2, lines 7 and 8, and Algorithm 3, lines 13 and 14.
+    Each step applies ``u`` and observes ``x_{t+1}``: Algorithm 2, lines 7 and 8, and Algorithm 3, lines 13 and 14.
 
     Args:
-        plant: What is moved.
-        planner: What plans.
-        estimator: Between the two; ``None`` for a plant that tells the truth at once.
+        plant: The plant to move.
+        planner: The planner.
+        estimator: Estimates the object's pose; ``None`` for a plant that reports its exact state.
         dof: Number of joints.
 
     Raises:
@@ -142,16 +142,16 @@ def real_time(
     sleep: Callable[[float], None] = time.sleep,
     executor: PlanExecutor | None = None,
 ) -> Generator[ControlStep]:
-    """Control steps without end on the wall clock.
+    """Yields control steps without end, on the wall clock.
 
     Args:
-        plant: What is moved; sending it a command takes less than a control period.
-        planner: What plans, in a thread of its own.
-        estimator: Between the two.
+        plant: The plant to move; sending it a command takes less than a control period.
+        planner: The planner, which runs in a separate thread.
+        estimator: Estimates the object's pose.
         dof: Number of joints.
-        expires: How long a command is kept up when the next plan is late [s].
-        clock, sleep: The wall clock [s].
-        executor: Where the planner works; default: one thread.
+        expires: Time for which a command is held when the next plan is late [s].
+        clock, sleep: Functions of the wall clock [s].
+        executor: Executor that the planner runs in; default: one thread.
     """
     period, timed_planner, still = plant.control_period, _TimedPlanner(planner), np.zeros(dof)
     before, command, age = still, still, 0
@@ -175,7 +175,7 @@ def real_time(
                 if age * period > expires + 1e-9:
                     command, stopped = still, True
             if job is None and known is not None:
-                # What is decided now is carried out before the plan that is asked for now.
+                # Commands decided by now are executed before the plan that is requested now.
                 pending = [(latency, before), (period, command)]
                 job = pool.submit(timed_planner.plan, estimator.predict(known, pending))
             plant.apply(command)
@@ -183,7 +183,7 @@ def real_time(
             left = due - clock()
             if left > 0.0:
                 sleep(left)
-            else:  # the world stood still meanwhile, as a real one would not have: the clock is set anew
+            else:  # the world was paused meanwhile, unlike a real one: restart the clock
                 due -= left
             observation = _observed(plant, dof)
             known = estimator.update(observation)
@@ -195,7 +195,7 @@ def real_time(
 
 
 def _observed(plant: Plant, dof: int) -> Observation:
-    """What a plant reports, its shapes checked."""
+    """Returns a plant's observation after checking its shapes."""
     observation = plant.observe()
     check_shapes(observation, dof)
     return observation

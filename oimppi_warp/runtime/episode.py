@@ -1,4 +1,4 @@
-"""The closed loop: a planner and a plant that share observations and commands, and the record of what happened."""
+"""The closed loop of a planner and a plant, which exchange observations and commands, and its record."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.scene import Scene
 
 _REFERENCE_EVERY = 10
-"""Object plans that are renewed at every step are logged every so many steps."""
+"""Interval, in steps, at which object plans that change in every step are logged."""
 _LONGEST_LATENCY = 1.0
 """Longest latency of a plant that can be planned for [s]."""
 _FALLEN = 0.05
@@ -40,7 +40,7 @@ _FALLEN = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """All that an :class:`Episode` is made from.
+    """Everything that an :class:`Episode` is made from.
 
     Attributes:
         scene: The task, with the start and the goal to use.
@@ -71,21 +71,21 @@ class Episode:
         scene: The task, with the start and the goal to use.
         config: All settings.
         spec: The options of the run.
-        plant: A plant of your own in place of the one that ``spec`` names. Its control period becomes the planner's.
+        plant: A plant, or a name, to use instead of the one in ``spec``. Its control period becomes the planner's.
         **options: Fields of ``spec`` to change, for example ``method="soi"`` or ``seed=3``.
 
     Attributes:
         scene: As given.
         spec: The options of the run, with the engine, the device and the number of threads that were chosen.
-        config: The settings as they are used for this task.
-        plant: What is moved.
-        planner: What plans.
+        config: The settings as resolved for this task.
+        plant: The plant.
+        planner: The planner.
         log: The record so far.
 
     Raises:
         SceneError: The task cannot be done: its start or goal is in an obstacle, off the table or out of reach.
-        ConfigError: An option or a setting that cannot be used.
-        DeviceError: The device is not there.
+        ConfigError: An option or a setting cannot be used.
+        DeviceError: The device does not exist.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class Episode:
         return self.log
 
     def steps(self) -> Generator[ControlStep]:
-        """The same step by step: each control period as it has passed, until the episode ends.
+        """Runs the episode step by step: yields each control period as it has passed, until the episode ends.
 
         This is ``while not converged`` of Algorithm 2, line 1, and of Algorithm 3, line 10.
 
@@ -203,12 +203,12 @@ class Episode:
             else:
                 self.log.header["ended"] = "time limit"
         finally:
-            with suppress(Exception):  # however it ended, the arm is told to stop before anything else
+            with suppress(Exception):  # however it ended, the arm is stopped first
                 self.plant.apply(np.zeros(self.scene.robot.dof))
             self._control_steps.close()
 
     def _loop(self) -> Generator[ControlStep]:
-        """The control steps of plant and planner; a plant that knows exactly where the object is needs no estimator."""
+        """Returns the control steps of plant and planner; a plant that reports the exact state needs no estimator."""
         dof = self.scene.robot.dof
         if self.spec.mode == "realtime":
             estimator = Estimator(self.scene, self.config)
@@ -217,14 +217,14 @@ class Episode:
         return lock_step(self.plant, self.planner, Estimator(self.scene, self.config) if behind else None, dof=dof)
 
     def _has_fallen(self) -> bool:
-        """Whether the object has tipped over or fallen off the table, as far as the plant knows."""
+        """Returns whether the object has tipped over or fallen off the table, as far as the plant knows."""
         if not isinstance(self.plant, TruthfulPlant):
             return False
         transform = self.plant.truth().object_transform
         return has_tipped(transform) or bool(transform[2] < -_FALLEN)
 
     def state_after(self, step: ControlStep) -> Observation:
-        """Returns the state after a control step: the truth, or what is believed where the plant does not know it."""
+        """Returns the state after a control step: the exact one or, if the plant does not know it, the estimate."""
         if isinstance(self.plant, TruthfulPlant):
             return self.plant.truth()
         x, y, yaw = step.estimate
@@ -232,7 +232,7 @@ class Episode:
         return replace(step.observed, object_pose=step.estimate, object_transform=transform)
 
     def _record(self, step: ControlStep) -> tuple[float, float]:
-        """Log a control step; returns the object's distance [m] and angle [rad] to its goal."""
+        """Logs a control step; returns the object's distance [m] and angle [rad] to its goal."""
         plan = step.plan
         if plan is not None:
             self.log.header["preplan_time_s"] += step.preplan_seconds
@@ -280,13 +280,13 @@ class Episode:
 
 
 def _packages(spec: RunSpec, config: Config) -> dict[str, str]:
-    """Versions of the packages from elsewhere that take part in a run."""
+    """Returns the versions of installed packages whose entries a run uses."""
     names = {registry.package_of(name) for registry, name in entries_used(spec, config)}
     return {name: version(name) for name in sorted(names) if name}
 
 
 def _of_plan(plan: Plan) -> dict[str, Any]:
-    """The columns that a new plan fills."""
+    """Returns the columns that a new plan fills."""
     return {
         "object_plan_ms": 1e3 * plan.object_seconds,
         "effective_samples": plan.update.effective_samples,

@@ -1,8 +1,8 @@
-"""Where the object is believed to be: detections, and between them what the arm's measured motion has done to it.
+"""Estimation of the object's pose from detections and, between them, from the arm's measured motion.
 
-The prediction is the planner's own model, a quasi-static push along the tool's measured path. A detection is of a past
+Predictions use the planner's model, a quasi-static push along the tool's measured path. A detection belongs to a past
 time: it corrects the prediction at that time, and the corrected pose is rolled forward along the recorded joint
-positions to the present. A detection that contradicts the prediction is rejected, unless the next one bears it out.
+positions to the present. A detection that contradicts the prediction is rejected, unless the next one confirms it.
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ from oimppi_warp.planning.engines.packing import environment, object_model, velo
 from oimppi_warp.scene import Scene
 
 _CAPACITY = 1024
-"""Joint positions that are kept."""
+"""Number of joint positions that are kept."""
 _AHEAD = 256
-"""Steps of a prediction of what is to come: two of the longest control periods."""
+"""Steps of a prediction of the future: two of the longest control periods."""
 _STEP = 0.0125
-"""Their length [s]."""
+"""Length of these steps [s]."""
 
 Event = Literal["none", "first", "accepted", "rejected", "recovered"]
-"""What became of a detection: there was none, it waits for another that bears it out, it corrected the prediction, it
+"""Result of processing a detection: there was none, it awaits confirmation by another, it corrected the prediction, it
 was rejected, or it overruled the prediction together with the one before."""
 
 
 @dataclass(eq=False)
 class _Track:
-    """One belief about the object, at each kept joint position.
+    """One estimate of the object's pose, at each kept joint position.
 
     Attributes:
-        poses: Of the friction centre, [_CAPACITY].
-        gaps: Between tool and object [m], [_CAPACITY].
+        poses: Poses of the friction centre, [_CAPACITY].
+        gaps: Gaps between tool and object [m], [_CAPACITY].
         spread: Standard deviation of the error, in position [m] and yaw [rad], shape [_CAPACITY, 2].
-        first, count: Entries from ``first`` to before ``count`` are known.
+        first, count: Entries from ``first`` up to, not including, ``count`` are known.
     """
 
     poses: wp.array
@@ -63,14 +63,14 @@ class _Track:
 
 
 class Estimator:
-    """From what a plant reports to what a planner may take as the object's pose.
+    """Estimates the object's pose, for a planner, from the observations of a plant.
 
     Args:
         scene: The task.
         config: All settings.
 
     Attributes:
-        event: What became of the newest detection, if one came with the latest observation.
+        event: Result of processing the newest detection, if one came with the latest observation.
     """
 
     def __init__(self, scene: Scene, config: Config) -> None:
@@ -90,11 +90,11 @@ class Estimator:
         self._range = wp.zeros(2, dtype=int, device="cpu")
         self._ahead = wp.zeros(_AHEAD, dtype=vec, device="cpu")
         self._ahead_track = self._new_track(_AHEAD)
-        self._roll(self._ahead_track, self._ahead, 0, 1)  # compiled now, not while a clock runs
+        self._roll(self._ahead_track, self._ahead, 0, 1)  # compiles the kernel now, not during an episode
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Forgets everything."""
         self.event: Event = "none"
         self._times = np.zeros(_CAPACITY)
         self._count = 0
@@ -103,15 +103,15 @@ class Estimator:
         self._rival: _Track | None = None
 
     def update(self, observation: Observation) -> Observation | None:
-        """What is believed after an observation.
+        """Updates the estimate with an observation.
 
         Args:
-            observation: What a plant reports; one whose ``object_time`` is ``None`` knows where the object is, and is
-                believed.
+            observation: The plant's report; one whose ``object_time`` is ``None`` has the exact pose of the object,
+                which is taken over.
 
         Returns:
-            The observation with the believed pose in place of the reported one, or ``None`` as long as nothing is
-            believed: the object was not seen, no two detections agreed yet, or joint positions cannot be true.
+            The observation with the estimated pose in place of the reported one, or ``None`` while there is no
+            estimate: the object was not seen, no two detections agreed yet, or joint positions are implausible.
 
         Raises:
             ObservationError: An array has the wrong length.
@@ -119,7 +119,7 @@ class Estimator:
         check_shapes(observation, self._scene.robot.dof)
         self.event = "none"
         if not self._plausible(observation.joint_position):
-            return None  # a sensor's error: what the arm has done to the object is not known
+            return None  # a sensor error: the arm's effect on the object is unknown
         self._record(observation)
         if not self._count:
             return None
@@ -138,11 +138,11 @@ class Estimator:
         return self._with_pose(observation, self._believed.poses.numpy()[self._count - 1])
 
     def predict(self, observation: Observation, pending: Sequence[tuple[float, np.ndarray]]) -> Observation:
-        """What will be, once commands that are already decided have been carried out.
+        """Predicts the observation after commands that are already decided have been executed.
 
         Args:
-            observation: What is believed now, from :meth:`update`.
-            pending: Commands as pairs of a duration [s] and joint velocities [dof] [rad/s].
+            observation: The current estimate, from :meth:`update`.
+            pending: Commands as pairs of duration [s] and joint velocities [dof] [rad/s].
         """
         joints, total = [observation.joint_position], 0.0
         for duration, velocity in pending:
@@ -165,14 +165,14 @@ class Estimator:
 
     @property
     def spread(self) -> tuple[float, float]:
-        """Standard deviation of the believed pose, in position [m] and in yaw [rad]."""
+        """Returns the standard deviation of the estimated pose, in position [m] and yaw [rad]."""
         if self._believed is None:
             return math.inf, math.inf
         position, yaw = self._believed.spread[self._count - 1]
         return float(position), float(yaw)
 
     def _record(self, observation: Observation) -> None:
-        """Keep the joint positions that are new, and let the beliefs follow."""
+        """Stores the new joint positions and rolls the tracks forward."""
         rows = observation.trail
         if not len(rows):
             rows = np.concatenate([[observation.time], observation.joint_position])[None]
@@ -189,13 +189,13 @@ class Estimator:
                 self._follow(track, track.count - 1)
 
     def _plausible(self, joint_position: np.ndarray) -> np.ndarray:
-        """Whether joint positions [..., dof] can be true, shape [...]."""
+        """Returns whether joint positions [..., dof] are plausible, shape [...]."""
         finite = np.isfinite(joint_position).all(axis=-1)
         within = (beyond_limits(self._scene.robot, joint_position) <= BEYOND_LIMITS).all(axis=-1)
         return np.logical_and(finite, within)
 
     def _forget(self, before: float) -> None:
-        """Drop what is older than a time [s]."""
+        """Drops entries older than a time [s]."""
         first = int(np.searchsorted(self._times[: self._count], before))
         first = max(first, self._count - _CAPACITY // 2)
         kept = self._count - first
@@ -209,7 +209,7 @@ class Estimator:
         self._count = kept
 
     def _reset_to(self, pose: np.ndarray) -> None:
-        """Believe a pose [3] of the friction centre, at present."""
+        """Resets the estimate to a pose [3] of the friction centre, at the current time."""
         at = self._count - 1
         if self._believed is None:
             self._believed = self._new_track(_CAPACITY)
@@ -218,10 +218,10 @@ class Estimator:
         self._believed.spread[at] = 0.0
 
     def _process(self, seen: float, pose: np.ndarray) -> None:
-        """Judge a detection: ``pose`` [3] of the friction centre at the time ``seen``."""
+        """Processes a detection: ``pose`` [3] of the friction centre at the time ``seen``."""
         at = int(np.argmin(np.abs(self._times[: self._count] - seen)))
         if seen < self._times[0] - 1e-6:
-            at = 0 if self._believed is None else -1  # before all that is remembered: of use only as a beginning
+            at = 0 if self._believed is None else -1  # older than all stored entries: of use only as a first detection
         if at < 0:
             return
         if self._believed is not None and self._agrees(self._believed, at, pose):
@@ -236,7 +236,7 @@ class Estimator:
             self._rival = self._start_track(at, pose)
 
     def _agrees(self, track: _Track, at: int, pose: np.ndarray) -> bool:
-        """Whether a detection is where a track has the object, as far as both can be trusted."""
+        """Returns whether a detection agrees with a track, within the uncertainty of both."""
         if at < track.first:
             return False
         off = pose - track.poses.numpy()[at]
@@ -245,7 +245,7 @@ class Estimator:
         return near and (not self._counts_yaw or bool(abs(wrap_angle(off[2])) <= allowed[1]))
 
     def _start_track(self, at: int, pose: np.ndarray) -> _Track:
-        """A track that believes one detection."""
+        """Returns a track that starts from one detection."""
         track = self._new_track(_CAPACITY)
         track.first, track.count = at, at + 1
         track.poses.numpy()[at] = pose
@@ -254,7 +254,7 @@ class Estimator:
         return track
 
     def _correct(self, track: _Track, at: int, pose: np.ndarray) -> None:
-        """Weigh a detection against a track where it was made, and bring the track back to the present."""
+        """Corrects a track by a detection at its entry, and rolls the track forward to the present."""
         poses = track.poses.numpy()
         spread, noise = track.spread[at] ** 2, self._detection_spread**2
         gain = spread / np.maximum(spread + noise, 1e-18)
@@ -266,7 +266,7 @@ class Estimator:
         self._follow(track, at)
 
     def _follow(self, track: _Track, begin: int) -> None:
-        """Roll a track from entry ``begin`` to the newest joint positions."""
+        """Rolls a track forward from entry ``begin`` to the newest joint positions."""
         if begin + 1 < self._count:
             self._roll(track, self._joints, begin, self._count)
             config, poses, gaps = self._config, track.poses.numpy(), track.gaps.numpy()
@@ -279,7 +279,7 @@ class Estimator:
         track.count = self._count
 
     def _roll(self, track: _Track, joints: wp.array, begin: int, end: int) -> None:
-        """Fill a track's poses and gaps after entry ``begin`` and before ``end``."""
+        """Fills a track's poses and gaps after entry ``begin`` and before ``end``."""
         self._range.numpy()[:] = (begin, end)
         inputs = [self._arm, self._model, self._environment, joints, self._range, self._contact_steps]
         wp.launch(self._kernel, dim=1, inputs=inputs, outputs=[track.poses, track.gaps], device="cpu")
@@ -293,7 +293,7 @@ class Estimator:
         return np.array([self._config.position_noise, self._config.yaw_noise])
 
     def _with_pose(self, observation: Observation, center: np.ndarray) -> Observation:
-        """An observation with another pose of the object, given by its friction centre."""
+        """Returns an observation with another pose of the object, given by its friction centre."""
         x, y, yaw = from_center(self._surface, center.astype(float))
         transform = planar_transform((x, y, yaw), self._scene.object.rest_height)
         return replace(observation, object_pose=np.array([x, y, yaw]), object_transform=transform)

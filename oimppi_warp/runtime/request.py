@@ -1,7 +1,7 @@
-"""What a run is made of, from words: a preset with changes becomes a config, a scene with a start becomes a task.
+"""Parsing of run requests: a preset with changes becomes a config, a scene with a start becomes a task.
 
-The commands ``run`` and ``bench`` share it, so that a trial of a benchmark is exactly the run that its command makes.
-The rest of a run's options are a :class:`oimppi_warp.config.run_spec.RunSpec`.
+The commands ``run`` and ``bench`` share it, so that a trial of a benchmark is exactly the run that its command gives.
+All other options of a run are in :class:`oimppi_warp.config.run_spec.RunSpec`.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from oimppi_warp.scene import PlanarPose, Scene
 
 RANDOMIZED_DRAWS = 4
-"""Draws of the world that ``--randomize`` asks for."""
+"""Number of draws of the world that ``--randomize`` sets."""
 
 
 @dataclass(frozen=True)
 class SettingsRequest:
-    """Which settings are asked for: a preset, and what is changed of it.
+    """The requested settings: a preset and changes to it.
 
     Attributes:
         preset: Name of the preset.
-        assignments: Settings as ``NAME=VALUE``, in the order in which they are applied.
-        max_sim_seconds: Time limit of an episode [simulated s], if another than the preset's.
+        assignments: Settings as ``NAME=VALUE``, in the order of application.
+        max_sim_seconds: Time limit of an episode [simulated s], if it differs from the preset's.
     """
 
     preset: str = "best"
@@ -38,12 +38,12 @@ class SettingsRequest:
     max_sim_seconds: float | None = None
 
     def config(self, method: str, *, randomize: bool = False) -> Config:
-        """The settings for a method, validated.
+        """Returns the validated settings for a method.
 
         Args:
             method: Name of the method that plans.
-            randomize: Try each sample in :data:`RANDOMIZED_DRAWS` draws of the world, unless an assignment says
-                otherwise.
+            randomize: Whether to try each sample in :data:`RANDOMIZED_DRAWS` draws of the world, unless an assignment
+                says otherwise.
 
         Raises:
             ConfigError: A setting is wrong.
@@ -63,16 +63,16 @@ class SettingsRequest:
 def prepare_scene(
     scene: str | Path, *, start: PlanarPose | int | None = None, goal: PlanarPose | None = None, seed: int = 0
 ) -> Scene:
-    """A scene with the start and the goal asked for, checked.
+    """Loads a scene with the requested start and goal, and checks it.
 
     Args:
         scene: A USD file, or the name of a shipped scene.
         start: A pose, the number of one of the scene's starts, or ``None`` to draw one with the seed.
-        goal: A pose, or ``None`` for the scene's.
-        seed: Of the start, if it is drawn.
+        goal: A pose, or ``None`` for the scene's goal.
+        seed: Seed of the start, if it is drawn.
 
     Raises:
-        SceneError: The scene cannot be run so.
+        SceneError: The task cannot be done.
         ConfigError: The scene has fewer starts.
     """
     from oimppi_warp.geometry.feasibility import check_task, sample_start
@@ -91,10 +91,10 @@ def prepare_scene(
 
 
 def parse_pose(option: str, text: str) -> PlanarPose:
-    """A planar pose from "x,y,yaw", metres and radians.
+    """Parses a planar pose from "x,y,yaw", in metres and radians.
 
     Raises:
-        ConfigError: It is none; the message names the option.
+        ConfigError: The text is not a pose; the message names the option.
     """
     try:
         x, y, yaw = (float(part) for part in text.split(","))
@@ -106,7 +106,7 @@ def parse_pose(option: str, text: str) -> PlanarPose:
 
 
 def parse_start(text: str | None) -> PlanarPose | int | None:
-    """The number of a start, or a pose.
+    """Parses the number of a start, or a pose.
 
     Raises:
         ConfigError: It is neither.
@@ -117,7 +117,7 @@ def parse_start(text: str | None) -> PlanarPose | int | None:
 
 
 def _listed_start(scene: Scene, index: int) -> PlanarPose:
-    """One of the scene's starts by its number."""
+    """Returns one of the scene's starts by its number."""
     count = len(scene.starts)
     if index >= count:
         raise ConfigError(f"--start {index}: {scene.name} has {count} starts\n  allowed: 0 to {count - 1}, or x,y,yaw")

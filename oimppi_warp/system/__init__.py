@@ -1,1 +1,1 @@
-"""The machine: what it has, what is wrong with it, and kernels compiled for it ahead of time."""
+"""The machine: its properties, problems with it, and ahead-of-time compilation of kernels."""

@@ -1,4 +1,4 @@
-"""What this machine has, what will be used of it, and what is wrong: facts, judged by a function of them alone."""
+"""System information and diagnosis: facts about this machine, and a function of these alone that finds problems."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLA
 from oimppi_warp.registry import Registry
 
 PACKAGES = ("warp-lang", "newton", "mujoco", "mujoco-warp", "usd-core", "numpy", "trimesh", "shapely", "viser")
-"""Packages whose versions matter."""
+"""Packages whose versions are reported."""
 REGISTRIES: dict[str, Registry[Any]] = {
     "methods": METHODS,
     "optimizers": OPTIMIZERS,
@@ -29,11 +29,11 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "cost_terms": COST_TERMS,
     "shapes": SHAPES,
 }
-"""What can be chosen by name, in the order in which it is told."""
+"""Registries whose entries are reported, in order."""
 _LEAST_MEMORY = 4e9
-"""Memory that a run with room to spare needs [B]."""
+"""Memory that a run needs, with room to spare [B]."""
 _OLDEST_DRIVER = (12, 4)
-"""CUDA version of the driver from which graphs can loop, which the Newton engine's solver does."""
+"""Lowest CUDA version of the driver that supports loops in graphs, which the Newton engine's solver needs."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Gpu:
     """A CUDA device.
 
     Attributes:
-        alias: Like ``cuda:0``.
-        name: The maker's.
-        arch: Compute capability, like 90.
-        memory: [B].
+        alias: Warp's alias, such as ``cuda:0``.
+        name: The vendor's name.
+        arch: Compute capability, such as 90.
+        memory: Memory [B].
     """
 
     alias: str
@@ -55,24 +55,24 @@ class Gpu:
 
 @dataclass(frozen=True)
 class Facts:
-    """What there is.
+    """Facts about this machine.
 
     Attributes:
-        python, system, cpu: Their names.
-        cores: Cores of the machine.
-        usable_cores: Those that this process may use, which is how many threads the planner takes.
-        memory: [B]; 0 if unknown.
+        python, system, cpu: Names of the Python version, the operating system and the processor.
+        cores: Number of cores.
+        usable_cores: Number of cores that this process may use, and of the planner's threads.
+        memory: Memory [B]; 0 if unknown.
         gpus: CUDA devices that Warp can use.
-        gpu_hardware: Whether an NVIDIA device is there at all.
+        gpu_hardware: Whether there is any NVIDIA device.
         driver: CUDA version of the driver; ``None`` without one.
-        versions: Of :data:`PACKAGES`; empty where one is not installed.
-        kernel_cache, field_cache: Folders of what is compiled and computed once.
-        writable: Whether each of the two can be written.
+        versions: Versions of :data:`PACKAGES`; empty for one that is not installed.
+        kernel_cache, field_cache: Folders of compiled kernels and computed fields.
+        writable: Whether each of the two folders is writable.
         compiled: Whether kernels are compiled already.
         scenes: Number of shipped scenes.
-        device: What the planner will compute on.
-        blas_threads: What limits NumPy's threads; empty where nothing does.
-        entries: For each of :data:`REGISTRIES`, the names that it has, each with the installed package that adds it;
+        device: Device that the planner will use.
+        blas_threads: Setting that limits NumPy's threads; empty if there is none.
+        entries: For each of :data:`REGISTRIES`, its names, each with the installed package that adds it;
             empty for our own.
         broken: Entries of installed packages that cannot be imported, each with the reason.
     """
@@ -100,11 +100,11 @@ class Facts:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that is wrong.
+    """A problem and its remedy.
 
     Attributes:
-        what: In one line.
-        remedy: What to do.
+        what: The problem, in one line.
+        remedy: How to fix it.
     """
 
     what: str
@@ -112,7 +112,7 @@ class Finding:
 
 
 def gather_facts() -> Facts:
-    """Looks around."""
+    """Collects system information."""
     from oimppi_warp.usd import shipped_scenes
 
     start_warp()
@@ -143,7 +143,7 @@ def gather_facts() -> Facts:
 
 
 def diagnose(facts: Facts) -> list[Finding]:
-    """What is wrong, the worst first."""
+    """Returns the problems found in the facts, the worst first."""
     found = []
     for name, installed in facts.versions.items():
         if not installed:
@@ -178,7 +178,7 @@ def diagnose(facts: Facts) -> list[Finding]:
 
 
 def processor() -> str:
-    """The processor's name, as far as the system tells."""
+    """Returns the processor's name, as far as the system reports it."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text().splitlines():
@@ -188,13 +188,13 @@ def processor() -> str:
 
 
 def _broken_entries() -> Iterator[tuple[str, str]]:
-    """Entries of installed packages that cannot be imported, and why."""
+    """Yields entries of installed packages that cannot be imported, with the reasons."""
     for known in REGISTRIES.values():
         for name in known:
             if package := known.package_of(name):
                 try:
                     known[name]
-                except ConfigError as error:  # it comes of whatever the package did when it was imported
+                except ConfigError as error:  # raised for any error during the package's import
                     yield (
                         f"the {known.kind} {name!r} of {package}",
                         f"{type(error.__cause__).__name__}: {error.__cause__}",
@@ -216,6 +216,6 @@ def _version(package: str) -> str:
 
 
 def _writable(folder: Path) -> bool:
-    """Whether a file could be written there, the folder made if need be."""
+    """Returns whether a file can be written to a folder, which is created if needed."""
     there = next(place for place in (folder, *folder.parents) if place.exists())
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)

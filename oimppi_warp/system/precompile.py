@@ -1,4 +1,4 @@
-"""Compiling ahead of time: every kernel that a run needs, for this machine's CPU or for a GPU that is elsewhere."""
+"""Ahead-of-time compilation of every kernel that a run needs, for this machine's CPU or for a GPU elsewhere."""
 
 from __future__ import annotations
 
@@ -24,31 +24,32 @@ from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene
 
 Variant = tuple[wp.Module, int]
-"""A module as it is compiled: with the number of threads in a block."""
+"""A module and the number of threads per block that it is compiled for."""
 
 _USUAL_BLOCK = 256
-"""Threads in a block of a launch that does not say; on the CPU that is one."""
+"""Default number of threads per block of a launch; on the CPU it is one."""
 
 
 def needed_on_cuda(scene: Scene, config: Config, engines: Iterable[str]) -> list[Variant]:
-    """What planning on a GPU launches, found by planning small on the CPU.
+    """Lists the modules that planning on a GPU needs, found by planning on the CPU with few samples.
 
-    MuJoCo Warp chooses its kernels by the model. Where it asks for the device as well, it does so for the number of
-    threads, not for another kernel, as long as the model is small enough for dense matrices (60 degrees of freedom);
-    ours asks for none. Whether a GPU needs nothing else has not been tried.
+    MuJoCo Warp chooses its kernels by the model. It depends on the device only for the number of threads, not for the
+    choice of kernels, as long as the model is small enough for dense matrices (60 degrees of freedom); our kernels do
+    not depend on it. This has not been verified on a GPU.
 
     Args:
         scene: The task.
         config: All settings.
-        engines: Names of the engines that are to be used there.
+        engines: Names of the engines to be used there.
     """
     small = replace(config.robot.optimizer, samples=2, horizon=2, knots=0, iterations=1)
     level = replace(config.robot, optimizer=small, substeps=1)
     few = replace(config, robot=level)
     with record_modules() as found:
-        wp.load_module(distance, device="cpu")  # fields that are in the cache here may not be there
+        wp.load_module(distance, device="cpu")  # fields cached on this machine may not be cached on the other
         for engine in engines:
-            # On the CPU the Newton engine is another one: what surrounds it is launched with the quasi-static engine.
+            # The Newton engine is a different one on the CPU, so the other kernels are found with the quasi-static
+            # engine.
             around = "quasistatic" if engine == "newton" else engine
             for method in METHODS:
                 make_planner(scene, few, method=method, engine=around, device="cpu", threads=1).warm_up()
@@ -58,7 +59,7 @@ def needed_on_cuda(scene: Scene, config: Config, engines: Iterable[str]) -> list
 
 
 def _plan_with_worlds(scene: Scene, config: Config) -> None:
-    """One step of the Newton engine that a GPU would use: batched worlds, here on the CPU."""
+    """Runs one step of the Newton engine that a GPU would use, with batched worlds, on the CPU."""
     geometry = build_geometry(scene, "cpu")
     compute = Compute("cpu", threads=1)
     worlds = NewtonWorlds(
@@ -80,12 +81,12 @@ def _plan_with_worlds(scene: Scene, config: Config) -> None:
 
 
 def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Module], None]) -> int:
-    """Compiles modules for an architecture into Warp's kernel cache, where a run on such a GPU looks for them.
+    """Compiles modules for an architecture into Warp's kernel cache, where a run on such a GPU finds them.
 
     Args:
-        variants: What to compile.
-        arch: Like 90 for sm_90; no such GPU is needed.
-        on_module: Called before each module.
+        variants: Modules to compile.
+        arch: Architecture, such as 90 for sm_90; no such GPU is needed.
+        on_module: Callback before each module.
 
     Returns:
         Number of files.
@@ -104,11 +105,11 @@ def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Modu
 
 @contextmanager
 def record_modules() -> Iterator[list[Variant]]:
-    """Lists, at its end, what Warp loaded for the CPU in between, with the block sizes that a GPU would be given.
+    """Records the modules that Warp loads for the CPU in its context, with the block sizes that a GPU would use.
 
-    Warp is made to forget what it has loaded, so that what the rehearsal needs is loaded again (out of the kernel
-    cache), and nothing else is. With ``enable_cpu_blocks`` the CPU takes the block sizes that launches ask for. A
-    launch of no threads loads nothing, here as on a GPU: kernels for tendons, say, of a model that has none.
+    The list is filled at the end. Loaded modules are first unloaded, so that exactly those that the rehearsal needs are
+    loaded again (from the kernel cache). With ``enable_cpu_blocks`` the CPU uses the block sizes of the launches. A
+    launch of zero threads loads nothing, here as on a GPU; kernels for the tendons of a model without any, for example.
     """
     start_warp()
     variants: list[Variant] = []
@@ -130,8 +131,8 @@ def record_modules() -> Iterator[list[Variant]]:
 
 
 def _modules() -> list[wp.Module]:
-    """Every module that Warp knows of, the kernels made at run time included.
+    """Returns every module known to Warp, including kernels made at run time.
 
-    Warp lists them nowhere else. The tests fail where either name is no longer there.
+    Warp has no public list of them. The tests fail if either of these names is removed.
     """
     return list(user_modules.values())

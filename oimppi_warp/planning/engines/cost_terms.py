@@ -1,7 +1,7 @@
 """Cost terms of the robot level from outside the package.
 
-A term is a Warp function of the stage that a control step of a rollout led to. Where it is registered and its weight is
-not zero, it is compiled into the kernels of every engine whose costs our kernels compute::
+A term is a Warp function of the stage, the result of one control step of a rollout. If it is registered and its weight
+is not zero, it is compiled into the kernels of every engine whose costs our kernels compute::
 
     import warp as wp
 
@@ -41,8 +41,8 @@ class CostTerm:
 
     Attributes:
         function: A ``wp.func`` that takes a ``kernels.costs.terms.Stage`` and returns the unweighted cost.
-        weight: Its weight where the settings give none; 0 is off.
-        about: What it costs, in one line, with the weight's unit.
+        weight: Its weight if the settings give none; 0 turns it off.
+        about: One-line description of the cost, with the weight's unit.
     """
 
     function: wp.Function
@@ -59,11 +59,11 @@ class CostTerm:
 
 @dataclass(frozen=True)
 class WeightedTerm:
-    """A cost term that counts.
+    """A cost term with a nonzero weight.
 
     Attributes:
         name: Its name.
-        function: Of the stage, unweighted.
+        function: Function of the stage, unweighted.
         weight: Its weight, not zero.
     """
 
@@ -73,10 +73,10 @@ class WeightedTerm:
 
 
 def weighted_terms(cost: RobotCost) -> tuple[WeightedTerm, ...]:
-    """The registered terms whose weights are not zero, in the order in which they were registered.
+    """Returns the registered terms whose weights are not zero, in the order of registration.
 
     Args:
-        cost: Weights of the robot level: those in ``extra`` take the place of the terms' own.
+        cost: Weights of the robot level; those in ``extra`` override the terms' own.
 
     Raises:
         ConfigError: A weight has no term, or a term cannot be used.
@@ -94,7 +94,7 @@ def weighted_terms(cost: RobotCost) -> tuple[WeightedTerm, ...]:
 
 
 def _check(name: str, function: wp.Function) -> None:
-    """Raises ConfigError where a term cannot be compiled into the stage cost."""
+    """Raises ConfigError if a term cannot be compiled into the stage cost."""
     from oimppi_warp.kernels.costs.stage_costs import TERMS
     from oimppi_warp.kernels.costs.terms import Stage
 

@@ -1,4 +1,4 @@
-"""The seam between MPPI and what it plans with."""
+"""Interface between the optimizers and the models that they plan with."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from oimppi_warp.scene import Scene
 
 
 class Dynamics(Protocol):
-    """A model with a state of its own that turns control sequences into costs.
+    """A model that turns control sequences into costs, from a state that it keeps.
 
     Attributes:
         size: Length m of one control.
         bound: Largest magnitude of each control entry, shape [m].
-        compute: Where it computes.
+        compute: The device and its threads.
     """
 
     size: int
@@ -48,7 +48,7 @@ class Dynamics(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RolloutTask:
-    """What an engine of the robot level is made for.
+    """Everything that a robot level engine is built from.
 
     Attributes:
         scene: The task.
@@ -56,8 +56,8 @@ class RolloutTask:
         level: Settings of the robot level.
         cost: Its weights.
         dt: Control period [s].
-        compute: Where to compute.
-        draws: Worlds that the rollouts are in.
+        compute: The device and its threads.
+        draws: Draws of the world for the rollouts.
         to_go: Cost-to-go of the object [m], where its weight is not zero.
     """
 
@@ -73,7 +73,7 @@ class RolloutTask:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What a control sequence leads to.
+    """Predicted outcome of a control sequence.
 
     Attributes:
         tips: Tool tip, shape [horizon + 1, 3] [m].
@@ -89,16 +89,16 @@ class Trace:
 class RobotDynamics(ABC):
     """A rollout engine of the robot level; controls are joint velocities [rad/s].
 
-    An engine must define :meth:`rollout`; what it computes starts from :attr:`observation` and :attr:`goal`, or from
-    what :meth:`set_state` makes of them. All else is optional. :meth:`trace`, :meth:`traced` and :meth:`paths` serve
-    logs and the viewer; as they are here, they say what plans cost and show the arm and the object where they stand.
-    An engine may ignore ``waypoint``; repositioning then has no effect with it.
+    An engine must define :meth:`rollout`, which starts from :attr:`observation` and :attr:`goal` or from what
+    :meth:`set_state` derives from them. Everything else is optional. :meth:`trace`, :meth:`traced` and :meth:`paths`
+    serve logs and the viewer; the defaults report the cost of a plan, and show arm and object at rest. An engine may
+    ignore ``waypoint``; repositioning then has no effect with it.
 
     Engines are entries of :data:`oimppi_warp.registries.ENGINES`: a subclass, or any callable that takes a
     :class:`RolloutTask` and returns an instance of one.
 
     Args:
-        task: What it is made for.
+        task: The task to plan.
 
     Attributes:
         known_success: Share of a benchmark's starts that each method, by its name, brings to the goal with this engine.
@@ -107,11 +107,11 @@ class RobotDynamics(ABC):
             engine where one of those is too slow.
         one_graph: Whether its launches can be captured in a CUDA graph.
         terms: Names of the cost terms.
-        task: What it was made for.
+        task: The task to plan.
         size: Number of joints.
         bound: Largest joint velocities to plan with, shape [dof] [rad/s].
-        compute: Where it computes.
-        reference: Where the object should be at each step from now, poses of its friction centre, an input of the step
+        compute: The device and its threads.
+        reference: Desired poses of the object's friction centre at each step from now, an input of the step
             (:class:`oimppi_warp.compute.step.Compute`), [horizon + 1 + align_ahead].
         waypoint: Waypoint of the tip while it is repositioned, an input [1] of (x, y, z [m], weight [1/m^2]).
         observation: The state to plan from.
@@ -147,11 +147,11 @@ class RobotDynamics(ABC):
         """
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """The state to plan from, and the goal [3] of the object's friction centre."""
+        """Sets the state to plan from, and the goal [3] of the object's friction centre."""
         self.observation, self.goal = observation, goal
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
-        """Prepares what :meth:`traced` reads, after an update.
+        """Prepares writing the data that :meth:`traced` reads, after an update.
 
         Args:
             nominal: The updated nominal, [horizon] of vectors.
@@ -161,9 +161,9 @@ class RobotDynamics(ABC):
         return lambda: None
 
     def traced(self) -> Trace:
-        """Where the plan leads: its nominal, or its best sample in an engine where another rollout would be dear.
+        """Returns the plan's trace: that of the nominal, or of the best sample where another rollout would be costly.
 
-        By default everything stays where it is, and the cost is that of the cheapest sample.
+        By default arm and object stay where they are, and the cost is that of the cheapest sample.
         """
         assert self._costs is not None, "trace() comes first"
         steps = self.task.level.optimizer.horizon + 1
@@ -172,11 +172,11 @@ class RobotDynamics(ABC):
         return Trace(np.tile(self._tip(), (steps, 1)), np.tile(pose, (steps, 1)), np.array([least], dtype=float))
 
     def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What some samples of the latest rollout led to, for people to look at.
+        """Returns the traces of some samples of the latest rollout, for display.
 
         Args:
             controls: The controls that were rolled out, [sample, horizon] of vectors.
-            samples: Which of them, shape [n].
+            samples: Indices of the samples, shape [n].
 
         Returns:
             Tool tips, shape [n, steps, 3] [m], and weighted cost terms, shape [n, terms]. By default the tips stay
@@ -187,10 +187,10 @@ class RobotDynamics(ABC):
         return tips, self._costs.numpy()[samples][:, None]
 
     def _tip(self) -> np.ndarray:
-        """The tool's tip in the state to plan from, shape [3] [m]."""
+        """Returns the tool's tip in the state to plan from, shape [3] [m]."""
         return tip_frame(self.task.scene.robot, self.observation.joint_position)[1]
 
 
 def control_type(size: int) -> type:
-    """Warp's vector type for controls of ``size`` numbers (the same object the kernels use)."""
+    """Returns Warp's vector type for controls of ``size`` numbers (the same object that the kernels use)."""
     return wp.types.vector(length=size, dtype=float)

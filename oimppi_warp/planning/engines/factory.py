@@ -20,7 +20,7 @@ class NewtonEngine:
     slower_than: frozenset[str] = frozenset({"quasistatic"})  # by a factor of a hundred (``docs/performance.md``)
 
     def __call__(self, task: RolloutTask) -> RobotDynamics:
-        """The engine on the task's device."""
+        """Returns the engine for the task's device."""
         if task.compute.device == "cpu":
             from oimppi_warp.planning.engines.newton_threads import NewtonThreads as Newton
         else:
@@ -32,7 +32,7 @@ newton = NewtonEngine()
 
 
 def make_dynamics(engine: str, task: RolloutTask) -> RobotDynamics:
-    """An engine by its name in :data:`oimppi_warp.registries.ENGINES`.
+    """Makes an engine by its name in :data:`oimppi_warp.registries.ENGINES`.
 
     Raises:
         ConfigError: There is no such engine.

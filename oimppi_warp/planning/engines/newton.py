@@ -1,7 +1,7 @@
-"""Robot level on full physics: what the engines on Newton's model of a scene have in common.
+"""Base of the robot level engines that roll out Newton's model of a scene, with full physics.
 
-An engine rolls out and leaves three arrays; their costs, the cheapest sample's trace and what several draws of the
-world make of a cost are the same for all.
+An engine rolls out and fills three arrays. All engines share how these are scored, how the cheapest sample's trace is
+taken, and how the costs of several draws of the world are combined.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from oimppi_warp.planning.engines.dynamics import RolloutTask, Trace, control_ty
 from oimppi_warp.planning.engines.scored import ScoredDynamics
 
 SOFTEST_STEP = 0.005
-"""Longest step of the physics [s] at which contacts set in as the plant's do."""
+"""Longest physics step [s] at which contacts are as soft as the plant's."""
 
 
 def contact_softness(step: float) -> tuple[float, float]:
-    """How contacts give at a length of step: the time constant ``solref`` [s], and the depth [m] at which it is full.
+    """Returns the softness of contacts for a step length: time constant ``solref`` [s], depth of full impedance [m].
 
-    Contacts that set in within less than what an object moves in a step chatter, and chatter costs it its friction.
-    The depth therefore grows with the square of the step. So a pushed T goes as far at steps of 17 ms as at 2.5 ms,
-    within 4 % (tests/planning/engines/test_newton.py).
+    Contacts that reach full impedance within less than the distance an object moves in a step chatter, and a chattering
+    object loses its friction. The depth therefore grows with the square of the step. A pushed T then moves as far with
+    steps of 17 ms as with 2.5 ms, within 4 % (tests/planning/engines/test_newton.py).
     """
     return max(0.02, 2.0 * step), 0.0005 * max(step / SOFTEST_STEP, 1.0) ** 2
 
@@ -39,11 +39,11 @@ class NewtonDynamics(ScoredDynamics):
     """Arm, contact and object in Newton's model of the scene; controls are joint velocities [rad/s].
 
     MuJoCo steps the arm (``x_r <- f_r + g_r u_r + h_r w_r``, equation 1) and the object (``x_o <- f_o + h_o w_o``,
-    equation 2) under the contact forces between them and with the environment, friction included (equation 3). That a
-    force acts only in contact, and that nothing overlaps (equation 4), holds up to the softness of its contacts.
+    equation 2) under the contact forces between them and with the environment, friction included (equation 3). Forces
+    act only in contact and nothing overlaps (equation 4), up to the softness of the contacts.
 
     Args:
-        task: What it is made for.
+        task: The task to plan.
 
     Attributes:
         forces: lambda_2 and lambda_3 of the latest rollouts, [rollout, horizon] [N].
@@ -69,20 +69,20 @@ class NewtonDynamics(ScoredDynamics):
         self._trace_poses = compute.output(self._horizon, wp.vec3)
 
     def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See :class:`RobotDynamics`; of a sample's rollouts the first is taken."""
+        """Returns the traces of some samples, each from its first rollout; see :class:`RobotDynamics`."""
         rollouts = np.asarray(samples) * self._draws.per_sample
         return self.tips.numpy()[rollouts], self._terms.numpy()[rollouts]
 
     @abstractmethod
     def simulate(self, controls: wp.array) -> Sequence[Launch]:
-        """Prepares rolling out control sequences [sample, horizon], each in ``draws.per_sample`` rollouts.
+        """Prepares the rollouts of control sequences [sample, horizon], ``draws.per_sample`` for each.
 
         The launches fill ``forces``, ``_lost`` and the arrays that :meth:`states` returns.
         """
 
     @abstractmethod
     def states(self) -> tuple[wp.array, wp.array, Any]:
-        """States after each control step, and their precision.
+        """Returns the states after each control step, and their precision.
 
         Returns:
             Joint positions [rollout, horizon] of vectors [dof], the object (position, quaternion wxyz)
@@ -90,12 +90,12 @@ class NewtonDynamics(ScoredDynamics):
         """
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """The state to plan from; see :class:`RobotDynamics`."""
+        """Sets the state to plan from; see :class:`RobotDynamics`."""
         super().set_state(observation, goal)
         self._start_joints.host[0] = observation.joint_position
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
-        """Prepares the cost of each joint velocity sequence; see :class:`Dynamics`.
+        """Prepares writing the cost of each joint velocity sequence; see :class:`Dynamics`.
 
         Args:
             controls: [sample, horizon] of vectors [dof], as many as the level has samples.
@@ -121,13 +121,13 @@ class NewtonDynamics(ScoredDynamics):
         return roll
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
-        """Prepares what the cheapest sample led to: to roll out the nominal too would take as long as the plan."""
+        """Prepares the trace of the cheapest sample; rolling out the nominal would take as long as the plan."""
         inputs = [costs, self._draws.per_sample, self._terms, self.tips, self.poses]
         outputs = [self._trace_terms.array, self._trace_tips.array, self._trace_poses.array]
         return self.compute.launch_blocks(make_pick_trace(len(self.terms)), None, inputs, outputs)
 
     def traced(self) -> Trace:
-        """What the cheapest sample led to."""
+        """Returns the trace of the cheapest sample."""
         pose = to_center(self.task.geometry.surface, self.observation.object_pose)
         tips = np.vstack([self._tip(), self._trace_tips.host])
         poses = np.vstack([pose, self._trace_poses.host])

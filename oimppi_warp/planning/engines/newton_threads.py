@@ -1,4 +1,4 @@
-"""The Newton engine on the CPU: Newton's model of a scene, rolled out by MuJoCo's C threads, scored in place."""
+"""The Newton engine on the CPU: Newton's model of a scene, rolled out by MuJoCo's C threads and scored in place."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from oimppi_warp.scene import Scene
 
 
 class NewtonThreads(NewtonDynamics):
-    """See :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`.
+    """Rollouts on MuJoCo's C threads; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`.
 
-    MuJoCo's states and sensor readings are scored where they lie. Every plan begins with the same solver state, so
-    that plans do not depend on what was planned before.
+    MuJoCo's states and sensor readings are scored in place. Every plan begins with the same solver state, so that plans
+    do not depend on earlier ones.
 
     Attributes:
         model: The model of the first draw.
@@ -62,7 +62,7 @@ class NewtonThreads(NewtonDynamics):
         self._joints = wp.zeros(1, dtype=control_type(self.size), device="cpu")
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """The state to plan from; see :class:`oimppi_warp.planning.engines.dynamics.RobotDynamics`."""
+        """Sets the state to plan from; see :class:`oimppi_warp.planning.engines.dynamics.RobotDynamics`."""
         super().set_state(observation, goal)
         self._joints.numpy()[0] = observation.joint_position
         qpos, qvel = 1, 1 + self.model.nq  # the time comes first
@@ -95,7 +95,7 @@ class NewtonThreads(NewtonDynamics):
         return [expand, self._roll, feel]
 
     def states(self) -> tuple[wp.array, wp.array, Any]:
-        """States after each control step; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`."""
+        """Returns the states after each step; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`."""
         substeps = self.task.level.substeps
         after = self._states[:, substeps - 1 :: substeps]
         parts = []
@@ -122,7 +122,7 @@ class NewtonThreads(NewtonDynamics):
 
 
 def _view(array: np.ndarray, dtype: Any) -> wp.array:
-    """A NumPy array as a Warp array over the same memory; its last axis makes up the vectors, if ``dtype`` is one."""
+    """Wraps a NumPy array as a Warp array over the same memory; its last axis forms vectors, if ``dtype`` is one."""
     dimensions = array.ndim - (dtype is not wp.float64)
     return wp.array(
         ptr=array.__array_interface__["data"][0],
@@ -134,7 +134,7 @@ def _view(array: np.ndarray, dtype: Any) -> wp.array:
 
 
 def model_in_draw(mapped: MujocoModel, scene: Scene, draws: Draws, index: int, *, step: float) -> Any:
-    """A copy of the scene's MuJoCo model with that length of step [s], in one of the draws."""
+    """Returns a copy of the scene's MuJoCo model with a step length [s] and the parameters of one of the draws."""
     import mujoco
 
     model = copy(mapped.model)

@@ -1,7 +1,7 @@
 """The Newton engine on Warp's devices: as many Newton worlds as rollouts, stepped together.
 
-Made for CUDA, where a whole plan is one graph. On Warp's CPU device it runs on one thread and takes seconds: there it
-is what the other engines are compared with.
+It is made for CUDA, where a whole plan is one graph. On Warp's CPU device it runs on one thread and takes seconds;
+there it serves as the reference for the other engines.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from oimppi_warp.planning.engines.uncertainty import Draws
 from oimppi_warp.scene import Scene
 
 _POINTS = 8
-"""Most points of contact of two convex shapes."""
+"""Largest number of contact points of two convex shapes."""
 _LIMIT_ROWS = 24
-"""Rows of the constraints that are no contacts: joint limits, and some head-room."""
+"""Constraint rows beside those of contacts: joint limits, and some headroom."""
 
 
 class NewtonWorlds(NewtonDynamics):
     """See :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`.
 
-    The worlds are Newton's; they are stepped by MuJoCo Warp on the solver's own data rather than by
-    ``SolverMuJoCo.step``, which would copy Newton's state in and out at every step of the physics.
+    The worlds are Newton's. MuJoCo Warp steps them directly on the solver's data, since ``SolverMuJoCo.step`` would
+    copy Newton's state in and out at every physics step.
 
     Args:
-        task: What it is made for.
-        contacts: Room for so many points of contact per world, on the average over the worlds; default: by the scene.
+        task: The task to plan.
+        contacts: Capacity for contact points per world, averaged over the worlds; default: estimated from the scene.
 
     Attributes:
         solver: Newton's solver.
@@ -88,7 +88,7 @@ class NewtonWorlds(NewtonDynamics):
         self._overflows = compute.output(1, int)
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """The state to plan from; see :class:`oimppi_warp.planning.engines.dynamics.RobotDynamics`."""
+        """Sets the state to plan from; see :class:`oimppi_warp.planning.engines.dynamics.RobotDynamics`."""
         super().set_state(observation, goal)
         joints, velocities, pushed = self._seen
         joints.host[0] = observation.joint_position
@@ -125,7 +125,7 @@ class NewtonWorlds(NewtonDynamics):
             with wp.ScopedDevice(device):
                 self._mujoco_warp.step(model, data)
 
-        step()  # loads the solver's kernels: none should be loaded while a graph is captured
+        step()  # loads the solver's kernels, as none should be loaded while a graph is captured
         launches: list[Launch] = [self._sensed.zero_, self._overflows.array.zero_, place]
         for h in range(self._horizon + 1):
             inputs = [h, controls, self._draws.per_sample, self._packed.arm, self.task.dt, places, data.qpos]
@@ -141,11 +141,11 @@ class NewtonWorlds(NewtonDynamics):
         return [*launches, launch(take_forces, worlds, inputs, outputs)]
 
     def states(self) -> tuple[wp.array, wp.array, Any]:
-        """States after each control step; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`."""
+        """Returns the states after each step; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`."""
         return self._joints, self._objects, wp.float32
 
     def traced(self) -> Trace:
-        """What the cheapest sample led to; RuntimeError if a buffer was too small for the contacts in some world."""
+        """Returns the trace of the cheapest sample; RuntimeError if contacts outgrew a buffer in some world."""
         bits = int(self._overflows.host[0]) & _grave_overflows()
         if bits:
             data = self.solver.mjw_data
@@ -157,7 +157,7 @@ class NewtonWorlds(NewtonDynamics):
 
 
 def contact_room(roles: np.ndarray) -> int:
-    """Room for points of contact per world: the object flat on the table and against obstacles, the arm on both.
+    """Estimates the contact points per world: the object flat on the table and against obstacles, the arm on both.
 
     Args:
         roles: Each shape's role, shape [shape].
@@ -170,7 +170,7 @@ def contact_room(roles: np.ndarray) -> int:
 
 
 def _change(built: NewtonModel, scene: Scene, draws: Draws, worlds: int) -> None:
-    """Makes each world of a Newton model one of the draws."""
+    """Sets the parameters of each world of a Newton model to those of its draw."""
     if draws.count == 1:
         return
     model = built.model
@@ -199,7 +199,7 @@ def _change(built: NewtonModel, scene: Scene, draws: Draws, worlds: int) -> None
 
 
 def _groups(roles: np.ndarray) -> np.ndarray:
-    """What a contact of two geoms counts for, an index of :data:`SENSED` or -1, shape [geom, geom]."""
+    """Returns the group of each pair of geoms, an index of :data:`SENSED` or -1, shape [geom, geom]."""
     groups = np.full((len(roles), len(roles)), -1)
     for index, (moving, still) in enumerate(SENSED):
         a, b = (np.isin(roles, [ROLES.index(role) for role in names]) for names in (moving, still))
@@ -208,7 +208,7 @@ def _groups(roles: np.ndarray) -> np.ndarray:
 
 
 def _grave_overflows() -> int:
-    """Bits of the overflows by which something was left out; a solver that stopped early is none."""
+    """Returns the overflow bits that mean lost contacts or constraints; a solver that stopped early is not one."""
     from mujoco_warp import OverflowType
 
     return int(OverflowType.ALL & ~(OverflowType.ITERATIONS | OverflowType.LS_ITERATIONS))

@@ -1,4 +1,4 @@
-"""Object level: the object moved by a virtual wrench, kept out of obstacles by projection."""
+"""Object level dynamics: the object moved by a virtual wrench, kept out of obstacles by projection."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class ObjectDynamics:
         geometry: Shapes of the scene.
         level: Settings of the object level.
         cost: Its weights.
-        goal: Where the object should go: pose [3] of its friction centre.
+        goal: Goal pose [3] of the object's friction centre.
         dt: Control period [s].
-        compute: Where to compute.
+        compute: The device and its threads.
 
     Attributes:
-        to_go: The cost-to-go, empty where it does not count [m].
+        to_go: The cost-to-go, empty if it has no weight [m].
         path: The poses that :meth:`trace` found, an output of shape [horizon + 1].
-        setup_seconds: Wall time of making or reading the cost-to-go [s].
+        setup_seconds: Wall time of computing or reading the cost-to-go [s].
     """
 
     size = 3
@@ -64,11 +64,11 @@ class ObjectDynamics:
         self.path = compute.output((1, level.optimizer.horizon + 1), wp.vec3)
 
     def set_state(self, pose: np.ndarray) -> None:
-        """Where the object is: pose [3] of its friction centre."""
+        """Sets the object's pose [3], of its friction centre."""
         self._start.host[0] = pose
 
     def to_go_at(self, pose: np.ndarray) -> float | None:
-        """The cost-to-go at a pose [3] [m]; ``None`` where there is none."""
+        """Returns the cost-to-go at a pose [3] [m]; ``None`` if there is none."""
         return None if self._to_go_values.size == 0 else pose_field_at(self.to_go, pose, self._to_go_values)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
@@ -76,10 +76,10 @@ class ObjectDynamics:
         return self.launch(controls, costs, self._unused)
 
     def trace(self, nominal: wp.array) -> Launch:
-        """Prepares the poses that one wrench sequence [horizon] leads through."""
+        """Prepares writing the poses along one wrench sequence [horizon]."""
         return self.launch(nominal.reshape((1, nominal.shape[0])), self._trace_cost, self.path.array)
 
     def launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> Launch:
-        """Prepares costs [sample] and poses [sample, horizon + 1] (or none) of wrenches [sample, horizon]."""
+        """Prepares writing costs [sample] and poses [sample, horizon + 1] (or none) of wrenches [sample, horizon]."""
         inputs = [self._model, self._weights, self.to_go, self._start.array, self._goal, controls, self._dt]
         return self.compute.launch_samples(object_rollout, controls.shape[0], inputs, [costs, poses])

@@ -1,4 +1,4 @@
-"""A task as the kernels of every engine read it."""
+"""Packing of a task into the structs that every engine's kernels read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from oimppi_warp.scene import Scene
 
 
 def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
-    """The pushed object as the kernels read it."""
+    """Packs the pushed object for the kernels."""
     model = ObjectModel()
     model.force = geometry.surface.force
     model.radius = geometry.surface.radius
@@ -33,19 +33,19 @@ def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0
 
 
 def no_field(device: str) -> PoseField:
-    """A field for kernels that are told not to look it up."""
+    """Returns an empty field, for kernels that do not read it."""
     field = PoseField()
     field.values = wp.zeros((0, 0, 0), dtype=float, device=device)
     return field
 
 
 def velocity_bound(scene: Scene, level: RobotLevel) -> np.ndarray:
-    """Largest joint velocities to plan with, shape [dof] [rad/s]."""
+    """Returns the largest joint velocities to plan with, shape [dof] [rad/s]."""
     return np.minimum([joint.velocity_limit for joint in scene.robot.joints], level.joint_velocity_limit)
 
 
 def environment(scene: Scene, geometry: Geometry, cost: RobotCost) -> Environment:
-    """What the arm must keep clear of, as the kernels read it."""
+    """Packs the obstacles and the table, which the arm must keep clear of, for the kernels."""
     packed = Environment()
     packed.obstacles = geometry.space
     packed.top = geometry.space_top
@@ -55,13 +55,13 @@ def environment(scene: Scene, geometry: Geometry, cost: RobotCost) -> Environmen
 
 
 def table_within(scene: Scene, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the rectangle within which the object's centre keeps all of it on the table, and within reach [m]."""
+    """Returns the corners of the rectangle in which the object's centre keeps it on the table and within reach [m]."""
     lower, upper = object_bounds(scene)
     return lower + geometry.size, upper - geometry.size
 
 
 def robot_weights(scene: Scene, geometry: Geometry, cost: RobotCost) -> Any:
-    """The weights of the robot level (``RobotWeights``) as the kernels read them."""
+    """Packs the weights of the robot level (``RobotWeights``) for the kernels."""
     weights = pack_weights(cost, table_within(scene, geometry))
     weights.topple_speed = cost.rush * tipping_speed(scene.object)
     weights.size = geometry.size
@@ -69,7 +69,7 @@ def robot_weights(scene: Scene, geometry: Geometry, cost: RobotCost) -> Any:
 
 
 def pack_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> Any:
-    """The weights of the robot level (``RobotWeights``) as the kernels read them.
+    """Packs the weights of the robot level (``RobotWeights``) for the kernels.
 
     Args:
         cost: The weights.
@@ -82,7 +82,7 @@ def pack_weights(cost: RobotCost, edge: tuple[np.ndarray, np.ndarray]) -> Any:
 
 
 def fill_weights(weights: Any, cost: RobotCost | ObjectCost) -> None:
-    """Writes settings into a struct that :func:`oimppi_warp.kernels.costs.terms.weights_struct` made for them."""
+    """Writes settings into their struct, made by :func:`oimppi_warp.kernels.costs.terms.weights_struct`."""
     for name, value in vars(cost).items():
         if hasattr(weights, name) and isinstance(value, int | float | tuple):
             setattr(weights, name, wp.vec2(*value) if isinstance(value, tuple) else value)

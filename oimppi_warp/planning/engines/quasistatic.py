@@ -22,7 +22,7 @@ class QuasistaticDynamics(ScoredDynamics):
     """Arm, contact and object; controls are joint velocities [rad/s].
 
     Args:
-        task: What it is made for.
+        task: The task to plan.
     """
 
     # Share of task 02's starts with the preset ``best`` (``docs/results.md``).
@@ -46,13 +46,13 @@ class QuasistaticDynamics(ScoredDynamics):
         self._trace_poses = compute.output((1, horizon + 1), wp.vec3)
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """The state to plan from; see :class:`RobotDynamics`."""
+        """Sets the state to plan from; see :class:`RobotDynamics`."""
         super().set_state(observation, goal)
         self._joints.host[0] = observation.joint_position
         self._object.host[0] = to_center(self.task.geometry.surface, observation.object_pose)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
-        """Prepares the cost of each joint velocity sequence; see :class:`Dynamics`."""
+        """Prepares writing the cost of each joint velocity sequence; see :class:`Dynamics`."""
         if self._draws.per_sample == 1:
             return self.launch(controls, costs, self._no_terms, self._no_poses, self._no_poses, self._worlds)
         rolled = wp.zeros(controls.shape[0] * self._draws.per_sample, dtype=float, device=self.compute.device)
@@ -67,18 +67,18 @@ class QuasistaticDynamics(ScoredDynamics):
         return roll_and_combine
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
-        """Prepares what the nominal leads to in the world as it was given."""
+        """Prepares the rollout of the nominal in the nominal world."""
         controls = nominal.reshape((1, nominal.shape[0]))
         outputs = (self._trace_terms.array, self._trace_tips.array, self._trace_poses.array)
         return self.launch(controls, self._trace_cost, *outputs, self._nominal_world)
 
     def traced(self) -> Trace:
-        """What the nominal leads to."""
+        """Returns the trace of the nominal."""
         tips, poses, terms = self._trace_tips.host[0], self._trace_poses.host[0], self._trace_terms.host[0]
         return Trace(tips.astype(float), poses.astype(float), terms.astype(float))
 
     def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rolls some samples out again; see :class:`RobotDynamics`."""
+        """Returns the traces of some samples, rolled out again; see :class:`RobotDynamics`."""
         device, count, steps = self.compute.device, len(samples), controls.shape[1] + 1
         again = wp.array(controls.numpy()[samples], dtype=controls.dtype, device=device)
         costs = wp.zeros(count, dtype=float, device=device)
@@ -90,7 +90,7 @@ class QuasistaticDynamics(ScoredDynamics):
     def launch(
         self, controls: wp.array, costs: wp.array, terms: wp.array, tips: wp.array, poses: wp.array, worlds: wp.array
     ) -> Launch:
-        """Prepares costs [rollout], and where there is room terms, tips and poses, of controls [sample, horizon].
+        """Prepares costs [rollout] of controls [sample, horizon], and terms, tips and poses unless these are empty.
 
         ``worlds`` are packed draws; there are as many rollouts as costs.
         """
@@ -107,7 +107,7 @@ class QuasistaticDynamics(ScoredDynamics):
 
 
 def _pack(draws: Draws, device: str) -> wp.array:
-    """Draws as the kernels read them."""
+    """Packs draws for the kernels."""
     packed = np.zeros(draws.count, dtype=Draw.numpy_dtype())  # pyright: ignore
     packed["force"] = draws.friction * draws.mass
     packed["tool_friction"] = draws.tool_friction

@@ -1,4 +1,4 @@
-"""Robot level scored by our kernels: what the engines whose stage costs they compute have in common."""
+"""Base of the robot level engines whose stage costs are computed by our kernels."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from oimppi_warp.planning.engines.packing import environment, no_field, object_m
 
 
 class ScoredDynamics(RobotDynamics):
-    """An engine whose stage costs are those of ``kernels/costs``, and of the registered terms that count.
+    """An engine whose stage costs are those of ``kernels/costs`` and of the registered terms with a weight.
 
     Args:
-        task: What it is made for.
+        task: The task to plan.
     """
 
     def __init__(self, task: RolloutTask) -> None:
@@ -45,6 +45,6 @@ class ScoredDynamics(RobotDynamics):
         self._packed = packed
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """The state to plan from, and the goal [3] of the object's friction centre."""
+        """Sets the state to plan from, and the goal [3] of the object's friction centre."""
         super().set_state(observation, goal)
         self._goal.host[0] = goal

@@ -1,4 +1,4 @@
-"""What a prediction may be wrong about: draws of friction, mass, perceived pose and tool, and what costs make of them.
+"""Uncertain parameters of a prediction: draws of friction, mass, perceived pose and tool.
 
 The paper names rollouts under uncertain parameters as future work. Each control sequence is tried in several *draws* of
 the world, and its cost is the mean over them, the worst, or the mean of the worst (CVaR).
@@ -16,13 +16,13 @@ from oimppi_warp.config.settings import Uncertainty
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Worlds that a rollout may be in; rollout r is in draw ``r % count``, draw 0 of several is no special one.
+    """Draws of the world for rollouts: rollout r uses draw ``r % count``; with several draws, draw 0 is not special.
 
-    They are made once and stay: what differs from plan to plan is the controls, not the luck.
+    They are drawn once and kept, so that plans differ by their controls, not by chance.
 
     Attributes:
         per_sample: Rollouts of each control sequence (M).
-        worst: Number of them, the costliest, whose mean is the cost.
+        worst: Number of the costliest of these, whose mean is the cost.
         friction: Factor on the object's friction on the table and obstacles, shape [count].
         tool_friction: Factor on its friction on the tool, shape [count].
         mass: Factor on its mass, shape [count].
@@ -40,17 +40,17 @@ class Draws:
 
     @property
     def count(self) -> int:
-        """Number of draws."""
+        """Returns the number of draws."""
         return len(self.friction)
 
 
 _ONE = np.ones(1)
 CERTAIN = Draws(1, 1, _ONE, _ONE, _ONE, np.zeros((1, 3)), np.zeros((1, 2)))
-"""The world as it was given, and no other."""
+"""The nominal world alone."""
 
 
 def draw(uncertainty: Uncertainty, *, samples: int, seed: int) -> Draws:
-    """Draws for a plan of ``samples`` samples; a single certain one where uncertainty is off.
+    """Makes the draws for a plan of ``samples`` samples; the nominal world alone if uncertainty is off.
 
     Factors are log-normal, so that they stay positive; errors are normal.
     """

@@ -14,7 +14,7 @@ from oimppi_warp.planning.optimizers.optimizer import Optimizer
 
 
 class Cem(Optimizer):
-    """Mean and standard deviation of the samples are refitted to the cheapest of them, the elites E.
+    """Refits mean and standard deviation of the samples to the cheapest of them, the elites E.
 
     Samples are ``u_h = mu_h + root (s_h * e_h)`` with the nominal ``mu``, a square root ``root`` of Sigma_u, standard
     normal ``e`` and a deviation ``s`` for each step and axis of the noise (each control, where Sigma_u is diagonal). An
@@ -36,7 +36,7 @@ class Cem(Optimizer):
         self._restart()
 
     def sample(self, seed: int) -> Sequence[Launch]:
-        """Prepares drawing with the present deviations; see :meth:`Optimizer.sample`."""
+        """Prepares drawing with the current deviations; see :meth:`Optimizer.sample`."""
         kernel = make_sample_deviating(self.dynamics.size)
         inputs = [self.nominal, self.deviation, self.noise.array, self.basis, self.bound, self.counter, seed]
         inputs.append(int(self.settings.special_samples))
@@ -44,7 +44,7 @@ class Cem(Optimizer):
         return [self.compute.launch_samples(kernel, self.settings.samples, inputs, outputs)]
 
     def update(self) -> Sequence[Launch]:
-        """Prepares choosing the elites and the fit to them; see :meth:`Optimizer.update`."""
+        """Prepares choosing the elites and refitting to them; see :meth:`Optimizer.update`."""
         settings = self._settings
         elites = max(round(settings.elites * settings.samples), 1)
         select = self.compute.launch_blocks(select_elites, None, [self.costs, elites], [self.weights, self.stats.array])
@@ -54,13 +54,13 @@ class Cem(Optimizer):
         return [select, refit]
 
     def advance(self) -> Sequence[Launch]:
-        """Prepares moving nominal and deviations on by one step; the last deviation begins anew."""
+        """Prepares shifting nominal and deviations by one step; the last deviation is reset."""
         kernel = make_shift_deviation(self.dynamics.size)
         deviation = self.compute.launch(kernel, 1, [self._settings.recovery], [self.deviation])
         return [*super().advance(), deviation]
 
     def reset(self) -> None:
-        """Forgets nominal and deviations, and begins the noise anew."""
+        """Resets the nominal, the deviations and the noise."""
         super().reset()
         self._restart()
 

@@ -12,7 +12,7 @@ from oimppi_warp.planning.optimizers.optimizer import Optimizer
 
 
 class Mppi(Optimizer):
-    """The nominal becomes the mean of the samples, weighted by ``w_k ~ exp(-(S_k - min S) / lambda)``.
+    """Sets the nominal to the mean of the samples, weighted by ``w_k ~ exp(-(S_k - min S) / lambda)``.
 
     ``S_k`` is a sample's cost and lambda the temperature; the weights are those of equation 12, the mean is the update
     of equation 11. With :meth:`Optimizer.improve`, which samples and rolls out before, this is Algorithm 1.

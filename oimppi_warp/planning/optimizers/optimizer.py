@@ -1,7 +1,7 @@
-"""Sampling-based optimizers of a control sequence: sample, roll out, update, shift. They know neither robot nor object.
+"""Sampling-based optimizers of a control sequence: sample, roll out, update, shift; independent of robot and object.
 
-A new one is a subclass of :class:`Optimizer` with an update of its own and, where it samples differently, a sampling of
-its own; it is added by its name to :data:`oimppi_warp.registries.OPTIMIZERS`.
+A new one is a subclass of :class:`Optimizer` that overrides ``update`` and, if it samples differently, ``sample``; it
+is added by name to :data:`oimppi_warp.registries.OPTIMIZERS`.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from oimppi_warp.registries import OPTIMIZERS
 
 @dataclass(frozen=True)
 class Update:
-    """What one update found.
+    """Statistics of one update.
 
     Attributes:
         min_cost: Smallest cost of all samples; NaN where all were lost.
-        temperature: lambda that was used; 0 for an optimizer that has none.
+        temperature: The lambda that was used; 0 for an optimizer without one.
         effective_samples: Effective sample size, 1 / sum of squared weights.
         lost: Samples whose cost was not finite.
     """
@@ -43,27 +43,27 @@ class Update:
 
 
 class Optimizer(ABC):
-    """What all sampling-based optimizers share; each works over any dynamics, at either level.
+    """Base class of all sampling-based optimizers; each works over any dynamics, at either level.
 
     Args:
         dynamics: Turns control sequences into costs.
-        settings: An instance of ``Settings``.
-        seed: Of the noise; the same seed gives the same plans.
+        settings: Settings, an instance of the class's ``Settings``.
+        seed: Seed of the noise; the same seed gives the same plans.
 
     Attributes:
         Settings: The class's settings, a frozen dataclass derived from :class:`oimppi_warp.config.settings.Sampling`.
-        one_graph: Whether its launches can be captured in a CUDA graph, which work on the host cannot.
+        one_graph: Whether its launches can be captured in a CUDA graph, unlike work on the host.
         settings: The settings.
-        seed: Of the noise.
+        seed: Seed of the noise.
         nominal: The nominal control sequence, [horizon] of vectors, on the device.
         controls: The samples of the latest update, [sample, horizon] of vectors.
         costs, weights: Their costs, and their weights in the update, [sample].
-        stats: What the latest update found, an output [1]; every update writes it.
-        command: The control to apply now, an output [1]: the nominal's first, once it is shifted out.
+        stats: Statistics of the latest update, an output [1]; every update writes it.
+        command: The control to apply now, an output [1]: the nominal's first, after the shift.
         noise: A square root [1, m, m] of the noise's covariance Sigma_u (``Sigma_u = root root^T``), an input.
         bound: Largest magnitude of each control entry, [1] of vectors.
-        basis: What each knot adds to the noise of each step, [horizon, knot], see :func:`noise_basis`.
-        counter: Plans made so far, [1]: each draws noise of its own.
+        basis: Contribution of each knot to the noise of each step, [horizon, knot], see :func:`noise_basis`.
+        counter: Number of plans made so far, [1]: each draws different noise.
     """
 
     Settings: ClassVar[type[Sampling]]
@@ -95,7 +95,7 @@ class Optimizer(ABC):
 
     @cached_property
     def improve(self) -> list[Launch]:
-        """Launches of one plan from the dynamics' present state: ``iterations`` updates of the nominal.
+        """Returns the launches of one plan from the dynamics' current state: ``iterations`` updates of the nominal.
 
         An update is Algorithm 1: sample (lines 1 to 4), roll out and evaluate S (lines 5 and 6), update (line 7).
         """
@@ -107,7 +107,7 @@ class Optimizer(ABC):
 
     @cached_property
     def shift(self) -> Launch:
-        """Launch that takes the command out of the nominal and moves everything on by one step.
+        """Returns the launch that takes the command out of the nominal and shifts everything by one step.
 
         Apply ``u <- u_nominal`` and ``U <- shift(U)``: Algorithm 2, line 7, and Algorithm 3, lines 6 and 13.
         """
@@ -138,7 +138,7 @@ class Optimizer(ABC):
     def update(self) -> Sequence[Launch]:
         """Prepares one update: from ``controls`` and ``costs`` to ``weights``, ``stats`` and ``nominal``.
 
-        A sample whose cost is not finite, or 1e30 and more, is lost: it gets no weight. Where all are lost, the nominal
+        A sample whose cost is not finite, or 1e30 and more, is lost: it gets no weight. If all are lost, the nominal
         becomes zero, so that the robot stops.
         """
 
@@ -151,7 +151,7 @@ class Optimizer(ABC):
         return [self.compute.launch(kernel, 1, [1], [self.nominal, self.counter, self.command.array])]
 
     def found(self) -> Update:
-        """What the latest update found, once the host has its outputs."""
+        """Returns the statistics of the latest update, once the outputs are on the host."""
         found = self.stats.host[0]
         least, temperature, effective, lost = (
             found[name].item() for name in ("min_cost", "temperature", "effective_samples", "lost")
@@ -159,19 +159,19 @@ class Optimizer(ABC):
         return Update(least if lost < self.settings.samples else math.nan, temperature, effective, lost)
 
     def reset(self) -> None:
-        """Forgets the nominal and begins the noise anew."""
+        """Resets the nominal and the noise."""
         self.nominal.zero_()
         self.stats.array.zero_()
         self.counter.zero_()
 
 
 def make_optimizer(dynamics: Dynamics, settings: Sampling, *, seed: int) -> Optimizer:
-    """The optimizer that settings are for.
+    """Makes the optimizer that settings belong to.
 
     Args:
         dynamics: Turns control sequences into costs.
         settings: Its settings; their ``kind`` names it in :data:`oimppi_warp.registries.OPTIMIZERS`.
-        seed: Of the noise.
+        seed: Seed of the noise.
 
     Raises:
         ConfigError: There is no such optimizer, or it has other settings.
@@ -180,20 +180,20 @@ def make_optimizer(dynamics: Dynamics, settings: Sampling, *, seed: int) -> Opti
 
 
 def wrapped_seed(seed: int) -> int:
-    """A whole number of 0 or more as the signed 32-bit one (two's complement) that kernels take.
+    """Converts a non-negative seed to the signed 32-bit number (two's complement) that kernels take.
 
-    Numbers below 2^31 are themselves. The bits above the 32nd are mixed in, so that seeds that differ in them alone
-    give other noise.
+    Numbers below 2^31 are unchanged. Bits above the 32nd are mixed in, so that seeds that differ only in them give
+    different noise.
     """
     low = (seed ^ ((seed >> 32) * 0x9E3779B9)) & 0xFFFFFFFF
     return low - (1 << 32) if low >= 1 << 31 else low
 
 
 def noise_basis(horizon: int, knots: int) -> np.ndarray:
-    """What each knot adds to the noise of each step, shape [horizon, knots].
+    """Returns the contribution of each knot to the noise of each step, shape [horizon, knots].
 
-    Knots stand evenly over the horizon and are joined by a natural cubic spline; each step keeps unit variance. With
-    ``knots=0`` every step is its own knot: white noise, as the paper has it.
+    Knots are evenly spaced over the horizon and joined by a natural cubic spline; each step keeps unit variance. With
+    ``knots=0`` every step is its own knot: white noise, as in the paper.
     """
     if knots == 0 or knots >= horizon:
         return np.eye(horizon)
