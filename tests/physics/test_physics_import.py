@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import newton
-import newton_usd_schemas  # noqa: F401  # registers Newton's attributes before a stage is opened
 import numpy as np
 import pytest
 import warp as wp
 from newton.solvers import SolverMuJoCo
-from pxr import Gf, Usd, UsdPhysics
+from pxr import Gf, Sdf, Usd, UsdPhysics
 from support import small_tasks
 from support.foreign_scenes import flat, measured_in, with_y_up, written
 from support.scene_edits import corner_mesh, frames_turned, odd_obstacles, scaled_cube
@@ -156,8 +155,8 @@ def rubbing(stage: Usd.Stage) -> None:
     """Friction in two joints, damping per degree, and another gravity."""
     for name, friction, damping in (("joint1", 1.5, 0.02), ("joint4", 0.3, 0.0)):
         joint = stage.GetPrimAtPath(f"/World/Robot/joints/{name}")
-        joint.GetAttribute("newton:friction").Set(friction)
-        joint.GetAttribute("newton:damping").Set(damping)
+        joint.CreateAttribute("newton:friction", Sdf.ValueTypeNames.Float).Set(friction)
+        joint.CreateAttribute("newton:damping", Sdf.ValueTypeNames.Float).Set(damping)
     next(
         UsdPhysics.Scene(prim) for prim in stage.Traverse() if prim.IsA(UsdPhysics.Scene)
     ).GetGravityMagnitudeAttr().Set(1.62)
@@ -167,7 +166,9 @@ def with_tensor(stage: Usd.Stage) -> None:
     """Inertia as Newton's own attribute, which counts before principal moments."""
     body = stage.GetPrimAtPath("/World/Object")
     body.AddAppliedSchema("NewtonMassAPI")
-    body.GetAttribute("newton:inertia").Set([0.001, 0.0012, 0.002, 0.0001, 0.0, 0.0002])
+    body.CreateAttribute("newton:inertia", Sdf.ValueTypeNames.FloatArray).Set(
+        [0.001, 0.0012, 0.002, 0.0001, 0.0, 0.0002]
+    )
 
 
 @pytest.mark.parametrize(
