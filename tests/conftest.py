@@ -1,4 +1,4 @@
-"""What all tests share: the device that they compute on."""
+"""Fixtures shared by all tests: the device to compute on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the camera sees past the arm, against geometry worked out by hand."""
+"""The lab's camera and what hides the object from it, against geometry worked out by hand."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def make(
 
 
 def device_of(engine: type) -> str:
-    """Where an engine is tested."""
+    """Returns the device on which an engine is tested."""
     return "cpu" if engine is NewtonThreads else DEVICE
 
 
@@ -61,7 +61,7 @@ def roll(engine: NewtonDynamics, seen: Observation, controls: np.ndarray) -> np.
 
 
 def ends(engine: NewtonDynamics) -> np.ndarray:
-    """Where the object's frame ends up, shape [rollout, 3]."""
+    """Returns the final pose of the object's frame, shape [rollout, 3]."""
     return from_center(engine.task.geometry.surface, engine.poses.numpy()[:, -1].astype(float))
 
 

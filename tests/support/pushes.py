@@ -13,7 +13,7 @@ SPEED = 0.12
 
 
 def tip_before(scene: Scene, pose: np.ndarray, center: np.ndarray, way: float, *, aside: float) -> np.ndarray:
-    """Where the tool stands 10 mm clear of the object to push it along ``way``, ``aside`` of its centre [m]."""
+    """Returns the tip 10 mm clear of the object, to push it along ``way``, ``aside`` of its centre [m]."""
     body = outline([piece.moved(pose) for piece in footprint(scene.object.colliders)])
     distances = np.arange(0.0, 0.3, 0.002)
     line = planar_points((center[0], center[1], way), np.column_stack([-distances, np.full_like(distances, aside)]))

@@ -43,7 +43,7 @@ def rollout_task(
     threads: int | None = None,
     draws: Draws = CERTAIN,
 ) -> RolloutTask:
-    """What an engine is made for."""
+    """Returns the rollout task of an engine under test."""
     return RolloutTask(
         scene=scene,
         geometry=geometry or build_geometry(scene, device),
