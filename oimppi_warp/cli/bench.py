@@ -107,7 +107,7 @@ class Bench:
         if kept:
             console.print(f"{kept} of {len(run.trials)} trials are finished already", soft_wrap=True)
         if pending:
-            with console.status("loading kernels; compiling them takes half a minute and is done once"):
+            with console.status("loading kernels; compiling them takes about a minute and is done once"):
                 prepare(pending)
         stopped = False
         with _progress(run, console) as on_result:

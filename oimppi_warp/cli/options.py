@@ -87,7 +87,7 @@ class TaskOptions:
                 )
         if not device.kernels_are_cached():
             console.print(
-                "First run on this machine: compiling kernels, which takes about half a minute and is done once.",
+                "First run on this machine: compiling kernels, which takes about a minute and is done once.",
                 soft_wrap=True,
             )
         with console.status("loading kernels"):
