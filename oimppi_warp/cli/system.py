@@ -88,11 +88,10 @@ class Warmup:
 
     def _compile_for(self, arch: int, engines: Sequence[str], progress: Progress, scene: Scene) -> None:
         """Compile for a GPU's architecture."""
-        from oimppi_warp.config.presets import best
         from oimppi_warp.system.precompile import compile_for, needed_on_cuda
 
         bar = progress.add_task(f"for sm_{arch}: what is needed", total=None)
-        variants = needed_on_cuda(scene, best("cloi"), engines)
+        variants = needed_on_cuda(scene, engines)
         progress.update(bar, total=len(variants))
 
         def on_module(module) -> None:

@@ -12,6 +12,13 @@ import warp as wp
 
 from oimppi_warp.errors import DeviceError
 
+EMULATED_GPU = "emulated-gpu"
+"""Name of a GPU emulated on the CPU: a slow device for tests and rehearsals, which no option lists.
+
+Host and device memory are separate, a control step is captured as one graph and replayed, and launches use blocks of
+the size that a GPU would use; see :class:`oimppi_warp.compute.step.Compute`.
+"""
+
 
 @cache
 def start_warp() -> None:
@@ -21,6 +28,9 @@ def start_warp() -> None:
     ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set that to ``wp.LOG_INFO`` after it. Without an NVIDIA
     driver, Warp's native library prints one line about it on stderr, which cannot be turned off.
     """
+    if wp.config.cuda_output is None:
+        # `oimppi warmup --arch` compiles these; with a driver as new as its CUDA toolkit, Warp would look for PTX.
+        wp.config.cuda_output = "cubin"
     own = type(wp.get_logger()).__module__.partition(".")[0] == "warp"
     if own and wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
@@ -42,11 +52,18 @@ def pick_device(name: str = "auto") -> str:
     """
     start_warp()
     present = [device.alias for device in wp.get_devices()]
+    if name == EMULATED_GPU:
+        return name
     if name == "auto":
         return "cuda:0" if "cuda:0" in present else "cpu"
     if name not in present:
         raise DeviceError(f"--device {name}: no such device here\n  allowed: auto, {', '.join(present)}")
     return name
+
+
+def warp_device(name: str) -> str:
+    """Returns the Warp device on which a device picked by :func:`pick_device` computes."""
+    return "cpu" if name == EMULATED_GPU else name
 
 
 def kernels_are_cached() -> bool:

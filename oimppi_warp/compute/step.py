@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,19 +21,26 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.device import pick_device
+from oimppi_warp.compute.device import EMULATED_GPU, pick_device, warp_device
 
 Launch = Callable[[], None]
 """A prepared launch: kernel and arguments are fixed, and a call runs it."""
 
 _SLICES_PER_THREAD = 4
 """Slices of the samples per thread: enough that no thread waits long for the others."""
-_BLOCK = 256
-"""Threads per block on CUDA."""
+BLOCK = 256
+"""Threads per block on a GPU."""
 _CHUNK = 1 << 20
 """Size of the inputs' buffer, and of the outputs', of one planner on CUDA [B]."""
 _ALIGNMENT = 64
 """Alignment of an array in these buffers [B]."""
+
+# While a graph is captured, everything that any thread launches or allocates on that device is captured with it, or is
+# an error. Capturing therefore holds both locks; who holds them both takes them in this order.
+making_planner = threading.RLock()
+"""Held while a planner is made: its arrays must not be allocated while another thread captures a graph."""
+using_gpu = threading.RLock()
+"""Held while a thread launches work on a GPU and waits for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +59,18 @@ class Slot:
 class Compute:
     """A device with threads, inputs and outputs.
 
+    The emulated GPU (:data:`oimppi_warp.compute.device.EMULATED_GPU`) computes on the CPU, but as a GPU would: inputs
+    and outputs are copied, a step is a captured graph, and blocks have as many threads. For the last, it switches on
+    ``wp.config.enable_cpu_blocks`` for the whole process.
+
     Args:
         device: Warp device; ``"auto"`` takes the first GPU, or the CPU if there is none.
         threads: Number of threads on the CPU; default: the number of cores that the process may use.
 
     Attributes:
-        device: The device's name.
+        name: The device's name, as a run is recorded with it.
+        device: Warp's name of the device.
+        on_gpu: Whether it is a GPU, or is emulated as one.
         threads: Number of threads among which launches over samples are distributed.
 
     Raises:
@@ -64,11 +78,15 @@ class Compute:
     """
 
     def __init__(self, device: str = "auto", *, threads: int | None = None) -> None:
-        self.device = pick_device(device)
+        self.name = pick_device(device)
+        self.device = warp_device(self.name)
+        self.on_gpu = self.name == EMULATED_GPU or wp.get_device(self.device).is_cuda
         self.threads = core_count() if threads is None else threads
-        self._on_cpu = wp.get_device(self.device).is_cpu
-        self._inputs = _Shared(self.device)
-        self._outputs = _Shared(self.device)
+        if self.name == EMULATED_GPU:
+            wp.config.enable_cpu_blocks = True
+        self._block = BLOCK if self.on_gpu else 1
+        self._inputs = _Shared(self.device, separate=self.on_gpu)
+        self._outputs = _Shared(self.device, separate=self.on_gpu)
 
     def input(self, shape: int | tuple[int, ...], dtype: Any) -> Slot:
         """Makes a new array of zeros that the host writes before a step."""
@@ -80,7 +98,7 @@ class Compute:
 
     def launch(self, kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Launch:
         """Prepares a launch of ``dim`` threads of a kernel."""
-        return _Prepared(kernel, (dim,), inputs, outputs, self.device)
+        return _Prepared(kernel, (dim,), inputs, outputs, self.device, self._block)
 
     def launch_blocks(self, kernel: Any, blocks: int | None, inputs: Sequence[Any], outputs: Sequence[Any]) -> Launch:
         """Prepares a launch whose threads cooperate in blocks (of one thread on the CPU).
@@ -91,9 +109,8 @@ class Compute:
             inputs: The kernel's inputs.
             outputs: Its outputs.
         """
-        size = 1 if self._on_cpu else _BLOCK
-        dim = (size,) if blocks is None else (blocks, size)
-        return _Prepared(kernel, dim, inputs, outputs, self.device)
+        dim = (self._block,) if blocks is None else (blocks, self._block)
+        return _Prepared(kernel, dim, inputs, outputs, self.device, self._block)
 
     def launch_samples(self, kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Launch:
         """Prepares a launch over samples; on the CPU, slices of them are distributed among threads.
@@ -104,10 +121,10 @@ class Compute:
             inputs: The kernel's other inputs.
             outputs: Its outputs.
         """
-        slices = min(self.threads * _SLICES_PER_THREAD, count) if self._on_cpu and self.threads > 1 else 1
+        slices = 1 if self.on_gpu or self.threads == 1 else min(self.threads * _SLICES_PER_THREAD, count)
         edges = np.linspace(0, count, slices + 1).astype(int)
         launches = [
-            _Prepared(kernel, (end - begin,), [begin, *inputs], outputs, self.device)
+            _Prepared(kernel, (end - begin,), [begin, *inputs], outputs, self.device, self._block)
             for begin, end in pairwise(edges.tolist())
         ]
         return launches[0] if slices == 1 else _Shares(launches, self.threads)
@@ -126,7 +143,9 @@ class Compute:
                 launch()
             self._outputs.download()
 
-        return enqueue if self._on_cpu else _CudaStep(enqueue, self.device, one_graph)
+        if not self.on_gpu:
+            return enqueue
+        return Graph(enqueue, self.device) if one_graph else _Eager(enqueue, self.device)
 
 
 class Stopwatch:
@@ -163,6 +182,7 @@ class _Prepared:
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         device: str,
+        block: int,
     ) -> None:
         self._device = wp.get_device(device)
         self._arguments = {
@@ -170,7 +190,7 @@ class _Prepared:
             "inputs": list(inputs),
             "outputs": list(outputs),
             "device": device,
-            "block_dim": 1 if self._device.is_cpu else _BLOCK,
+            "block_dim": block,
         }
         self._kernel = kernel
         self._command = wp.launch(kernel, **self._arguments, record_cmd=True)
@@ -213,18 +233,18 @@ def _pool(helpers: int) -> ThreadPoolExecutor:
 
 
 class _Shared:
-    """Arrays that are copied to the device, or from it, together."""
+    """Arrays that are copied to the device, or from it, together; without separate memories, they are the host's."""
 
-    def __init__(self, device: str) -> None:
-        self._device = wp.get_device(device)
+    def __init__(self, device: str, *, separate: bool) -> None:
+        self._separate = separate
         self._used = 0
-        size = 0 if self._device.is_cpu else _CHUNK  # on the CPU, arrays are in the host's memory
-        self._host = wp.zeros(size, dtype=wp.uint8, device="cpu", pinned=size > 0)
+        size = _CHUNK if separate else 0
+        self._host = wp.zeros(size, dtype=wp.uint8, device="cpu", pinned=wp.get_device(device).is_cuda)
         self._chunk = wp.zeros(size, dtype=wp.uint8, device=device)
 
     def slot(self, shape: int | tuple[int, ...], dtype: Any) -> Slot:
         """Makes a new array of zeros."""
-        if self._device.is_cpu:
+        if not self._separate:
             array = wp.zeros(shape, dtype=dtype, device="cpu")
             return Slot(array, array.numpy())
         begin = -(-self._used // _ALIGNMENT) * _ALIGNMENT
@@ -248,22 +268,38 @@ class _Shared:
             wp.copy(self._host, self._chunk, count=self._used)
 
 
-class _CudaStep:
-    """A step on CUDA, captured as one graph on its first run and replayed afterwards."""
+class Graph:
+    """Launches captured as one graph on the first call, and replayed by every call, which waits for the end.
 
-    def __init__(self, enqueue: Launch, device: str, one_graph: bool) -> None:
+    Args:
+        enqueue: Runs the launches.
+        device: Warp's name of the device.
+    """
+
+    def __init__(self, enqueue: Launch, device: str) -> None:
         self._enqueue = enqueue
         self._device = wp.get_device(device)
-        self._one_graph = one_graph
         self._graph: Any = None
 
     def __call__(self) -> None:
-        if not self._one_graph:
-            self._enqueue()
-        else:
-            if self._graph is None:
-                with wp.ScopedCapture(device=self._device) as capture:
-                    self._enqueue()
-                self._graph = capture.graph
+        """Replays the graph and waits for the end."""
+        if self._graph is None:
+            with making_planner, using_gpu, wp.ScopedCapture(device=self._device) as capture:
+                self._enqueue()
+            self._graph = capture.graph
+        with using_gpu:
             wp.capture_launch(self._graph)
-        wp.synchronize_device(self._device)
+            wp.synchronize_device(self._device)
+
+
+class _Eager:
+    """A step on a GPU whose launches cannot be captured."""
+
+    def __init__(self, enqueue: Launch, device: str) -> None:
+        self._enqueue = enqueue
+        self._device = wp.get_device(device)
+
+    def __call__(self) -> None:
+        with using_gpu:
+            self._enqueue()
+            wp.synchronize_device(self._device)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from oimppi_warp.compute.step import Compute
+from oimppi_warp.compute.step import Compute, making_planner
 from oimppi_warp.config.overrides import validate
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
@@ -36,8 +36,9 @@ def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **op
         compute = Compute(spec.device, threads=spec.threads)
         return method(scene, config, engine=engine, compute=compute, seed=spec.seed)
 
-    if spec.engine != "auto":
-        return make(spec.engine)
-    choice = choose_engine(spec.method, config.control_period, make)
+    with making_planner:
+        if spec.engine != "auto":
+            return make(spec.engine)
+        choice = choose_engine(spec.method, config.control_period, make)
     choice.planner.engine_reason = choice.reason
     return choice.planner

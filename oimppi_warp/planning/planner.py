@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from oimppi_warp.compute.step import Compute, Launch
+from oimppi_warp.compute.step import Compute, Launch, using_gpu
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ObservationError
 from oimppi_warp.geometry.fields import build_geometry, from_center, pose_field_at, to_center
@@ -199,11 +199,13 @@ class Planner:
         Args:
             count: Number of samples.
         """
-        weights = self.optimizer.weights.numpy()
-        heaviest = np.argsort(-weights, kind="stable")
-        half = count // 2
-        chosen = np.concatenate([heaviest[:half], heaviest[half :: max((len(heaviest) - half) // (count - half), 1)]])
-        tips, terms = self.dynamics.paths(self.optimizer.controls, chosen[:count])
+        with using_gpu:
+            weights = self.optimizer.weights.numpy()
+            heaviest = np.argsort(-weights, kind="stable")
+            half = count // 2
+            others = heaviest[half :: max((len(heaviest) - half) // (count - half), 1)]
+            chosen = np.concatenate([heaviest[:half], others])
+            tips, terms = self.dynamics.paths(self.optimizer.controls, chosen[:count])
         shares = weights[chosen[:count]] / max(float(weights.max()), 1e-30)
         return Samples(tips, shares, dict(zip(self.dynamics.terms, terms[0].tolist(), strict=True)))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.step import Compute, Slot
+from oimppi_warp.compute.step import Compute, Slot, using_gpu
 from oimppi_warp.config.settings import Config
 from oimppi_warp.geometry.fields import Geometry, pose_field_at
 from oimppi_warp.kernels.fields import cost_to_go
@@ -69,18 +69,19 @@ class PlanFollower:
             bound: The cost-to-go to the goal alone, if known; it saves time.
         """
         kept = path[::-_STRIDE][::-1] if arrived else self._goal[None]
-        found = build_to_go(
-            self._clearance,
-            kept,
-            yaw_length=self._config.object.yaw_length,
-            push_ring=self._config.object_cost.push_ring,
-            bound=bound,
-            device=self._device,
-        )
-        wp.copy(self._to_go.values, found.values)
-        self._to_go_values = found.values.numpy()
         padded = kept[np.minimum(np.arange(len(self._plan)), len(kept) - 1)]
-        self._plan.assign(padded.astype(np.float32))
+        with using_gpu:
+            found = build_to_go(
+                self._clearance,
+                kept,
+                yaw_length=self._config.object.yaw_length,
+                push_ring=self._config.object_cost.push_ring,
+                bound=bound,
+                device=self._device,
+            )
+            wp.copy(self._to_go.values, found.values)
+            self._to_go_values = found.values.numpy()
+            self._plan.assign(padded.astype(np.float32))
 
     def set_state(self, pose: np.ndarray) -> None:
         """Sets the object's pose [3], from which the reference begins."""

@@ -45,7 +45,7 @@ class SequentialPlanner(Planner):
     def __init__(self, scene: Scene, config: Config, *, engine: str, compute: Compute, seed: int) -> None:
         super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
         # (A) runs before the robot moves, hence as a separate step, with its own inputs and outputs.
-        alone = Compute(compute.device, threads=compute.threads)
+        alone = Compute(compute.name, threads=compute.threads)
         self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=alone, seed=2 * seed + 2)
         self._object_step = alone.step(self._object.launches, one_graph=self._object.optimizer.one_graph)
         self._path = self.goal[None]

@@ -120,7 +120,7 @@ class Episode:
         self.spec = replace(
             spec,
             engine=self.planner.engine,
-            device=self.planner.compute.device,
+            device=self.planner.compute.name,
             threads=self.planner.compute.threads,
             plant=spec.plant if plant is None else type(plant).__name__,
         )

@@ -6,20 +6,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-import numpy as np
 import warp as wp
 from warp._src.context import user_modules
 
-from oimppi_warp.compute.device import start_warp
-from oimppi_warp.compute.step import Compute
+from oimppi_warp.compute.device import EMULATED_GPU, start_warp
+from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config
-from oimppi_warp.geometry.fields import build_geometry
-from oimppi_warp.kernels.fields import distance
-from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planning.engines.dynamics import RolloutTask
-from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
 from oimppi_warp.planning.factory import make_planner
-from oimppi_warp.planning.optimizers.optimizer import make_optimizer
 from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene
 
@@ -28,56 +21,31 @@ Variant = tuple[wp.Module, int]
 
 _USUAL_BLOCK = 256
 """Default number of threads per block of a launch; on the CPU it is one."""
+_ON_HOST = "oimppi_warp.kernels.fields.distance"
+"""Module of distance fields, which are computed on the CPU whatever the device."""
 
 
-def needed_on_cuda(scene: Scene, config: Config, engines: Iterable[str]) -> list[Variant]:
-    """Lists the modules that planning on a GPU needs, found by planning on the CPU with few samples.
+def needed_on_cuda(scene: Scene, engines: Iterable[str], settings: Callable[[str], Config] = best) -> list[Variant]:
+    """Lists the modules that planning on a GPU needs, found by planning on an emulated one.
 
-    MuJoCo Warp chooses its kernels by the model. It depends on the device only for the number of threads, not for the
-    choice of kernels, as long as the model is small enough for dense matrices (60 degrees of freedom); our kernels do
-    not depend on it. This has not been verified on a GPU.
+    MuJoCo Warp chooses its kernels by the model and by the number of worlds, so each plan has as many samples as on the
+    GPU, but few steps. It depends on the device only for the number of threads, not for the choice of kernels, as long
+    as the model is small enough for dense matrices (60 degrees of freedom); our kernels do not depend on it. This has
+    not been verified on a GPU.
 
     Args:
         scene: The task.
-        config: All settings.
         engines: Names of the engines to be used there.
+        settings: All settings of a method, by its name.
     """
-    small = replace(config.robot.optimizer, samples=2, horizon=2, knots=0, iterations=1)
-    level = replace(config.robot, optimizer=small, substeps=1)
-    few = replace(config, robot=level)
     with record_modules() as found:
-        wp.load_module(distance, device="cpu")  # fields cached on this machine may not be cached on the other
         for engine in engines:
-            # The Newton engine is a different one on the CPU, so the other kernels are found with the quasi-static
-            # engine.
-            around = "quasistatic" if engine == "newton" else engine
             for method in METHODS:
-                make_planner(scene, few, method=method, engine=around, device="cpu", threads=1).warm_up()
-            if engine == "newton":
-                _plan_with_worlds(scene, few)
-    return found
-
-
-def _plan_with_worlds(scene: Scene, config: Config) -> None:
-    """Runs one step of the Newton engine that a GPU would use, with batched worlds, on the CPU."""
-    geometry = build_geometry(scene, "cpu")
-    compute = Compute("cpu", threads=1)
-    worlds = NewtonWorlds(
-        RolloutTask(
-            scene=scene,
-            geometry=geometry,
-            level=config.robot,
-            cost=config.cost,
-            dt=config.control_period,
-            compute=compute,
-        )
-    )
-    mppi = make_optimizer(worlds, config.robot.optimizer, seed=0)
-    start = np.array(scene.start)
-    transform = planar_transform(scene.start, scene.object.rest_height)
-    joints = scene.robot.start
-    worlds.set_state(Observation(0.0, joints, np.zeros_like(joints), start, transform), start)
-    compute.step([*mppi.improve, worlds.trace(mppi.nominal, mppi.costs), mppi.shift])()
+                config = settings(method)
+                short = replace(config.robot.optimizer, horizon=2, knots=0, iterations=1)
+                config = replace(config, robot=replace(config.robot, optimizer=short, substeps=1))
+                make_planner(scene, config, method=method, engine=engine, device=EMULATED_GPU).warm_up()
+    return [(module, block) for module, block in found if module.name != _ON_HOST]
 
 
 def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Module], None]) -> int:
@@ -113,21 +81,27 @@ def record_modules() -> Iterator[list[Variant]]:
     """
     start_warp()
     variants: list[Variant] = []
-    usual = wp.config.enable_cpu_blocks
+    usual = wp.config.enable_cpu_blocks, wp.get_suggested_block_size
+    asked: dict[Variant, None] = {}
+
+    def suggest(kernel: wp.Kernel, device: wp.DeviceLike = None) -> tuple[int, int]:
+        asked[kernel.module, _USUAL_BLOCK] = None  # a GPU loads the kernel to answer
+        return usual[1](kernel, device)
+
     for module in _modules():
         module.unload()
-    wp.config.enable_cpu_blocks = True
+    wp.config.enable_cpu_blocks, wp.get_suggested_block_size = True, suggest
     try:
         yield variants
     finally:
-        wp.config.enable_cpu_blocks = usual
+        wp.config.enable_cpu_blocks, wp.get_suggested_block_size = usual
     found = {
         (module, block if block > 1 else _USUAL_BLOCK): None
         for module in _modules()
         for context, block in module.execs
         if context is None  # the CPU's
     }
-    variants += found
+    variants += found | asked
 
 
 def _modules() -> list[wp.Module]:

@@ -8,15 +8,18 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import warp as wp
 from support import small_tasks
 
 from oimppi_warp.cli.main import main
-from oimppi_warp.compute.device import start_warp
+from oimppi_warp.compute.device import EMULATED_GPU, start_warp
+from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
 from oimppi_warp.registries import METHODS
+from oimppi_warp.system import precompile
 from oimppi_warp.system.doctor import PACKAGES, Facts, Gpu, diagnose, gather_facts
 from oimppi_warp.system.precompile import compile_for, needed_on_cuda, record_modules
 from oimppi_warp.usd import shipped_scenes
@@ -138,11 +141,35 @@ def test_after_a_warmup_a_run_compiles_nothing(tmp_path):
 
 
 def test_what_a_gpu_needs_of_ours_is_found():
-    names = {module.name for module, _ in needed_on_cuda(small_tasks.shipped("task01"), best("cloi"), ["quasistatic"])}
+    names = {module.name for module, _ in needed_on_cuda(small_tasks.shipped("task01"), ["quasistatic"])}
     kernels = ("robot_rollout_RRRRRR", "rollouts.object", "sample_controls_3", "optimizers.update", "update_nominal_6")
     assert {f"oimppi_warp.kernels.{name}" for name in kernels} <= names
     assert "oimppi_warp.kernels.fields.cost_to_go" in names, "SOI follows its cost-to-go there"
-    assert "oimppi_warp.kernels.fields.distance" in names, "it may not find the fields there"
+    assert "oimppi_warp.kernels.fields.distance" not in names, "the CPU computes the fields there too"
+
+
+def test_what_a_gpu_needs_is_found_with_as_many_samples_as_will_run_there(monkeypatch):
+    made = []
+
+    class Made:
+        def warm_up(self):
+            pass
+
+    def make(scene, config, **spec):
+        made.append((spec["method"], spec["engine"], spec["device"], config.robot.optimizer.samples))
+        return Made()
+
+    monkeypatch.setattr(precompile, "make_planner", make)
+    scene, many = small_tasks.shipped("task01"), set_option(best("cloi"), "robot.optimizer.samples=777")
+    assert needed_on_cuda(scene, ["newton"], lambda method: many) == []
+    assert made == [(method, "newton", EMULATED_GPU, 777) for method in METHODS]
+
+
+def test_a_gpu_looks_for_the_format_that_a_warmup_compiles_whatever_its_driver():
+    start_warp()
+    newest = SimpleNamespace(driver_version=(99, 0), toolkit_version=wp.get_cuda_toolkit_version())
+    gpu = SimpleNamespace(is_cpu=False, is_cubin_supported=True, runtime=newest)
+    assert type(wp.get_device("cpu")).get_cuda_output_format(gpu) == "cubin"
 
 
 @wp.kernel(module="unique")
@@ -158,6 +185,10 @@ def test_a_rehearsal_lists_what_is_launched_in_it_with_the_blocks_that_are_asked
             wp.launch(count_up, dim=dim, inputs=[numbers], device="cpu", block_dim=block)
         assert found == ([(count_up.module, block or 256)] if dim else [])
     assert not wp.config.enable_cpu_blocks
+    with record_modules() as found:
+        wp.launch(count_up, dim=64, inputs=[wp.zeros(64, dtype=int, device="cpu")], device="cpu", block_dim=64)
+        wp.get_suggested_block_size(count_up)  # a GPU loads the variant with the usual block to answer
+    assert sorted(block for _, block in found) == [64, 256]
     wp.launch(count_up, dim=64, inputs=[numbers], device="cpu", block_dim=64)
     assert set(numbers.numpy()) == {4}
 
@@ -167,9 +198,11 @@ def test_a_rehearsal_lists_what_is_launched_in_it_with_the_blocks_that_are_asked
 def test_all_that_a_newton_plan_needs_compiles_for_a_hopper_gpu(tmp_path, monkeypatch):
     start_warp()  # it fills in the folder that is put back in the end
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    variants = needed_on_cuda(small_tasks.shipped("task02"), best("cloi"), ["newton"])
+    variants = needed_on_cuda(small_tasks.shipped("task02"), ["newton"])
     names = {module.name for module, _ in variants}
     assert {block for _, block in variants} >= {32, 64, 128, 256}, "as MuJoCo Warp asks for them"
+    broad = {block for module, block in variants if module.name.startswith("_nxn_broadphase")}
+    assert len(broad) == 2 and 256 in broad, "the kernel is launched with one size, and its occupancy asked with 256"
     assert {"mujoco_warp._src.solver", "mujoco_warp._src.smooth", "oimppi_warp.kernels.rollouts.worlds"} <= names
     assert len(variants) > 60
     assert compile_for(variants, 90, lambda module: None) == len(variants)

@@ -21,10 +21,10 @@ class NewtonEngine:
 
     def __call__(self, task: RolloutTask) -> RobotDynamics:
         """Returns the engine for the task's device."""
-        if task.compute.device == "cpu":
-            from oimppi_warp.planning.engines.newton_threads import NewtonThreads as Newton
-        else:
+        if task.compute.on_gpu:
             from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds as Newton
+        else:
+            from oimppi_warp.planning.engines.newton_threads import NewtonThreads as Newton
         return Newton(task)
 
 

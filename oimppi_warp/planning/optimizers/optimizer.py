@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.step import Launch
+from oimppi_warp.compute.step import Launch, using_gpu
 from oimppi_warp.config.settings import Sampling
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.kernels.optimizers.sampling import make_sample_controls
@@ -160,9 +160,10 @@ class Optimizer(ABC):
 
     def reset(self) -> None:
         """Resets the nominal and the noise."""
-        self.nominal.zero_()
-        self.stats.array.zero_()
-        self.counter.zero_()
+        with using_gpu:
+            self.nominal.zero_()
+            self.stats.array.zero_()
+            self.counter.zero_()
 
 
 def make_optimizer(dynamics: Dynamics, settings: Sampling, *, seed: int) -> Optimizer:
