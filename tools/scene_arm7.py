@@ -1,4 +1,4 @@
-"""A fictitious seven-joint arm with a stick.
+"""A fictitious seven-joint arm with a stick; shoulder, elbow and wrist have no lateral offsets.
 
 Its joint axes are alternately along the limb and perpendicular to it; fully extended, the arm is upright. It is not a
 real product.
@@ -17,10 +17,7 @@ from oimppi_warp.authoring.robots.arm import NOT_TURNED, Arm, ArmJoint, ArmLink,
 from oimppi_warp.scene import Collider
 
 _HALF = math.sqrt(0.5)
-ACROSS, ALONG = (
-    (-_HALF, 0.0, 0.0, _HALF),
-    (_HALF, 0.0, 0.0, _HALF),
-)  # rotations from an axis along the limb to one across it, and back
+ACROSS, ALONG = (-_HALF, 0.0, 0.0, _HALF), (_HALF, 0.0, 0.0, _HALF)  # rotate along to across the limb, and back
 
 JOINTS = [
     # position in the parent's frame, rotation, symmetric position limit, effort limit

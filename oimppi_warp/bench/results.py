@@ -41,7 +41,7 @@ class Result:
 
     Attributes:
         key: Hash of everything that affects the result, see :class:`Trial`.
-        task, number, start, run: As in the trial. In JSON the fields of ``run`` are stored beside the others.
+        task, number, start, run: As in the trial. In JSON the fields of ``run`` are inlined.
         preset: Preset of the trial's settings.
         command: Command that repeats the trial.
         code, machine: See :mod:`oimppi_warp.bench.provenance`.
@@ -192,7 +192,7 @@ def result_from(row: dict[str, Any]) -> Result:
 
 
 def result_row(result: Result) -> dict[str, Any]:
-    """Convert a result to JSON types, with the options of its run beside the other fields."""
+    """Convert a result to JSON types, with the options of its run inlined."""
     return to_json(flatten(result))
 
 

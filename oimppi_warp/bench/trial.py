@@ -101,7 +101,7 @@ class Trial:
         return shlex.join(["oimppi", *self.arguments])
 
     def row(self) -> dict[str, Any]:
-        """Return the trial in JSON types, with its options and settings beside the other fields."""
+        """Return the trial in JSON types, with its options and settings inlined."""
         return to_json(flatten(self))
 
 
@@ -135,7 +135,7 @@ def trial_seed(seed: int, number: int) -> int:
 def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
     """Create all trials of a suite, and load the scenes of its tasks, by short name.
 
-    The lowest numbers use the scene's own starts, whatever the seed; all other starts are drawn with the trial's seed.
+    The lowest numbers use the scene's own starts, for any seed; all other starts are drawn with the trial's seed.
     Start and seed depend only on the task and the number, so that methods can be compared in pairs.
 
     Raises:

@@ -18,7 +18,7 @@ INK, FAINT, WALL, GOAL, START = "#26323a", "#b8c2c9", "#5d6a73", "#c2410c", "#3b
 METHOD_COLORS = {"mppi": "#8592a6", "cloi": "#0f766e", "soi": "#d97706"}
 """Colours of the paper's methods, in all figures."""
 FURTHER_COLORS = ("#4f46a5", "#a21caf", "#0284c7", "#65a30d", "#92400e", "#be123c")
-"""Colours of all other methods, in turn."""
+"""Colours of all other methods, assigned in order."""
 
 STYLE: Any = {
     "font.size": 9,
