@@ -1,6 +1,6 @@
-"""Makes the pictures of docs/authoring.md by following the page's instructions; takes a few minutes.
+"""Makes the pictures in docs/authoring.md by running the page's instructions; takes a few minutes.
 
-Usage: ``python tools/authoring_pictures.py [FOLDER]``; the pictures go to FOLDER, by default ``docs/images``.
+Usage: ``python tools/authoring_pictures.py [FOLDER]``. The pictures are written to FOLDER, by default ``docs/images``.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ def follow(page: str) -> None:
             for line in text.splitlines():
                 command = shlex.split(line)[1:]
                 if command[0] != "view" and oimppi(command) != 0:
-                    raise SystemExit(f"{line}: that did not succeed")
+                    raise SystemExit(f"{line}: the command failed")
 
 
 def small(picture: Path, target: Path) -> None:
-    """Save a picture at the width of the page, with a reduced palette."""
+    """Save a picture at a width of :data:`WIDTH`, with a reduced palette."""
     image = Image.open(picture).convert("RGB")
     image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
     image.quantize(96).save(target, optimize=True)
@@ -72,7 +72,7 @@ def alphabet() -> bytes:
 
 
 def main() -> int:
-    """Make the pictures; returns exit status 0."""
+    """Make the pictures, and return exit status 0."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else ROOT / "docs" / "images").absolute()
     folder.mkdir(parents=True, exist_ok=True)
     here = Path.cwd()

@@ -1,4 +1,4 @@
-"""Planners in closed loop on their own predictions, timed against each other by the benchmark of plan time."""
+"""Planners in closed loop with their own predictions, for the benchmark of plan times."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Timing:
 
     Attributes:
         ms: Wall time of each repetition [ms].
-        stage_ms: Median time of each stage [ms]; ``other`` is the rest of the median, mainly Python.
+        stage_ms: Median time of each stage [ms]; ``other`` is the remainder of the median, mainly Python.
         problems: Reasons why the timing is invalid.
     """
 
@@ -54,7 +54,7 @@ class Timing:
 
 
 class PlannerLoop:
-    """A planner whose arm and object follow its own plan, so that plans with and without contact are timed.
+    """A planner in closed loop with its own predictions, so that plans with and without contact are timed.
 
     Args:
         scene: The task.
@@ -75,7 +75,7 @@ class PlannerLoop:
         self.planner.start(self.first)
 
     def __call__(self) -> None:
-        """Compute one plan, and move to the state that it predicts."""
+        """Compute one plan, and move to the state it predicts."""
         plan = self.planner.plan(self.seen)
         self.stopped = plan.problem
         if plan.problem:
@@ -89,20 +89,20 @@ class PlannerLoop:
     def problems(self) -> list[str]:
         """Return the problems of the latest plan."""
         if self.stopped:
-            return [f"nothing was planned: {self.stopped}"]
+            return [f"no plan was made: {self.stopped}"]
         update = self.optimizer.found()
-        found = [f"{update.lost} samples have no finite cost"] if update.lost else []
-        return found + ([] if update.effective_samples > 0.999 else ["no effective sample"])
+        found = [f"{update.lost} samples have a cost that is not finite"] if update.lost else []
+        return found + ([] if update.effective_samples > 0.999 else ["no effective samples"])
 
     def stages(self, repeats: int) -> dict[str, float]:
-        """Return the median time of each stage of the robot level in the present state [ms]."""
+        """Return the median time of each stage of the robot level in the current state [ms]."""
         trace = self.planner.dynamics.trace(self.optimizer.nominal, self.optimizer.costs)
         launches = [*zip(STAGES, self.optimizer.improve, strict=False), ("trace", trace)]
         return {name: time_of(launch, repeats, self.planner.compute.device) for name, launch in launches}
 
 
 class ObjectLoop:
-    """The object level alone, with the object following its own plan."""
+    """The object level alone, in closed loop with its own predictions."""
 
     def __init__(self, scene: Scene, config: Config, *, device: str, threads: int | None = None) -> None:
         from oimppi_warp.geometry.fields import build_geometry, to_center
@@ -117,7 +117,7 @@ class ObjectLoop:
         self.pose = start
 
     def __call__(self) -> None:
-        """Compute one plan, and move the object to the pose that it predicts."""
+        """Compute one plan, and move the object to the pose it predicts."""
         self.level.set_state(self.pose)
         self._step()
         self.pose = self.level.path.host[0, 1].astype(float)
@@ -125,10 +125,10 @@ class ObjectLoop:
     def problems(self) -> list[str]:
         """Return the problems of the latest plan."""
         update = self.optimizer.found()
-        return [] if not update.lost and update.effective_samples > 0.999 else ["lost samples, or none effective"]
+        return [] if not update.lost and update.effective_samples > 0.999 else ["lost samples, or no effective samples"]
 
     def stages(self, repeats: int) -> dict[str, float]:
-        """Return the median time of each stage in the present state [ms]."""
+        """Return the median time of each stage in the current state [ms]."""
         names = (*STAGES, "trace", "shift")
         return {
             name: time_of(launch, repeats, self.device)
@@ -137,7 +137,7 @@ class ObjectLoop:
 
 
 def race(runners: dict[str, Callable[[], None]], repeats: int) -> dict[str, Timing]:
-    """Time several operations in turns, so that other load on the machine affects all of them alike."""
+    """Time several operations in turns, so that other load on the machine affects all of them equally."""
     timings = {name: Timing() for name in runners}
     for step in range(WARM_UP + repeats):
         for name, run in runners.items():

@@ -1,4 +1,4 @@
-"""Operation counts of the fused rollout kernel, and the peak performance of a core."""
+"""Operation counts of the fused rollout kernel, and the measured peak performance of a core."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Chains = wp.types.vector(length=_CHAINS, dtype=float)
 
 @wp.kernel(enable_backward=False)
 def chains(factor: _Chains, offset: _Chains, out: wp.array[float]):  # type: ignore
-    """Computes independent chains of multiply-adds, enough of them to hide the latency of one."""
+    """Computes independent chains of multiply-adds, enough of them to hide the latency of an operation."""
     i = wp.tid()
     a = offset * float(i)  # pyright: ignore
     for _ in range(1000):
@@ -26,8 +26,8 @@ def chains(factor: _Chains, offset: _Chains, out: wp.array[float]):  # type: ign
 def operations_per_step(joints: int) -> dict[str, int]:
     """Return the minimum number of floating-point operations in one simulated step, by part of the kernel.
 
-    Counted in the source; a sine, cosine, root, arc tangent or division counts as one. Operations that depend on poses
-    are excluded: spheres of links near table or obstacles, look-ups, contact and settling.
+    Counted by hand in the source; a sine, cosine, root, arc tangent or division counts as one. Pose-dependent work is
+    excluded: spheres of links near the table or obstacles, look-ups, contact and settling.
     """
     rotation_times_vector, rotation_times_rotation = 15, 45
     return {

@@ -1,8 +1,8 @@
-"""Measures the time of one plan: every engine and device present, its stages, sweeps, and the bounds of both engines.
+"""Measures plan times: all available engines and devices, the stages of a plan, and sweeps over K, H and substeps.
 
-Variants to be compared are timed in turns within one run. A run counts only if its plans are sane (finite costs, an
-effective
-sample) and if planning with them solves a task in the simulator. ``docs/performance.md`` explains the figures.
+Variants are compared by timing them in turns within one run. A run is valid only if its plans are sane (finite costs,
+effective samples), the time limits are met, and planning solves a short task in the simulator. ``docs/performance.md``
+explains the figures.
 
 Usage: ``python tools/bench_plan.py [--scene task02] [--repeats 60] [--quick] [--brief] [--json FILE]``
 """
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"  # set before NumPy is loaded: its threads only compete with each other here
+    os.environ[_name] = "1"  # must be set before NumPy is imported; its threads would compete with the planner's
 
 if TYPE_CHECKING:
     from bench_loops import PlannerLoop, Timing
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 BUDGET_MS = {"robot level": 15.0, "object level": 8.0}
 """Maximum median time of one plan on one core [ms]."""
 MOST_TO_RAW = 1.25
-"""Maximum time of a plan of the Newton engine, as a multiple of raw ``mujoco.rollout``."""
+"""Maximum plan time of the Newton engine, as a multiple of the time of raw ``mujoco.rollout``."""
 MOST_TO_ONE_CORE = 0.6
-"""Maximum time of a quasi-static plan on two or more cores, as a multiple of its time on one."""
+"""Maximum time of a quasi-static plan on two or more cores, as a multiple of its time on one core."""
 
 
 def with_mppi(config: Config, *, samples: int, horizon: int = 25, **level: Any) -> Config:
@@ -48,8 +48,8 @@ class Benchmark:
 
     Args:
         scene: The task.
-        repeats: Number of plans to time of each kind.
-        quick: Whether to use few, small problems, only to check that everything runs.
+        repeats: Number of plans to time in each measurement.
+        quick: Whether to run few, small problems, only to check that everything works.
     """
 
     def __init__(self, scene: Scene, *, repeats: int, quick: bool) -> None:
@@ -98,16 +98,16 @@ class Benchmark:
             ratio = statistics.median(b / a for a, b in zip(one.ms, most.ms, strict=True))
             found[name] = {"one core": one.figures(), "all cores": most.figures(), "ratio": round(ratio, 3)}
             if not self.quick and name in BUDGET_MS and one.median > BUDGET_MS[name]:
-                self.problems.append(f"{name}: {one.median:.1f} ms, more than {BUDGET_MS[name]:g} ms")
+                self.problems.append(f"{name}: {one.median:.1f} ms on one core, limit {BUDGET_MS[name]:g} ms")
             if not self.quick and name == "robot level" and self.cores > 1 and ratio > MOST_TO_ONE_CORE:
-                self.problems.append(f"{name}: {ratio:.2f} of the one core's time, more than {MOST_TO_ONE_CORE}")
+                self.problems.append(f"{name}: {ratio:.2f} of the time on one core, limit {MOST_TO_ONE_CORE}")
         return found
 
     def newton(self) -> dict[str, Any]:
         """Time a plan of the Newton engine on the CPU against raw rollouts of the same steps with the same threads."""
         config = with_mppi(self.config, samples=self.samples)
         loop = self.loop(config, "newton", self.cores)
-        for _ in range(20):  # until there is contact
+        for _ in range(20):  # until the tool is in contact
             loop()
         timings = self.race(
             "newton",
@@ -116,7 +116,7 @@ class Benchmark:
         )
         ratio = timings["plan"].median / timings["raw"].median
         if not self.quick and ratio > MOST_TO_RAW:
-            self.problems.append(f"newton: {ratio:.2f} of raw mujoco.rollout, more than {MOST_TO_RAW}")
+            self.problems.append(f"newton: {ratio:.2f} times raw mujoco.rollout, limit {MOST_TO_RAW}")
         return {
             "substeps": config.robot.substeps,
             "plan": timings["plan"].figures(),
@@ -146,7 +146,7 @@ class Benchmark:
         return found
 
     def randomized(self) -> dict[str, Any]:
-        """Measure the cost of four random draws of the world."""
+        """Measure the cost of planning with four random draws of the uncertain parameters."""
         from oimppi_warp.config.settings import Uncertainty
 
         certain = with_mppi(self.config, samples=self.samples)
@@ -176,7 +176,7 @@ class Benchmark:
         }
 
     def memory(self) -> dict[str, float]:
-        """Return the memory used per rollout, or per world [bytes]."""
+        """Return the memory used per rollout or per world [bytes]."""
         from oimppi_warp.compute.step import Compute
         from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
 
@@ -215,7 +215,7 @@ class Benchmark:
 
 
 def raw_rollouts(scene: Scene, loop: PlannerLoop) -> Callable[[], None]:
-    """Return a ``mujoco.rollout`` call for a Newton plan: same model without sensors, states, controls and threads."""
+    """Return a raw ``mujoco.rollout`` call with a Newton plan's states, controls, threads and sensorless model."""
     import mujoco
     import numpy as np
     from mujoco import rollout
@@ -258,7 +258,7 @@ def _array_bytes(owner: Any) -> int:
 
 
 def machine() -> dict[str, str | int]:
-    """Describe the machine that the measurements were made on."""
+    """Describe the machine on which the measurements are made."""
     import warp as wp
 
     from oimppi_warp.compute.step import core_count
@@ -273,16 +273,20 @@ def machine() -> dict[str, str | int]:
 
 
 def main() -> int:
-    """Measure, print and write the results; returns 1 if a run does not count."""
+    """Measure, print and write the results, and return exit status 1 if the run is invalid."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", default="task02", help="a shipped scene or a USD file")
-    parser.add_argument("--repeats", type=int, default=60, help="plans to time")
-    parser.add_argument("--quick", action="store_true", help="small and few, to see that everything runs")
-    parser.add_argument("--brief", action="store_true", help="without sweeps and starts, which take most of the time")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
+    parser.add_argument("--scene", default="task02", help="Shipped scene or USD file.")
+    parser.add_argument("--repeats", type=int, default=60, help="Number of plans to time.")
+    parser.add_argument(
+        "--quick", action="store_true", help="Run few, small problems, only to check that everything works."
+    )
+    parser.add_argument(
+        "--brief", action="store_true", help="Skip the sweeps and start-up times, which take most of the time."
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="Write the measurements to this file.")
     arguments = parser.parse_args()
     if arguments.repeats < 2:
-        parser.error("--repeats: at least 2")
+        parser.error("--repeats: must be at least 2")
 
     from bench_start import start_seconds
     from bench_tables import print_tables
@@ -317,7 +321,7 @@ def main() -> int:
     record["problems"] = bench.problems
     print_tables(record)
     for problem in bench.problems:
-        print(f"this run does not count: {problem}", file=sys.stderr)
+        print(f"invalid run: {problem}", file=sys.stderr)
     if arguments.json:
         arguments.json.write_text(json.dumps(record, indent=2) + "\n")
     return 1 if bench.problems else 0

@@ -1,4 +1,4 @@
-"""Measures the time from starting a run to its first plan, with cold and with warm caches."""
+"""Measures the time of a run of one control step in a new process, with cold and with warm caches."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 
 def start_seconds(engine: str, *, repeats: int = 3) -> dict[str, float]:
-    """Time a run of one control step in a separate process [s]: cold once, and the median of warm runs."""
+    """Time a run of one control step in a new process [s]: once with cold caches, and the median with warm ones."""
     with TemporaryDirectory() as folder:
         found = [_run(engine, Path(folder)) for _ in range(1 + repeats)]
     return {"cold_s": round(found[0], 2), "warm_s": round(sorted(found[1:])[repeats // 2], 2)}

@@ -58,7 +58,7 @@ def tables(record: dict[str, Any]) -> list[Table]:
     found.append((f"Randomized rollouts, quasi-static, K {samples}, {cores} cores", ["", "plan [ms]"], rows))
 
     sums = record["arithmetic"]
-    rows = [[f"operations a step: {part}", f"{count}"] for part, count in sums["operations_per_step"].items()]
+    rows = [[f"operations per step: {part}", f"{count}"] for part, count in sums["operations_per_step"].items()]
     rows += [[name.replace("_", " "), f"{sums[name]:g}"] for name in sums if name != "operations_per_step"]
     found.append(("Arithmetic of the fused kernel, one core", ["", ""], rows))
     found.append(("Memory", ["", "bytes"], [[name, f"{value:,.0f}"] for name, value in record["memory"].items()]))

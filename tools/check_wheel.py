@@ -1,6 +1,6 @@
-"""Test the wheel: build it from the source distribution, install it elsewhere, load a scene and launch a kernel.
+"""Tests the wheel: builds it from the source distribution, installs it elsewhere, loads a scene and launches a kernel.
 
-The new environment can import the packages of this one (from the locks) but not the checkout. Run it as
+The new environment can import the packages of this one (from the lock files) but not the checkout. Usage:
 ``python tools/check_wheel.py``; it exits with an error at the first step that fails.
 """
 
@@ -41,7 +41,7 @@ print(f"installed in {{home}}: {{len(names)}} scenes, {{len(suites)}} suites, ph
 
 
 IGNORED = shutil.ignore_patterns(".*", "build", "dist", "runs", "*.egg-info", "__pycache__")
-"""Files absent from a clean checkout: environments, caches and build output."""
+"""Files that a clean checkout does not contain: environments, caches and build output."""
 
 
 def run(*command: object, cwd: Path, env: dict[str, str] | None = None) -> str:

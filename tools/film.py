@@ -1,6 +1,7 @@
-"""A film of a recorded episode from above, as an animated GIF.
+"""Makes a top-view film of a recorded episode, as an animated GIF.
 
-Usage: ``python tools/film.py RECORD FILE.gif [--speed 2]``, RECORD a folder that ``--record`` or ``oimppi bench`` left.
+Usage: ``python tools/film.py RECORD FILE.gif [--speed 2]``, where RECORD is a folder written by ``--record`` or
+``oimppi bench``.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from oimppi_warp.usd import load_scene
 
 
 def main() -> int:
-    """Make the film; returns exit status 0."""
+    """Make the film, and return exit status 0."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("record", type=Path)
     parser.add_argument("file", type=Path)
-    parser.add_argument("--speed", type=float, default=2.0, help="simulated seconds a second")
+    parser.add_argument("--speed", type=float, default=2.0, help="Simulated seconds per second of film.")
     options = parser.parse_args()
     log = EpisodeLog.load(options.record)
     frames = film(log, load_scene(log.header["scene"]), options.file, speed=options.speed)

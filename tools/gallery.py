@@ -1,7 +1,7 @@
-"""Pictures of the viewer, taken in a headless Chromium: every shipped scene in the middle of a push, and an animation.
+"""Takes pictures of the viewer in a headless Chromium: one of each shipped scene in mid-push, and an animation.
 
-Usage: ``python tools/gallery.py [--scenes task02 ...] [--out docs/images/view] [--film task02]``. It needs Debian's
-``chromium`` and Playwright (the extra ``dev``).
+Usage: ``python tools/gallery.py [--scenes task02 ...] [--out docs/images/view] [--film task02]``. Requires Debian's
+``chromium`` package and Playwright (the extra ``dev``).
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.session import Session
 
 SIZE = (720, 450)
-"""Size of a picture [pixel]."""
+"""Size of a picture [pixels]."""
 EYE, LOOK_AT, FIELD = (1.2, -0.71, 0.84), (0.3, -0.02, 0.15), 0.85
-"""Position of the camera and the point it looks at, with no panel beside it [m], and vertical field of view [rad]."""
+"""Position of the camera, the point it looks at [m] (with the panel hidden), and its vertical field of view [rad]."""
 SHARE = 0.45
-"""Fraction of the path to its goal that the object has covered in a picture of a scene."""
+"""Fraction of its initial distance to the goal that the object has covered in a picture of a scene."""
 STRIDE = 5
 """Control steps between frames of the film."""
 FLAGS = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -41,7 +41,7 @@ BARE = ".mantine-Paper-root, .mantine-Notifications-root { display: none !import
 
 
 class Stage:
-    """A session stepped from this script, drawn in a page that is photographed."""
+    """A session that this script steps, displayed in a page of which it takes screenshots."""
 
     def __init__(self, page: Any, scene: str) -> None:
         self._page = page
@@ -62,7 +62,7 @@ class Stage:
         self._viewer.close()
 
     def steps(self) -> Iterator[float]:
-        """Advance step by step to the end; yields the distance to the goal [m] after each step."""
+        """Run to the end of the episode, and yield the distance to the goal [m] after each step."""
         while True:
             before = self.session.latest.time
             self.session.step()
@@ -73,7 +73,7 @@ class Stage:
             yield self.session.latest.figures.get("position error [m]", float("inf"))
 
     def photo(self) -> Image.Image:
-        """Photograph the present moment, once the page shows it: two photographs in a row must be the same."""
+        """Take a screenshot of the current state, once two successive screenshots are identical."""
         self._draw()
         last, image = None, np.zeros(0)
         while last is None or not np.array_equal(last, image):
@@ -128,7 +128,7 @@ def film(page: Any, scene: str) -> list[Image.Image]:
 
 
 def main() -> int:
-    """Take the pictures; returns exit status 0."""
+    """Take the pictures, and return exit status 0."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="*", default=[scene.name for scene in shipped_scenes()])
     parser.add_argument("--film", nargs="*", default=["task02"])

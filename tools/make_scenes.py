@@ -1,8 +1,8 @@
-"""Write every file of ``scenes/``: schema, robot, objects and tasks, and the schema's page of the manual.
+"""Writes all files in ``scenes/`` (schema, robots, objects and tasks), and the schema's page ``docs/schema.md``.
 
     python tools/make_scenes.py [FOLDER]
 
-With a folder, ``scenes/`` and ``docs/`` are written below it instead (the tests compare them with the committed files).
+If a folder is given, ``scenes/`` and ``docs/`` are written there (the tests compare them with the committed files).
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""A fictitious arm of seven joints with a stick: shoulder, elbow and wrist each turn about three axes in line.
+"""A fictitious seven-joint arm with a stick; shoulder, elbow and wrist have no lateral offsets.
 
-Its joints turn alternately about the limb and across it; fully extended, it stands upright. It is not a real product.
+Its joint axes are alternately along the limb and perpendicular to it; fully extended, the arm is upright. It is not a
+real product.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from oimppi_warp.authoring.robots.arm import NOT_TURNED, Arm, ArmJoint, ArmLink,
 from oimppi_warp.scene import Collider
 
 _HALF = math.sqrt(0.5)
-ACROSS, ALONG = (-_HALF, 0.0, 0.0, _HALF), (_HALF, 0.0, 0.0, _HALF)  # from along the limb to across it, and back
+ACROSS, ALONG = (-_HALF, 0.0, 0.0, _HALF), (_HALF, 0.0, 0.0, _HALF)  # rotate along to across the limb, and back
 
 JOINTS = [
-    # position in the parent's frame, rotation, limit to either side, effort
+    # position in the parent's frame, rotation, symmetric position limit, effort limit
     ((0.0, 0.0, 0.16), NOT_TURNED, 2.9, 80.0),
     ((0.0, 0.0, 0.14), ACROSS, 2.0, 80.0),
     ((0.0, -0.20, 0.0), ALONG, 2.9, 40.0),
@@ -29,14 +30,14 @@ JOINTS = [
     ((0.0, -0.06, 0.0), ALONG, 3.05, 20.0),
 ]
 VELOCITY_LIMIT = 2.5  # rad/s
-FLANGE = 0.04  # from the last joint along its axis
+FLANGE = 0.04  # distance from the last joint, along its axis
 STICK = Stick(length=0.17, position=(0.0, 0.0, FLANGE))
 
 # Tool down, tip at (0.300, -0.200, 0.050).
 START = (-0.588, 0.4878, 0.0, 2.1526, 0.0, 0.5011, 0.0)
 
 LINKS = [
-    # mass, capsules: ax ay az bx by bz radius; limbs first, then the drum of the joint. Base first
+    # mass, and capsules (ax ay az bx by bz radius): first the limb, then the drum of the joint; base first
     (3.0, [(0.0, 0.0, 0.06, 0.0, 0.0, 0.10, 0.075)]),
     (2.6, [(0.0, 0.0, 0.02, 0.0, 0.0, 0.13, 0.065), (0.0, -0.05, 0.14, 0.0, 0.05, 0.14, 0.062)]),
     (2.4, [(0.0, -0.03, 0.0, 0.0, -0.18, 0.0, 0.052), (0.0, 0.0, -0.05, 0.0, 0.0, 0.05, 0.062)]),
@@ -94,7 +95,7 @@ def write(folder: Path) -> None:
 
 
 def _parts(index: int) -> list[Part]:
-    """Returns a sleeve for the limb, and for the joint a drum with a dark cap at either end."""
+    """Returns a sleeve for the limb, and a drum with dark caps at both ends for the joint."""
     limb, *joints = LINKS[index][1]
     parts = [("sleeve", _around(limb, 0.6, limb[6]), SHELL)]
     for joint in joints:
@@ -103,7 +104,7 @@ def _parts(index: int) -> list[Part]:
 
 
 def _around(capsule: tuple[float, ...], beyond: float, radius: float) -> Rings:
-    """Returns a rounded cylinder that extends beyond the ends of a capsule's axis by a share of its radius."""
+    """Returns a rounded cylinder that extends beyond the ends of a capsule's axis by a fraction of its radius."""
     a, b = np.array(capsule[:3]), np.array(capsule[3:6])
     further = beyond * capsule[6] * (b - a) / np.linalg.norm(b - a)
     return drum(a - further, b + further, radius, fillet=0.3 * radius)

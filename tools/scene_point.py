@@ -1,7 +1,7 @@
-"""The point robot of the paper's Example 1: a stick carried over the table by two rails, without vertical motion.
+"""The point robot of the paper's Example 1: a stick carried above the table by a gantry, without vertical motion.
 
-A bridge slides along x on rails beside the table, a carriage slides along y on the bridge. Only the stick and the rod
-that it hangs from collide: everything else is above any object on the table.
+A bridge slides along x on rails beside the table, and a carriage slides along y on the bridge. Only the stick and the
+rod that holds it have colliders; everything else is above all objects on the table.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from oimppi_warp.authoring.prims import Look, box, new_stage
 from oimppi_warp.authoring.robots import arm_usd
 from oimppi_warp.authoring.robots.arm import Arm, ArmJoint, ArmLink, Stick, capsule_between
 
-HEIGHT = 0.40  # height of bridge and carriage
+HEIGHT = 0.40  # height of the bridge and the carriage
 TIP = 0.012  # height of the stick's tip
 STICK_LENGTH, ROD_RADIUS = 0.175, 0.012
 X_LIMITS, Y_LIMITS = (-0.22, 0.97), (-0.77, 0.77)  # up to 3 cm from the edges of the table
-RAIL = 0.86  # distance of the rails from the middle
+RAIL = 0.86  # distance of the rails from the centre line
 SPEED = 0.3  # m/s
 EFFORT = 150.0  # N
 START = (0.30, -0.20)
@@ -31,12 +31,12 @@ _DROP = HEIGHT - TIP - STICK_LENGTH  # from the carriage to the upper end of the
 
 
 def _solid(mass: float, size: tuple[float, float, float]) -> np.ndarray:
-    """Returns the inertia of a box about its middle [kg m^2]."""
+    """Returns the inertia of a box about its centre [kg m^2]."""
     x, y, z = np.square(size)
     return mass / 12.0 * np.diag([y + z, x + z, x + y])
 
 
-# The bridge's z points along the world's x, and its x down; the carriage's z along the world's y, and its x down.
+# The z axes of the bridge and the carriage point along the world's x and y axis; the x axes of both point down.
 POINT = Arm(
     name="Point",
     doc="A stick that slides in x and y over the table. Written by tools/make_scenes.py; do not edit by hand.",

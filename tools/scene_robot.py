@@ -19,7 +19,7 @@ from oimppi_warp.scene import Collider
 HALF_PI = math.pi / 2
 
 JOINTS = [
-    # xyz in the parent's frame, roll, lower, upper, effort
+    # xyz in the parent's frame, roll, lower and upper limit, effort limit
     ((0.0, 0.0, 0.267), 0.0, -2 * math.pi, 2 * math.pi, 50.0),
     ((0.0, 0.0, 0.0), -HALF_PI, -2.059, 2.0944, 50.0),
     ((0.0535, -0.2845, 0.0), 0.0, -3.927, 0.19198, 32.0),
@@ -40,7 +40,7 @@ INERTIALS = [
 ]
 
 CAPSULES = [
-    # ax ay az bx by bz radius, link frames; base first
+    # ax ay az bx by bz radius in the link's frame; base first
     [(0.0007, 0.0004, 0.0204, -0.0001, -0.0003, 0.125, 0.0482)],
     [
         (-0.0006, -0.0024, -0.0859, 0.0004, -0.0148, 0.0023, 0.0454),
@@ -72,7 +72,7 @@ CAPSULES = [
 
 VELOCITY_LIMIT = 3.14  # rad/s
 STICK = Stick(length=0.175)
-BASE_RADIUS, BASE_HEIGHT = 0.09, 0.06  # the base with its plug, which objects on the table must avoid
+BASE_RADIUS, BASE_HEIGHT = 0.09, 0.06  # the base with its connector, which objects on the table must avoid
 
 # Tool down, tip at (0.300, -0.200, 0.050).
 START = (-0.588, -0.11, -0.51, 0.0, 0.62, 0.0)

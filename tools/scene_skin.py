@@ -1,6 +1,6 @@
 """Display geometry of arms, mainly the xArm6: drums at the joints, and swept tubes between them.
 
-The shapes are original, drawn around the outer dimensions of the vendor's arm (link frames, metres).
+The shapes are original, modelled after the outer dimensions of the vendor's arm (link frames, metres).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SEGMENTS = 24
 FILLET = 0.006
 
 Rings = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Centres [n, 3], radii [n] and axes [n, 3] of the circles that a surface spans."""
+"""Centres [n, 3], radii [n] and axes [n, 3] of the circles that span a surface."""
 
 Part = tuple[str, Rings, Color]
 """A surface: its name, its circles and its colour."""
@@ -37,7 +37,7 @@ def drum(start: Vector, end: Vector, radius: float, end_radius: float | None = N
 
 
 def sweep(points: Points, radii: Vector, count: int = 14) -> Rings:
-    """Create a tube along a smooth curve through the points (a Catmull-Rom spline), with a radius at each of them."""
+    """Create a tube along a smooth curve through points (a Catmull-Rom spline), with a radius at each point."""
     p = np.c_[np.asarray(points, float), np.asarray(radii, float)]
     p = np.vstack([2 * p[0] - p[1], p, 2 * p[-1] - p[-2]])
     u = np.linspace(0.0, len(p) - 3 - 1e-9, count)
@@ -49,7 +49,7 @@ def sweep(points: Points, radii: Vector, count: int = 14) -> Rings:
 
 
 def stretch(stage: Usd.Stage, path: str, rings: Rings, color: Color) -> None:
-    """Write the closed, smooth surface through a row of circles."""
+    """Write the closed, smooth surface through a sequence of circles."""
     centers, radii, axes = rings
     side = np.cross(axes[0], np.eye(3)[np.abs(axes[0]).argmin()])
     angle = np.linspace(0.0, 2 * np.pi, SEGMENTS, endpoint=False)[:, None]
@@ -182,7 +182,7 @@ def write(file: Path, tool_length: float, tool_radius: float) -> None:
 def write_parts(
     file: Path, root: str, noun: str, parts: Mapping[str, Sequence[Part]], tool_length: float, tool_radius: float
 ) -> Usd.Stage:
-    """Write the parts of each link of an arm, and its stick; returns the stage, which the caller saves."""
+    """Write the parts of each link of an arm, and its stick, and return the stage, which the caller must save."""
     stage = new_stage(file, root, f"Looks of {noun}. Written by tools/make_scenes.py; do not edit by hand.")
     for link, drawn in parts.items():
         UsdGeom.Scope.Define(stage, f"/{root}/{link}/skin")

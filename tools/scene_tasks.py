@@ -1,7 +1,7 @@
 """The shipped tasks.
 
-The numbers of task01 to task05 are those of the paper's simulation scenes, with the origin at the arm's base; those of
-the lab scenes follow its hardware tasks.
+The dimensions of task01 to task05 are those of the paper's simulation scenes, with the origin at the arm's base; those
+of the lab scenes follow its hardware tasks.
 """
 
 from __future__ import annotations

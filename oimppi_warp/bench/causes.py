@@ -1,7 +1,7 @@
-"""Classifies why a trial failed from its log, by a few rules of which the first match applies.
+"""Infers the likely cause of a failure from a trial's log, with a list of rules of which the first match applies.
 
-The rules examine the last :data:`END_SECONDS` seconds of the episode. A cause is a guess reported with its evidence,
-not a proof.
+The rules examine the last :data:`END_SECONDS` seconds of the episode. The cause is reported with its evidence; it is a
+heuristic guess, not a proof.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from oimppi_warp.record.metrics import within
 END_SECONDS = 5.0
 """Time span at the end of an episode that is examined [s]."""
 STANDSTILL = 0.02
-"""Motion of the object below which it counts as standing still [m]; a radian counts as 0.1 m."""
+"""Motion of the object below which it counts as stationary [m]; a radian counts as 0.1 m."""
 CONTACT_FORCE = 0.5
 """Minimum contact force for two bodies to count as touching [N]."""
 BLOCKING_FORCE = 20.0
-"""Minimum force of the arm on obstacles or table for it to count as blocked [N]."""
+"""Minimum force between the arm and obstacles or table for the arm to count as blocked [N]."""
 NEAR_CLEARANCE = 0.005
-"""Clearance below which the object counts as being at an obstacle [m]."""
+"""Clearance below which the object counts as touching an obstacle [m]."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,11 @@ def likely_cause(log: EpisodeLog, *, reach: float = math.inf) -> Cause:
     if ended == "diverged":
         return Cause("the simulation diverged", f"after {_seconds(log)}")
     if not len(log):
-        return Cause("nothing was run", "the log has no steps")
+        return Cause("no steps were run", "the log is empty")
     cause = _out_of_reach(log, reach)
     for rule in (_not_reached, _left_again, _yaw_only, _jammed, _arm_blocked, _wrong_side, _still_moving):
         cause = cause or rule(log)
-    return cause or Cause("stood still", f"{_remaining(log)} to go, nothing in the way")
+    return cause or Cause("object stopped moving", f"{_remaining(log)} from the goal, no blocking contact")
 
 
 def _fell(log: EpisodeLog) -> Cause:
@@ -71,7 +71,7 @@ def _out_of_reach(log: EpisodeLog, reach: float) -> Cause | None:
     away = math.hypot(*log["object_pose"][-1, :2])
     if away <= reach:
         return None
-    return Cause("out of reach", f"the object ended {away:.2f} m from the base, the tool reaches {reach:.2f} m")
+    return Cause("out of reach", f"object {away:.2f} m from the base at the end, reach of the tool {reach:.2f} m")
 
 
 def _not_reached(log: EpisodeLog) -> Cause | None:
@@ -79,7 +79,7 @@ def _not_reached(log: EpisodeLog) -> Cause | None:
     if touched.any():
         return None
     nearest = np.linalg.norm(log["tool_position"][:, :2] - log["object_pose"][:, :2], axis=1).min()
-    return Cause("never reached the object", f"the tool came within {nearest:.2f} m of its frame")
+    return Cause("never touched the object", f"the tool's closest distance to the object's origin was {nearest:.2f} m")
 
 
 def _left_again(log: EpisodeLog) -> Cause | None:
@@ -87,10 +87,13 @@ def _left_again(log: EpisodeLog) -> Cause | None:
     if not inside.any():
         return None
     if inside[-1]:
-        return Cause("time was up at the goal", f"within tolerance, but not for long enough; {_remaining(log)} to go")
+        return Cause(
+            "time limit while at the goal",
+            f"within tolerance, but not for the hold time; {_remaining(log)} from the goal",
+        )
     last = float(log["time"][np.flatnonzero(inside)[-1]])
     return Cause(
-        "at the goal, but did not stay", f"last within tolerance at {last:.1f} s, {_remaining(log)} to go at the end"
+        "left the goal again", f"last within tolerance at {last:.1f} s, {_remaining(log)} from the goal at the end"
     )
 
 
@@ -98,7 +101,7 @@ def _yaw_only(log: EpisodeLog) -> Cause | None:
     tolerance = log.header["tolerance"]
     if tolerance["yaw"] is None or log["position_error"][-1] > tolerance["position"]:
         return None
-    return Cause("turned wrong", f"within the position's tolerance, {log['yaw_error'][-1]:.2f} rad to turn")
+    return Cause("wrong yaw", f"position within tolerance, yaw error {log['yaw_error'][-1]:.2f} rad")
 
 
 def _jammed(log: EpisodeLog) -> Cause | None:
@@ -111,8 +114,8 @@ def _jammed(log: EpisodeLog) -> Cause | None:
     force = float(np.nanmax(log["contact_object_obstacle"][last], initial=0.0))
     return Cause(
         "jammed against an obstacle",
-        f"at one for {100 * share:.0f} % of the last {END_SECONDS:g} s with up to {force:.0f} N, "
-        f"{_remaining(log)} to go",
+        f"in contact or within 5 mm for {100 * share:.0f} % of the last {END_SECONDS:g} s with up to {force:.0f} N, "
+        f"{_remaining(log)} from the goal",
     )
 
 
@@ -122,11 +125,13 @@ def _arm_blocked(log: EpisodeLog) -> Cause | None:
     if _motion_extent(log, last) > STANDSTILL or pressed.mean() < 0.5:
         return None
     force = float(np.nanmax(log["contact_robot_obstacle"][last]))
-    return Cause("the arm pressed on an obstacle or the table", f"with up to {force:.0f} N, {_remaining(log)} to go")
+    return Cause(
+        "arm pressed against an obstacle or the table", f"with up to {force:.0f} N, {_remaining(log)} from the goal"
+    )
 
 
 def _wrong_side(log: EpisodeLog) -> Cause | None:
-    """Returns the cause in which the tool is on the goal's side of the object, where it cannot push it to the goal."""
+    """Returns a cause if the tool is between the object and its goal, from where it cannot push it to the goal."""
     last = _end_rows(log)
     if _progress(log, last) > STANDSTILL:
         return None
@@ -135,26 +140,29 @@ def _wrong_side(log: EpisodeLog) -> Cause | None:
     share = float(np.mean(np.sum(to_goal * to_tool, axis=1) > 0.0))
     if share < 0.6 or np.linalg.norm(to_goal[-1]) < STANDSTILL:
         return None
-    text = f"between object and goal for {100 * share:.0f} % of the last {END_SECONDS:g} s, {_remaining(log)} to go"
-    return Cause("the tool on the wrong side", text)
+    text = (
+        f"between object and goal for {100 * share:.0f} % of the last {END_SECONDS:g} s, "
+        f"{_remaining(log)} from the goal"
+    )
+    return Cause("tool on the wrong side of the object", text)
 
 
 def _still_moving(log: EpisodeLog) -> Cause | None:
     last = _end_rows(log)
     if _progress(log, last) > STANDSTILL:
         return Cause(
-            "time was up on the way",
-            f"{_remaining(log)} to go, {_progress(log, last):.2f} m gained in the last {END_SECONDS:g} s",
+            "time limit while still approaching",
+            f"{_remaining(log)} from the goal, {_progress(log, last):.2f} m closer in the last {END_SECONDS:g} s",
         )
     if _motion_extent(log, last) > 2 * STANDSTILL:
         moved = f"moved {_motion_extent(log, last):.2f} m in the last {END_SECONDS:g} s"
-        text = f"{moved} and came no nearer, {_remaining(log)} to go"
-        return Cause("pushed to and fro", text)
+        text = f"{moved} without getting closer, {_remaining(log)} from the goal"
+        return Cause("moved back and forth", text)
     return None
 
 
 def _end_rows(log: EpisodeLog) -> slice:
-    """Returns the rows of the episode's last seconds."""
+    """Returns the rows of the episode's last :data:`END_SECONDS` seconds."""
     return slice(int(np.searchsorted(log["time"], log["time"][-1] - END_SECONDS)), None)
 
 
@@ -166,7 +174,7 @@ def _motion_extent(log: EpisodeLog, rows: slice) -> float:
 
 
 def _progress(log: EpisodeLog, rows: slice) -> float:
-    """Returns by how much the object approached its goal [m]; a radian counts as 0.1 m, if yaw counts."""
+    """Returns the reduction of the object's pose error [m]; a radian counts as 0.1 m, if yaw counts."""
     error = log["position_error"][rows].copy()
     if log.header["tolerance"]["yaw"] is not None:
         error += 0.1 * log["yaw_error"][rows]

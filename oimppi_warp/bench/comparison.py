@@ -1,4 +1,4 @@
-"""Compares two result sets in pairs of trials with the same task, method and start, equally hard on both sides."""
+"""Compares results in pairs of trials with the same task and start, which are equally hard on both sides."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ NUMBERS = {
     "error_until_success_m": ("error until success [m]", False),
     "plan_ms_median": ("plan time [ms]", False),
 }
-"""Numbers compared besides success: the name, and whether only pairs that succeed on both sides are used."""
+"""Quantities compared besides success: their name, and whether only pairs that succeed on both sides are used."""
 
 
 @dataclass(frozen=True)
 class Paired:
-    """A number compared over pairs.
+    """A quantity compared over pairs.
 
     Attributes:
         name: Name, with its unit.
-        count: Number of pairs in which both sides have it.
-        first, second: Median on either side.
+        count: Number of pairs in which both sides have a value.
+        first, second: Median of each side.
         difference: Median of second minus first.
         p: p value of the two-sided Wilcoxon signed-rank test; 1 if no pair differs, NaN without pairs.
     """
@@ -48,9 +48,9 @@ class Comparison:
     Attributes:
         name: Name of the comparison.
         pairs: Number of pairs.
-        successes: Number of successes on either side.
+        successes: Number of successes of each side.
         only_first, only_second: The pairs that succeed on only one side.
-        p: p value of McNemar's exact test on these, two-sided.
+        p: p value of McNemar's two-sided exact test on these.
         numbers: See :data:`NUMBERS`.
     """
 
@@ -67,13 +67,13 @@ def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
     """Compare two result sets: all pairs together, then by task and method.
 
     Raises:
-        ConfigError: They have no combination of task, method and start in common.
+        ConfigError: The sets have no combination of task, method and start in common.
     """
     pairs = _matched(first.results, second.results, lambda r: (r.task, r.run.method, r.start))
     if not pairs:
         raise ConfigError(
-            f"{first.suite} and {second.suite} have nothing in common\n"
-            "  allowed: two results with some of the same tasks, methods and starts"
+            f"{first.suite} and {second.suite} have no trials in common\n"
+            "  allowed: two result sets that share some combinations of task, method and start"
         )
     groups: dict[tuple[str, str], list[Pair]] = {}
     for pair in pairs:
@@ -131,7 +131,10 @@ def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """Return the p of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947): a fair coin per differing pair."""
+    """Return the p value of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947).
+
+    Under its null hypothesis, either side is equally likely to be the one that succeeds in a differing pair.
+    """
     if only_first + only_second == 0:
         return 1.0
     from scipy.stats import binomtest
@@ -140,7 +143,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def signed_rank(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the p of the two-sided Wilcoxon signed-rank test, dropping pairs without a difference, as Wilcoxon did."""
+    """Return the p value of the two-sided Wilcoxon signed-rank test; pairs without a difference are dropped."""
     if not len(first):
         return math.nan
     if not np.any(first != second):

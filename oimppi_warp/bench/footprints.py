@@ -1,4 +1,4 @@
-"""Extracts the outlines, goal and starts of a scene that top-view pictures show, as plain lists.
+"""Extracts the parts of a scene that top-view figures show (outlines, goal, table, reach), as plain lists.
 
 An outline is a list of rings, a ring a list of points (x, y) [m]; the object's rings are in its own frame.
 """

@@ -23,7 +23,7 @@ class Reported:
         error_m: Position error averaged over time (epsilon_d); ``None`` if it is not reported for a task.
         control_hz: Control frequency (f).
         total_time_s: Total time (T).
-        preplan_time_s: The part of it that SOI spends planning.
+        preplan_time_s: The part of the total time that SOI spends planning in advance.
     """
 
     table: str
@@ -57,7 +57,7 @@ REPORTED: dict[tuple[str, str], Reported] = {
     ("lab02", "cloi"): Reported("II", 0.8, 0.32, 2.69, 230),
     ("lab02", "soi"): Reported("II", 0.8, 0.32, 3.88, 215, 16),
 }
-"""Results by task and method; the wide third task is not in the paper."""
+"""Results by task and method; ``task03_wide`` is not in the paper."""
 
 MEANS: dict[tuple[str, str], Reported] = {
     ("I", "mppi"): Reported("I", 0.42, 0.42, 2.38, 236),
@@ -67,7 +67,7 @@ MEANS: dict[tuple[str, str], Reported] = {
     ("II", "cloi"): Reported("II", 0.9, 0.35, 2.77, 172),
     ("II", "soi"): Reported("II", 0.9, 0.34, 3.98, 155, 17),
 }
-"""Results by table and method, as printed."""
+"""Mean results by table and method, as printed in the paper."""
 
 TABLES = {
     "I": ("task01", "task02", "task03", "task04", "task05"),

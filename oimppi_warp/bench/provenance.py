@@ -11,17 +11,17 @@ from pathlib import Path
 _PACKAGE = Path(__file__).resolve().parent.parent
 NO_PART = ("authoring", "bench", "cli", "plots", "scenes", "system", "view")
 """Folders of the package that do not affect results, since an episode imports nothing from them. All other folders
-are included in the hash. Scenes are hashed one by one, in the key of a trial."""
+are included in the hash. Scenes are hashed individually, as part of a trial's key."""
 
 
 @cache
 def code_content() -> str:
-    """Return a hash of the source that decides results, including kernels; different hashes mean different code.
+    """Return a hash of the source code that affects results, including kernels.
 
     It covers this package only; methods, engines and plants from other packages are not included.
     """
     digest = hashlib.sha256()
-    files = [*_PACKAGE.rglob("*.py"), *(_PACKAGE / "kernels").glob("*.py")]  # kernels may be a link, which rglob skips
+    files = [*_PACKAGE.rglob("*.py"), *(_PACKAGE / "kernels").glob("*.py")]  # rglob skips kernels if it is a link
     for name, file in sorted({file.relative_to(_PACKAGE).as_posix(): file for file in files}.items()):
         if name.split("/")[0] not in NO_PART:
             digest.update(name.encode() + b"\0" + file.read_bytes() + b"\0")
@@ -38,7 +38,7 @@ def machine() -> str:
 
 
 def without_paths(text: str) -> str:
-    """Shorten the paths in a traceback to start at the package or at Python, so that it reveals no user's folders."""
+    """Shorten the paths in a traceback to start at the package or at Python, hiding the user's folders."""
     for folder, name in ((_PACKAGE.parent, "."), (Path(sys.prefix), "(python)"), (Path(sys.base_prefix), "(python)")):
         text = text.replace(str(folder), name)
     return text

@@ -32,7 +32,7 @@ PATH_POINTS = 60
 """Number of points kept of the object's path in an episode."""
 
 PLAN_BINS = np.geomspace(0.5, 5000.0, 61)
-"""Bin edges of the plan time histogram [ms]; the first and the last bin include values beyond them."""
+"""Bin edges of the plan time histogram [ms]; values outside the range count in the first or the last bin."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Result:
     """The result of one trial.
 
     Attributes:
-        key: Hash of everything that decides the result, see :class:`Trial`.
-        task, number, start, run: As in the trial. In JSON the fields of ``run`` are stored beside the others.
+        key: Hash of everything that affects the result, see :class:`Trial`.
+        task, number, start, run: As in the trial. In JSON the fields of ``run`` are inlined.
         preset: Preset of the trial's settings.
         command: Command that repeats the trial.
         code, machine: See :mod:`oimppi_warp.bench.provenance`.
@@ -49,11 +49,12 @@ class Result:
         metrics: See :class:`oimppi_warp.record.metrics.Metrics`; empty if the trial raised.
         success_steps: Control steps until success; NaN without success.
         error_until_success_m: Position error averaged over time until success (without success: to the end), which is
-            the paper's epsilon_d, whose episodes end there.
+            the paper's epsilon_d, as its episodes end there.
         tight_counts: Whether the episode continued to the tight tolerance, so that missing it is meaningful.
-        time, pose, position_error: The object's path at even times: [n] [s], [n, 3] (x, y [m], yaw [rad]), [n] [m].
+        time, pose, position_error: The object's path at even intervals of time: [n] [s], [n, 3] (x, y [m], yaw [rad]),
+            [n] [m].
         plan_counts: Number of plans by plan time, in the bins of :data:`PLAN_BINS`.
-        cause, evidence: Likely cause of a failure; empty after a success.
+        cause, evidence: Likely cause of a failure, and its evidence; empty after a success.
         error: The traceback, if the trial raised.
     """
 
@@ -144,7 +145,7 @@ class ResultSet:
 
     @property
     def codes(self) -> list[str]:
-        """Hashes of the code that made the results; more than one deserves a warning."""
+        """Hashes of the code that produced the results; more than one deserves a warning."""
         return sorted({result.code for result in self.results})
 
     def save(self, path: Path) -> None:
@@ -163,19 +164,20 @@ def load_results(path: str | Path) -> ResultSet:
         path: The file, or its folder.
 
     Raises:
-        LogError: There are no results, or they have another format version.
+        LogError: There are no results, or their format version is not supported.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
     try:
         facts = json.loads(file.read_text(encoding="utf-8"))
         if facts.pop("format") != FORMAT:
-            raise ValueError(f"its format is not {FORMAT}")
+            raise ValueError(f"its format version is not {FORMAT}")
         facts["results"] = [result_from(row) for row in facts["results"]]
         return ResultSet(**facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise LogError(
-            f"{path}: no results of a suite ({error})\n  allowed: a folder that oimppi bench wrote, or its {FILE}"
+            f"{path}: cannot be read as the results of a suite ({error})\n"
+            f"  allowed: a folder written by oimppi bench, or its {FILE}"
         ) from None
 
 
@@ -190,7 +192,7 @@ def result_from(row: dict[str, Any]) -> Result:
 
 
 def result_row(result: Result) -> dict[str, Any]:
-    """Convert a result to JSON types, with the options of its run beside the other fields."""
+    """Convert a result to JSON types, with the options of its run inlined."""
     return to_json(flatten(result))
 
 
@@ -205,7 +207,7 @@ def _options_of_command(command: str) -> dict[str, Any]:
 def make_result(
     trial: Trial, log: EpisodeLog | None, *, error: str, wall_s: float, code: str, machine: str, reach: float
 ) -> Result:
-    """Create the result to keep of a trial.
+    """Create the stored result of a trial.
 
     Args:
         trial: The trial.

@@ -1,7 +1,8 @@
 """Runs the trials of a suite in parallel, storing each finished one, so that an interrupted suite can be resumed.
 
-Workers compute, and this process writes. Each trial has a folder with its record and, written last, ``trial.json``; a
-folder with that file is finished and never rerun. ``results.json`` is compiled from these files.
+Worker processes run the trials, and this process writes the files. Each trial has a folder with its record and, written
+last, ``trial.json``, which marks the trial as finished: it is not run again. ``results.json`` is compiled from these
+files.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class SuiteRun:
     Args:
         suite: The suite to run.
         folder: Destination, created if necessary.
-        retry: Discards results of trials that raised, so that they run again.
+        retry: Whether to discard the results of trials that raised, so that they run again.
 
     Attributes:
         trials: Every trial of the suite.
@@ -84,9 +85,9 @@ class SuiteRun:
         """Run the unfinished trials, and write the results.
 
         Args:
-            jobs: Number of concurrent trials; by default one per core, and one in real time. With ``1`` (and loky)
-                trials run in this process, one after the other.
-            backend: Back end that runs them.
+            jobs: Number of concurrent trials; by default one per core, and one at a time in real time. With ``1`` (and
+                loky) trials run in this process, one after the other.
+            backend: Back end that runs the trials.
             cluster: Address of a running cluster; without one, dask starts a local one.
             on_result: Called after each trial.
 
@@ -96,7 +97,7 @@ class SuiteRun:
             KeyboardInterrupt: Ctrl-C was pressed; finished trials are stored.
         """
         if backend != "loky" and any(trial.real_time for trial in self.pending):
-            raise BenchError("trials in real time need the machine for themselves\n  to do:   --backend loky")
+            raise BenchError("real-time trials need exclusive use of the machine\n  to do:   use --backend loky")
         if jobs != 1 or backend != "loky":
             _check_known_elsewhere(self.pending)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -113,7 +114,7 @@ class SuiteRun:
                             self.results().save(self.folder / FILE)
                             saved = time.monotonic()
         finally:
-            self._read_stored()  # Ctrl-C may have come just after a trial was written
+            self._read_stored()  # Ctrl-C may have been pressed just after a trial was written
             found = self.results()
             found.save(self.folder / FILE)
         return found
@@ -169,7 +170,7 @@ class SuiteRun:
 
 
 def prepare(trials: Iterable[Trial]) -> None:
-    """Compile the kernels that the trials need, once instead of in every worker; does nothing if already done."""
+    """Compile the kernels that the trials need, once instead of in every worker; does nothing if they are cached."""
     from oimppi_warp.bench.trial import make_episode
     from oimppi_warp.compute.device import kernels_are_cached
 
@@ -204,11 +205,11 @@ def cluster_backend(backend: Backend, cluster: str, jobs: int | None) -> Iterato
                 stack.enter_context(distributed.Client(**options))
         except ImportError as error:
             raise BenchError(
-                f"--backend {backend}: {error.name} is not installed\n  allowed: loky, or what is installed\n"
+                f"--backend {backend}: {error.name} is not installed\n  allowed: --backend loky\n"
                 "  to do:   pip install oimppi-warp[cluster]"
             ) from None
         except (OSError, ConnectionError, RuntimeError) as error:
-            raise BenchError(f"--cluster {cluster}: no cluster there ({error})") from None
+            raise BenchError(f"--cluster {cluster}: cannot connect to a cluster ({error})") from None
         yield
 
 
@@ -218,9 +219,9 @@ def _check_known_elsewhere(trials: Iterable[Trial]) -> None:
         for registry, name in entries_used(trial.run, trial.config):
             if registry.is_local(name):
                 raise BenchError(
-                    f"the {registry.kind} {name} was registered in this process and is unknown to others\n"
-                    f"  to do:   --jobs 1 (with --backend loky), or declare it in a package, as an entry point of the "
-                    f"group {registry.group}"
+                    f"the {registry.kind} {name} was registered in this process only; worker processes do not have it\n"
+                    f"  to do:   use --jobs 1 (with --backend loky), or declare it in an installed package as an entry "
+                    f"point of the group {registry.group}"
                 )
 
 
@@ -251,6 +252,6 @@ def _outcomes(trials: list[Trial], *, jobs: int, backend: Backend) -> Iterator[O
                 reason = str(error).split("\n")[0]
                 raise BenchError(
                     f"a worker process died twice in a row ({reason})\n"
-                    "  to do:   fewer of them (--jobs 1), in case memory runs out; finished trials are kept"
+                    "  to do:   use fewer workers (--jobs 1), in case memory ran out; finished trials are kept"
                 ) from None
             died = len(todo) == before

@@ -1,4 +1,4 @@
-"""Statistics over the trials of a task and a method, with the uncertainty that few trials leave."""
+"""Statistics over the trials of a task and a method, with confidence intervals of the success rates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from oimppi_warp.bench.results import Result
 
 DEEP = -0.005
-"""Clearance below which the object counts as having penetrated an obstacle [m]; contacts yield by about this much."""
+"""Clearance below which the object counts as having penetrated an obstacle [m]; soft contacts allow about this much."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Rate:
 
     Attributes:
         count, total: Number of successes, and number of trials.
-        low, high: Wilson's interval; 0 and 1 where there are no trials.
+        low, high: Bounds of Wilson's interval; 0 and 1 without trials.
     """
 
     count: int
@@ -46,16 +46,16 @@ def wilson(count: int, total: int, *, confidence: float = 0.95) -> Rate:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics over some trials; those that raised count as failures and in nothing else. NaN if there are no values.
+    """Statistics over some trials. Those that raised count as failures and are otherwise ignored. NaN means no values.
 
     Attributes:
         success, tight: Rates at the task's tolerance and at the tight one.
         tight_counts: Whether all trials continued to the tight tolerance.
         error, error_success: Mean position error over the whole episode, averaged over all trials, over successes [m].
-        error_until, error_until_success: The same until success, which is the paper's epsilon_d [m].
+        error_until, error_until_success: The same, averaged only until success (the paper's epsilon_d) [m].
         steps, time: Control steps and simulated time [s] to success, median over successes.
         total_time: The paper's T, mean over successes [s]: planning and moving until success.
-        preplan_time: The part of it spent planning before the first step, mean over successes [s].
+        preplan_time: The part of the total time spent planning before the first step, mean over successes [s].
         plan_ms, plan_ms_p95: Medians over the trials of their median and 95th percentile plan times [ms].
         control_hz: Mean of the trials' control frequencies.
         samples, object_samples: Mean effective sample sizes of the two levels.
@@ -118,7 +118,7 @@ def summarize_results(results: Sequence[Result]) -> Statistics:
 
 
 def finite(results: Sequence[Result], name: str) -> np.ndarray:
-    """Return the finite values of a number, shape [n]."""
+    """Return the finite values of a metric, shape [n]."""
     values = np.array([result.value(name) for result in results], dtype=float)
     return values[np.isfinite(values)]
 

@@ -1,4 +1,4 @@
-"""Benchmark suites: the tasks, methods, starts and settings to try, in a TOML file that users can copy and edit.
+"""Benchmark suites: the tasks, methods, starts and settings to run, in a TOML file that users can copy and edit.
 
 Keys can be given at the top of the file, and again in each ``[[entry]]``, where they apply to that entry only. A file
 without entries is one entry. The keys are the fields of :class:`Entry`, those of its run options and those of its
@@ -49,7 +49,7 @@ class Entry:
         run: Options of all runs. Its seed is the one from which the trials' seeds are derived, its method is replaced
             by each of ``methods``; its engine is never ``"auto"``, which depends on the load of the machine.
         settings: Settings of all runs.
-        label: Suffix of the task's name that distinguishes entries with the same tasks and methods.
+        label: Suffix to the task's name that distinguishes entries with the same tasks and methods.
     """
 
     tasks: tuple[str, ...] = ()
@@ -135,7 +135,7 @@ class Suite:
             for name in wanted:
                 if name not in present:
                     allowed = ", ".join(dict.fromkeys(present))
-                    raise ConfigError(f"{option} {name}: not in the suite {self.name}\n  allowed: {allowed}")
+                    raise ConfigError(f"{option} {name}: not part of the suite {self.name}\n  allowed: {allowed}")
         kept = [
             replace(
                 entry,
@@ -164,7 +164,7 @@ def load_suite(suite: str | Path) -> Suite:
         suite: Name of a shipped suite, or a TOML file.
 
     Raises:
-        ConfigError: There is no such suite, or it cannot be run; the message says what is wrong and what is allowed.
+        ConfigError: There is no such suite, or it cannot be run.
     """
     file = _find(suite)
     try:
@@ -178,7 +178,7 @@ def load_suite(suite: str | Path) -> Suite:
         raise ConfigError(f"{file}: title = {title!r}\n  allowed: text")
     tables = found.pop("entry", [{}])
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
-        raise ConfigError(f"{file}: entry is no list of tables\n  allowed: [[entry]], with its keys below it")
+        raise ConfigError(f"{file}: entry is not a list of tables\n  allowed: [[entry]], followed by its keys")
     common = _values(found, f"{file}: ")
     entries = []
     for number, table in enumerate(tables):
@@ -186,7 +186,7 @@ def load_suite(suite: str | Path) -> Suite:
         entry = Entry().changed(common | _values(table, where))
         if not entry.tasks:
             fix = 'tasks = ["task01", "task02"]'
-            raise ConfigError(f"{where}no tasks\n  to do:   name some at the top or in the entry: {fix}")
+            raise ConfigError(f"{where}no tasks\n  to do:   add some at the top or in the entry: {fix}")
         entries.append(entry)
     made = Suite(file.stem, title, file, tuple(entries))
     _check(made)
@@ -199,7 +199,7 @@ def _check(suite: Suite) -> None:
         where = f"{suite.file}, {', '.join(entry.tasks)}"
         if entry.numbers.stop > NUMBERS:
             raise ConfigError(
-                f"{where}: the last trial would have the number {entry.numbers.stop - 1}\n"
+                f"{where}: the last trial would be number {entry.numbers.stop - 1}\n"
                 f"  allowed: first + trials up to {NUMBERS}"
             )
         for method in entry.methods:
@@ -218,7 +218,7 @@ def _find(suite: str | Path) -> Path:
         return file.resolve()
     near = difflib.get_close_matches(file.stem, names, n=1, cutoff=0.5)
     hint = (
-        f"did you mean {near[0]}?" if near else "`oimppi bench` without a name lists them; docs/bench.md has the keys"
+        f"did you mean {near[0]}?" if near else "run `oimppi bench` to list the suites; see docs/bench.md for the keys"
     )
     raise ConfigError(
         f"{suite}: no such suite\n  allowed: a TOML file, or one of {', '.join(names)}\n  to do:   {hint}"
@@ -253,7 +253,7 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         "tasks": (lambda value: _strings(value) and bool(value), 'a list of scenes, like ["task01", "my_task.usda"]'),
         "methods": (
             lambda value: _strings(value) and bool(value) and all(name in METHODS for name in value),
-            f"a list out of {', '.join(METHODS)}",
+            f"a list of names from {', '.join(METHODS)}",
         ),
         "trials": _integer(1, MOST_TRIALS),
         "first": _integer(0, NUMBERS - 1),
@@ -263,7 +263,7 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         "threads": _integer(1, 1024),
         "seed": _integer(0, LARGEST_SEED),
         "set": (_strings, 'a list of settings, like ["robot.optimizer.samples=512"]'),
-        "max_sim_seconds": (lambda value: _number(value) and value > 0, "a number of seconds above zero"),
+        "max_sim_seconds": (lambda value: _number(value) and value > 0, "a time above zero [s]"),
         "mode": _one_of(MODES),
         "plant": _one_of(PLANTS),
         "label": (
@@ -274,10 +274,10 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
 
 
 def check_value(key: str, value: Any, where: str) -> None:
-    """Raise ConfigError if a value is not valid for a key; ``where`` begins the message."""
+    """Raise ConfigError if a value is not valid for a key; the message begins with ``where``."""
     fits, allowed = _keys()[key]
     if not fits(value):
-        raise ConfigError(f"{where}{key} = {value!r}: cannot be used\n  allowed: {allowed}")
+        raise ConfigError(f"{where}{key} = {value!r} cannot be used\n  allowed: {allowed}")
 
 
 def _values(table: dict[str, Any], where: str) -> dict[str, Any]:
@@ -287,6 +287,6 @@ def _values(table: dict[str, Any], where: str) -> dict[str, Any]:
         if key not in known:
             near = difflib.get_close_matches(key, [*known, "title", "entry"], n=1)
             hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
-            raise ConfigError(f"{where}{key}: no such key\n  allowed: title, entry, {', '.join(known)}{hint}")
+            raise ConfigError(f"{where}{key}: unknown key\n  allowed: title, entry, {', '.join(known)}{hint}")
         check_value(key, value, where)
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}

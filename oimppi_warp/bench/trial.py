@@ -1,4 +1,4 @@
-"""A single trial: everything that decides its result, the command that repeats it, and the code that runs it."""
+"""A single trial: everything that affects its result, the command that repeats it, and the code that runs it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from oimppi_warp.scene import PlanarPose, Scene
 
 _SEEDS, _NUMBERS = 100_000, 10_000
-"""Seeds are formed arithmetically for a suite's seed up to this and a trial's number below this."""
+"""Seeds are computed arithmetically for suite seeds up to the first and trial numbers below the second."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Trial:
         task: Short name of the scene, followed by the entry's label, if any.
         scene: Name of a shipped scene, or a file, from which it is loaded.
         content: Hash of the scene's files.
-        number: Number from 0; the same number means the same start and the same seed for every method.
+        number: Number of the trial, from 0; the same number means the same start and the same seed for every method.
         start: Planar pose of the object.
         run: Options of the run, with the trial's own seed.
         settings: Requested settings.
@@ -61,9 +61,9 @@ class Trial:
 
     @property
     def key(self) -> str:
-        """Hash of everything that decides the result: scene content, settings, start, and options of the run.
+        """Hash of everything that affects the result: scene content, settings, start, and options of the run.
 
-        The number of threads is included only in real time, as it does not change a bit of any plan.
+        The number of threads is included only in real time; otherwise plans are identical for any number of them.
         """
         config = self.config  # including default weights of cost terms from other packages
         config = replace(config, cost=replace(config.cost, extra=effective_weights(config.cost)))
@@ -101,7 +101,7 @@ class Trial:
         return shlex.join(["oimppi", *self.arguments])
 
     def row(self) -> dict[str, Any]:
-        """Return the trial in JSON types, with its options and settings beside the other fields."""
+        """Return the trial in JSON types, with its options and settings inlined."""
         return to_json(flatten(self))
 
 
@@ -119,11 +119,11 @@ def trial_seed(seed: int, number: int) -> int:
 
     For a suite's seed up to 100000 and a number below 10000 it is ``10000 * seed + number``. All others are hashed with
     NumPy's ``SeedSequence`` into the 32-bit numbers above those, so that a hashed seed never equals an arithmetic one.
-    Two hashed ones are equal only by chance, one pair in 3.3 billion.
+    Two hashed seeds collide only by chance, one pair in 3.3 billion.
 
     Args:
-        seed: The suite's.
-        number: The trial's.
+        seed: Seed of the suite.
+        number: Number of the trial.
     """
     if seed <= _SEEDS and number < _NUMBERS:
         return _NUMBERS * seed + number
@@ -133,9 +133,9 @@ def trial_seed(seed: int, number: int) -> int:
 
 
 def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
-    """Create every trial of a suite, and load its tasks by short name.
+    """Create all trials of a suite, and load the scenes of its tasks, by short name.
 
-    The lowest numbers use the scene's own starts, whatever the seed; all other starts are drawn with the trial's seed.
+    The lowest numbers use the scene's own starts, for any seed; all other starts are drawn with the trial's seed.
     Start and seed depend only on the task and the number, so that methods can be compared in pairs.
 
     Raises:
@@ -155,8 +155,8 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
             for method in entry.methods:
                 if (name, method) in known:
                     raise ConfigError(
-                        f"{suite.file}: {method} on {name} stands there twice\n"
-                        '  to do:   give one of its entries a label = "..."'
+                        f"{suite.file}: {method} on {name} is listed twice\n"
+                        '  to do:   give one of the entries a label = "..."'
                     )
                 known.add((name, method))
             scenes[name] = scene
@@ -171,7 +171,7 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
 
 
 def _scene_path(suite: Suite, task: str) -> str:
-    """Returns the name or path to load a scene by from here: a file beside the suite, or the name unchanged."""
+    """Returns the path, from the current folder, of a scene file next to the suite, or else the name unchanged."""
     beside = suite.file.parent / task
     return os.path.relpath(beside) if beside.is_file() else task
 

@@ -1,4 +1,4 @@
-"""Runs one trial in a worker process and returns its log, whatever errors occur."""
+"""Runs one trial in a worker process and returns its log, or the traceback if it raised."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
 
     Args:
         trial: The trial.
-        leader: Process that started the suite; other processes leave Ctrl-C to it.
+        leader: Process ID of the process that started the suite and handles Ctrl-C; all others ignore Ctrl-C.
 
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed in the leading process.
@@ -73,7 +73,7 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
 
 @cache
 def _end_with_leader() -> None:
-    """Makes this process end when the one that started it does, even if that one is killed."""
+    """Makes this process exit when its parent process does, even if the parent is killed."""
     leader = os.getppid()
 
     def watch() -> None:

@@ -1,1 +1,1 @@
-"""Plants, which a planner moves: the protocol, the simulated arm, and the simulated laboratory with its camera."""
+"""Plants, the systems that planners control: the protocol, the simulated arm, and the simulated lab with its camera."""

@@ -1,4 +1,4 @@
-"""A camera above the table, which sees the object unless the arm is in the line of sight."""
+"""A camera above the table, which sees the object unless the arm blocks the line of sight."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from oimppi_warp.physics.newton_model import ROLES
 from oimppi_warp.physics.world import World
 
 SEEN_SHARE = 0.5
-"""Share of an object's points that must be visible for it to be recognised."""
+"""Fraction of an object's test points that must be visible for it to be detected."""
 _POINTS = 12
-"""Number of points on the outline of an object's top that are tested."""
+"""Number of test points on the outline of an object's top."""
 _ROBOT = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
-"""Groups of geoms that hide the object: group 1 is the robot."""
+"""Groups of geoms that can hide the object: group 1 is the robot."""
 
 
 class Camera:
@@ -45,12 +45,12 @@ class Camera:
     def sees(self, joints: np.ndarray, pose: np.ndarray) -> bool:
         """Returns whether enough of the object at a planar pose [3] is visible.
 
-        Joint positions [dof] [rad] give the arm, which may hide it.
+        The arm, at joint positions [dof] [rad], may hide the object.
         """
         return self.share_seen(joints, pose) >= SEEN_SHARE
 
     def share_seen(self, joints: np.ndarray, pose: np.ndarray) -> float:
-        """Returns the share of points of the object's top (outline and middle) that the arm does not hide."""
+        """Returns the fraction of points on the object's top (outline and centre) that the arm does not hide."""
         top = planar_points(pose, self._ring)
         sight = np.column_stack([top, np.full(len(top), self._height)]) - self._position
         self._data.qpos[self._joint_qpos] = joints
@@ -70,4 +70,4 @@ class Camera:
             nray=len(sight),
             cutoff=self._mujoco.mjMAXVAL,
         )
-        return float(np.mean((hit < 0) | (at > 1.0)))  # at 1 is the point itself
+        return float(np.mean((hit < 0) | (at > 1.0)))  # the test point itself is at distance 1

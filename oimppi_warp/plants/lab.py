@@ -1,8 +1,8 @@
 """The simulated lab: the simulated arm and object with the imperfect sensing and actuation of a laboratory.
 
-It has the interface of a plant, as hardware would. A camera detects the object now and then, with delay and noise,
-sometimes wrongly, and not while the arm hides it; joint positions come often, with noise; commands take effect late,
-and the joints' accelerations are limited.
+It has the same interface as hardware would. A camera detects the object at a low rate, with delay, noise, occasional
+outliers, and occlusion by the arm; joint positions are reported at a high rate, with noise; commands are delayed, and
+joint accelerations are limited.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from oimppi_warp.plants.plant import Contacts, SimulatedPlant
 from oimppi_warp.scene import PlanarPose, Scene
 
 TICK = 0.01
-"""Time between two joint reports, 100 Hz as on the xArm's real-time port [s]."""
+"""Interval of joint reports, at 100 Hz like the xArm's real-time port [s]."""
 _SUBSTEPS = 4
 """Physics steps per tick."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Detection:
-    """The camera's result from one picture.
+    """A detection of the object in one camera image.
 
     Attributes:
-        taken: When it was taken [s].
-        due: When its result becomes available [s].
-        pose: Planar pose recognised in it, shape [3].
-        outlier: Whether that is the pose of something other than the object.
+        taken: Time at which the image was taken [s].
+        due: Time at which the detection becomes available [s].
+        pose: Detected planar pose, shape [3].
+        outlier: Whether the detection is an outlier.
     """
 
     taken: float
@@ -49,18 +49,18 @@ class LabPlant:
 
     Args:
         world: The scene.
-        config: How imperfect the lab is.
+        config: Imperfections of the lab.
         start: The object's start pose; default: the scene's.
         control_period: Control period [s], a multiple of :data:`TICK`.
-        seed: Seed of noise and wrong detections only; the same seed and commands give the same observations.
+        seed: Seed of noise and outliers only; the same seed and commands give the same observations.
 
     Raises:
-        ConfigError: The control period is not a multiple of :data:`TICK`, or shorter than the latency.
+        ConfigError: The control period is not a multiple of :data:`TICK`, or is shorter than the latency.
 
     Attributes:
         camera: The camera.
         latency: Time from a command to its effect [s].
-        wrong_detections: Number of wrong detections delivered so far.
+        wrong_detections: Number of outliers delivered so far.
     """
 
     def __init__(
@@ -75,12 +75,12 @@ class LabPlant:
         self._ticks = round(control_period / TICK)
         if self._ticks < 1 or abs(self._ticks * TICK - control_period) > 1e-9:
             raise ConfigError(
-                f"control_period = {control_period:g}: joints are reported every {TICK:g} s in the lab\n"
-                f"  allowed: a multiple of that"
+                f"control_period = {control_period:g}: the lab reports joint positions every {TICK:g} s\n"
+                f"  allowed: a multiple of this interval"
             )
         if config.command_latency > control_period + 1e-9:
             raise ConfigError(
-                f"lab.command_latency = {config.command_latency:g}: longer than a control period\n"
+                f"lab.command_latency = {config.command_latency:g}: longer than the control period\n"
                 f"  allowed: up to {control_period:g} s"
             )
         self.control_period = control_period
@@ -150,7 +150,7 @@ class LabPlant:
         """
         command = np.array(joint_velocity, dtype=float)
         if not np.isfinite(command).all():
-            raise ValueError(f"a joint velocity must be finite, got {command}")
+            raise ValueError(f"joint velocities must be finite, got {command}")
         self._commands.append((self._tick + round(self.latency / TICK), command))
         forces = []
         for _ in range(self._ticks):
@@ -191,13 +191,13 @@ class LabPlant:
         return np.concatenate([[self._time], joints + noise])
 
     def _take_picture(self) -> None:
-        """Takes a picture if one is due."""
+        """Takes an image if one is due."""
         if self._tick < self._next_picture:
             return
         config, random = self._config, self._sight_noise
         self._next_picture += max(round(1.0 / (config.rate * TICK)), 1)
         state = self._plant.observe()
-        # Every picture makes all draws, so that its result does not depend on earlier pictures.
+        # All random numbers are drawn for every image, so that its result does not depend on earlier ones.
         noise = random.normal(size=3) * (config.position_noise, config.position_noise, config.yaw_noise)
         outlier, direction = random.uniform() < config.outlier_probability, random.uniform(-np.pi, np.pi)
         away, turn = random.uniform(0.5, 1.5) * config.outlier_size, random.uniform(-np.pi, np.pi)

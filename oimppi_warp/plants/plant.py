@@ -1,6 +1,6 @@
 """The plant: the interface between a planner and an arm, and the simulated arm.
 
-A planner and a plant exchange observations and joint velocities, nothing else.
+A planner and a plant exchange only observations and joint velocities.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from oimppi_warp.physics.world import World
 from oimppi_warp.scene import PlanarPose, Scene
 
 UPRIGHT = math.cos(0.35)
-"""Upward part of the object's own z axis below which it counts as tipped."""
+"""Vertical component of the object's z axis below which it counts as tipped."""
 
 LONGEST_STEP = 0.0025
 """Longest physics step of the plant [s]; with longer ones a sliding object gains energy."""
@@ -31,18 +31,18 @@ _PAIRS = (
     (("arm", "tool"), ("obstacle", "table")),
     (("object",), ("table",)),
 )
-"""The pairs of roles that each field of :class:`Contacts` covers, in its order."""
+"""Pairs of roles covered by each field of :class:`Contacts`, in its order."""
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Largest normal forces within the last control step, each summed over the points of contact [N].
+    """Largest normal forces within the last control period, each summed over the contact points [N].
 
     Attributes:
-        tool_object: Tool on object.
-        object_obstacle: Object on obstacles and on the robot's base.
-        robot_obstacle: Arm and tool on obstacles and table.
-        object_table: Object on table; its weight, when nothing else touches it.
+        tool_object: Between tool and object.
+        object_obstacle: Between the object and obstacles or the robot's base.
+        robot_obstacle: Between arm or tool and obstacles or table.
+        object_table: Between object and table; equals the object's weight if nothing else touches it.
     """
 
     tool_object: float
@@ -52,13 +52,13 @@ class Contacts:
 
 
 class Plant(Protocol):
-    """An arm that takes joint velocities: everything that a planner needs of the world.
+    """An arm controlled by joint velocities, together with its surroundings, as seen by a planner.
 
-    The members below suffice. A plant may also have ``latency``, the time from a command to its effect [s]
+    Only the members below are required. A plant may also have ``latency``, the time from a command to its effect [s]
     (:func:`latency_of`), and implement :class:`TruthfulPlant`, :class:`ContactPlant` and :class:`MovablePlant`.
 
     Attributes:
-        control_period: Duration of one command [s]; planners plan in steps of it.
+        control_period: Duration of one command, and of a planner's time steps [s].
     """
 
     control_period: float
@@ -74,7 +74,7 @@ class Plant(Protocol):
 
 @runtime_checkable
 class TruthfulPlant(Protocol):
-    """A plant that knows its exact state, such as a simulator; for the record, planners must not use it."""
+    """A plant that knows its exact state, such as a simulator. It is for the record; planners must not use it."""
 
     def truth(self) -> Observation:
         """Returns the exact state."""
@@ -93,7 +93,7 @@ class ContactPlant(Protocol):
 
 @runtime_checkable
 class MovablePlant(Protocol):
-    """A plant whose arm and object can be placed and knocked, as the viewer does."""
+    """A plant whose arm and object can be placed and whose object can be pushed, as the viewer does."""
 
     def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
         """Places the arm at joint positions [dof] [rad] and the object at a transform [7], at rest."""
@@ -110,7 +110,7 @@ class MovablePlant(Protocol):
 
 
 def latency_of(plant: Plant) -> float:
-    """Returns the time from a command to its effect [s]; 0 for a plant that does not state it."""
+    """Returns the time from a command to its effect [s]; 0 if the plant does not define it."""
     return float(getattr(plant, "latency", 0.0))
 
 
@@ -121,10 +121,10 @@ def has_tipped(object_transform: np.ndarray) -> bool:
 
 
 class SimulatedPlant:
-    """The scene in MuJoCo's C engine: rigid bodies, friction, a velocity drive at each joint, gravity compensated.
+    """The scene in MuJoCo's C engine: rigid bodies, friction, velocity drives at the joints, gravity compensation.
 
-    A flat object slides correctly only under certain settings, as ``tests/plants/test_plant.py`` measures: the object
-    on a free joint, implicit integration, elliptic friction cones, contacts with a soft onset, steps of 2.5 ms.
+    A flat object slides correctly only with certain settings, verified in ``tests/plants/test_plant.py``: the object on
+    a free joint, implicit integration, elliptic friction cones, contacts with a soft onset, steps of 2.5 ms.
 
     Args:
         world: The scene; many plants can share it.
@@ -133,8 +133,9 @@ class SimulatedPlant:
         substeps: Physics steps per control period.
 
     Attributes:
-        latency: None.
-        model, data: MuJoCo's, for tests and pictures; :attr:`World.mujoco` has the addresses of joints and object.
+        latency: Zero.
+        model, data: MuJoCo's model and data, for tests and pictures; :attr:`World.mujoco` has the addresses of the
+            joints and the object.
     """
 
     latency = 0.0
@@ -217,7 +218,7 @@ class SimulatedPlant:
         """
         command = np.asarray(joint_velocity, dtype=float)
         if not np.isfinite(command).all():
-            raise ValueError(f"a joint velocity must be finite, got {command}")
+            raise ValueError(f"joint velocities must be finite, got {command}")
         lower, upper, speed = self._limits
         position = self.data.qpos[self._map.joint_qpos]
         command = np.clip(command, (lower - position) / self.control_period, (upper - position) / self.control_period)
@@ -241,9 +242,9 @@ class SimulatedPlant:
 
     @property
     def contact_points(self) -> np.ndarray:
-        """Returns the current contact points and normal forces of everything pushed or obstructed, shape [n, 6].
+        """Returns the current contact points and normal forces, shape [n, 6] [m, N].
 
-        Contacts of the object with the table are left out.
+        Contacts between the object and the table are omitted.
         """
         contact = self.data.contact
         active = contact.efc_address >= 0
@@ -267,14 +268,14 @@ class SimulatedPlant:
 
 
 def ideal_plant(scene: Scene, config: Config, *, seed: int = 0) -> SimulatedPlant:
-    """Makes the plant ``ideal``, the simulation without any imperfection; the seed changes nothing in it."""
+    """Makes the plant ``ideal``, the simulation without imperfections; it ignores the seed."""
     period = config.control_period
     substeps = math.ceil(period / LONGEST_STEP - 1e-6)
     return SimulatedPlant(World(scene), start=scene.start, control_period=period, substeps=substeps)
 
 
 def _pair_table() -> np.ndarray:
-    """Returns the index in :data:`_PAIRS` of each pair of roles, one past the last if none; shape [role, role]."""
+    """Returns the index in :data:`_PAIRS` of each pair of roles, ``len(_PAIRS)`` if in none; shape [role, role]."""
     table = np.full((len(ROLES), len(ROLES)), len(_PAIRS))
     for index, (some, others) in enumerate(_PAIRS):
         for a, b in product(some, others):

@@ -1,1 +1,1 @@
-"""Plots and a film of an episode, drawn from its record alone."""
+"""Plots and a film of an episode, drawn from its record."""

@@ -1,4 +1,4 @@
-"""Plots of an episode, drawn from its log and its scene, without planning."""
+"""Plots of an episode, drawn from its log and its scene."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def draw(log: EpisodeLog, scene: Scene, folder: str | Path) -> tuple[Path, ...]:
         folder: Folder for the PNGs.
 
     Returns:
-        The files written: ``way.png`` (from above), ``errors.png`` (errors, clearance and costs over time),
-        ``plan_times.png``.
+        The files written: ``way.png`` (the object's path from above), ``errors.png`` (errors, clearance and costs over
+        time) and ``plan_times.png``.
     """
     files = []
     with matplotlib.rc_context(STYLE):
@@ -92,7 +92,7 @@ def errors_figure(log: EpisodeLog) -> Figure:
     clearance.axhline(0.0, color=WALL, lw=1.0)
     clearance.set(ylabel="clearance [mm]")
     _draw_costs(cost, log)
-    cost.set(xlabel="time [s]", ylabel="cost of the nominal")
+    cost.set(xlabel="time [s]", ylabel="cost of nominal rollout")
     return figure
 
 
@@ -106,7 +106,7 @@ def plan_times_figure(log: EpisodeLog) -> Figure:
         if len(finite):
             median, p95 = np.percentile(finite, (50, 95))
             plan.plot(time, log[name], color=color, lw=0.9, label=f"{label} (median {median:.1f}, p95 {p95:.1f} ms)")
-    plan.set(ylabel="wall time of a plan [ms]", ylim=(0, None))
+    plan.set(ylabel="wall time per plan [ms]", ylim=(0, None))
     for name, color, label in (
         ("effective_samples", INK, "robot level"),
         ("object_effective_samples", _TIME(0.55), "object level"),
@@ -127,7 +127,7 @@ def title_of(log: EpisodeLog) -> str:
 
 
 def _legend(axes: Axes) -> None:
-    """Adds a legend above the axes, right of the title; none if nothing has a label."""
+    """Adds a legend above the axes, to the right of the title, if anything has a label."""
     if names := axes.get_legend_handles_labels()[1]:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(5, len(names)), borderaxespad=0.2)
 
@@ -167,7 +167,7 @@ def _draw_path(axes: Axes, log: EpisodeLog, pieces: tuple[Piece, ...], norm: Nor
 
 
 def _rows_along(poses: np.ndarray, *, count: int) -> list[int]:
-    """Returns up to ``count`` rows at even intervals of the path, on which a radian counts as 0.1 m."""
+    """Returns up to ``count`` rows at even intervals along the path; a radian counts as 0.1 m."""
     moves = np.abs(np.diff(poses, axis=0))
     path = np.concatenate([[0.0], np.cumsum(np.hypot(moves[:, 0], moves[:, 1]) + 0.1 * np.minimum(moves[:, 2], 1.0))])
     return np.unique(np.searchsorted(path, np.linspace(0.0, path[-1], count + 1)[:-1])).tolist()

@@ -1,4 +1,4 @@
-"""A film of an episode from above, drawn from its log alone: object, tool, goal and the tracked plan."""
+"""A film of an episode from above, drawn from its log: object, tool, goal and the tracked plan."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def film(log: EpisodeLog, scene: Scene, file: str | Path, *, speed: float = 2.0)
 
 
 def frames(log: EpisodeLog, scene: Scene, rows: Iterable[int]) -> Iterator[Image.Image]:
-    """Yields pictures of the scene from above after each of these control steps."""
+    """Yields an image of the scene from above after each of the given control steps."""
     with matplotlib.rc_context(STYLE):
         for row in rows:
             yield _frame(log, scene, row)
@@ -73,7 +73,7 @@ def _frame(log: EpisodeLog, scene: Scene, row: int) -> Image.Image:
     since = max(row - 20, 0)
     axes.plot(tool[since : row + 1, 0], tool[since : row + 1, 1], color="#8b98a1", lw=1.0, zorder=7)
     axes.add_patch(Circle((tool[row, 0], tool[row, 1]), scene.robot.tool_radius, fc=INK, ec="none", zorder=8))
-    axes.set(aspect="equal", title=f"{title_of(log)}\n{log['time'][row]:.1f} s, tip {1e3 * tool[row, 2]:.0f} mm up")
+    axes.set(aspect="equal", title=f"{title_of(log)}\n{log['time'][row]:.1f} s, tip height {1e3 * tool[row, 2]:.0f} mm")
     axes.title.set_fontsize(8)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

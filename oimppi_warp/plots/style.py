@@ -1,4 +1,4 @@
-"""Shared parts of all pictures: style, colours, and shapes seen from above."""
+"""Shared parts of all figures: style, colours, and shapes seen from above."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from matplotlib.path import Path as Outline
 
 INK, FAINT, WALL, GOAL, START = "#26323a", "#b8c2c9", "#5d6a73", "#c2410c", "#3b0f70"
 METHOD_COLORS = {"mppi": "#8592a6", "cloi": "#0f766e", "soi": "#d97706"}
-"""Colours of the paper's methods, in every picture."""
+"""Colours of the paper's methods, in all figures."""
 FURTHER_COLORS = ("#4f46a5", "#a21caf", "#0284c7", "#65a30d", "#92400e", "#be123c")
-"""Colours of all other methods, in turn."""
+"""Colours of all other methods, assigned in order."""
 
 STYLE: Any = {
     "font.size": 9,
@@ -42,13 +42,13 @@ STYLE: Any = {
 
 
 def method_colors(methods: Iterable[str]) -> dict[str, str]:
-    """Returns a colour for each method: fixed for the paper's, the further ones in order for all others."""
+    """Returns a colour for each method: fixed for the paper's, in order from :data:`FURTHER_COLORS` for all others."""
     further = cycle(FURTHER_COLORS)
     return {name: METHOD_COLORS.get(name) or next(further) for name in methods}
 
 
 def rendered(figure: Figure, *, kind: str = "png", dpi: int = 150) -> bytes:
-    """Renders a figure to the content of a file, ``png`` or ``svg``."""
+    """Renders a figure, and returns the content of a ``png`` or ``svg`` file."""
     picture = io.BytesIO()
     with matplotlib.rc_context(STYLE):
         figure.savefig(picture, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)

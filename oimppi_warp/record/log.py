@@ -1,35 +1,35 @@
 """The record of one episode: a header that describes the run, and columns with one row per control step.
 
-Everything that is reported (metrics, plots, the viewer) is computed from this record alone. On disk it
-is a folder with ``episode.npz`` (columns and plans) and ``episode.json`` (the header); the JSON is written last, so a
-folder that has it is complete.
+Metrics, plots and replays in the viewer are computed from this record alone. On disk it is a folder with
+``episode.npz`` (columns and plans) and ``episode.json`` (the header); the JSON is written last, so a folder that
+contains it is complete.
 
-The header is a dictionary that JSON can hold. Metrics and plots read these keys:
+The header is a JSON-serializable dictionary. Metrics and plots read these keys:
 
 ================== ==================================================================================================
-scene, file        Short name of the scene, and the USD file it was read from
+scene, file        Short name of the scene, and the USD file it was loaded from
 method             Name of the method, one of :data:`oimppi_warp.registries.METHODS`
-engine             Rollout engine that was chosen, and in ``engine_reason`` why, if it was not asked for by name
-device             Device that planned, e.g. ``cpu`` or ``cuda:0``
-threads            Threads that planned on the CPU
-preset, seed       Name of the preset; the seed
+engine             Rollout engine used; ``engine_reason`` explains the choice if it was made automatically
+device             Device used for planning, e.g. ``cpu`` or ``cuda:0``
+threads            Number of CPU threads used for planning
+preset, seed       Name of the preset, and the seed
 plant, mode        Name of the plant; ``lockstep`` or ``realtime``
-config             Every setting as used, as nested dictionaries
-requested          Settings that were changed for the task: ``{name: [value asked for, why it was changed]}``
+config             All settings as used, as nested dictionaries
+requested          Settings that were adjusted for the task: ``{name: [requested value, reason for the change]}``
 start, goal        Planar poses of the object (x, y [m], yaw [rad])
-tolerance          ``{"position": m, "yaw": rad}``; a yaw of ``None`` means that yaw does not count
-tight_tolerance    The same, stricter
-hold_seconds       How long the object must stay within tolerance [s]
+tolerance          ``{"position": m, "yaw": rad}``; a yaw of ``None`` means that any yaw is within tolerance
+tight_tolerance    The tight tolerance, in the same form
+hold_seconds       Time for which the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``
 preplan_time_s     Wall time of planning before the first step (SOI's object plan) [s]
-problems           ``[step, reason]`` wherever nothing could be planned from the observation
+problems           ``[step, reason]`` for each step at which no plan could be made from the observation
 ended              Reason for the end: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
 versions           Versions of Python and packages, see :func:`versions`
 ================== ==================================================================================================
 
-Records written by earlier versions lack some of these: ``threads``, ``requested``, ``engine_reason``, ``plant`` and
-``mode`` (those were of the ideal plant, in lock step). :attr:`EpisodeLog.run` knows.
+Records written by earlier versions may lack ``threads``, ``requested``, ``engine_reason``, ``plant`` and ``mode`` (they
+used the ideal plant in lock step); :attr:`EpisodeLog.run` substitutes these values.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ class Column:
     """Description of a column.
 
     Attributes:
-        shape: Shape of one row; names denote lengths that depend on the robot or the cost.
+        shape: Shape of one row; names denote sizes that depend on the robot or the cost.
         unit: SI unit.
-        meaning: Its meaning, in one line.
+        meaning: One-line description.
     """
 
     shape: tuple[int | str, ...]
@@ -71,37 +71,37 @@ class Column:
 
 
 COLUMNS: dict[str, Column] = {
-    "time": Column((), "s", "since the start of the episode, at the end of the step"),
-    "joint_position": Column(("dof",), "rad", "at the end of the step"),
-    "joint_velocity": Column(("dof",), "rad/s", "at the end of the step"),
-    "command": Column(("dof",), "rad/s", "joint velocity commanded during the step"),
-    "tool_position": Column((3,), "m", "tip of the tool, at the end of the step"),
-    "object_pose": Column((3,), "m, m, rad", "planar pose of the object, at the end of the step"),
-    "estimated_pose": Column((3,), "m, m, rad", "where the object is believed to be then; what the planner knows"),
-    "detection": Column((), "1", "what became of a detection in this step, an index of EVENTS"),
-    "position_error": Column((), "m", "distance of the object to its goal"),
-    "yaw_error": Column((), "rad", "absolute angle between the object and its goal, within 0 to pi"),
-    "clearance": Column((), "m", "phi_2, the object's distance to the obstacles; negative inside"),
+    "time": Column((), "s", "time since the start of the episode, at the end of the step"),
+    "joint_position": Column(("dof",), "rad", "joint positions at the end of the step"),
+    "joint_velocity": Column(("dof",), "rad/s", "joint velocities at the end of the step"),
+    "command": Column(("dof",), "rad/s", "joint velocities commanded during the step"),
+    "tool_position": Column((3,), "m", "position of the tool's tip at the end of the step"),
+    "object_pose": Column((3,), "m, m, rad", "planar pose of the object at the end of the step"),
+    "estimated_pose": Column((3,), "m, m, rad", "estimate of the object's pose that the planner uses at that time"),
+    "detection": Column((), "1", "result of processing a detection in this step, as an index of EVENTS"),
+    "position_error": Column((), "m", "distance of the object from its goal"),
+    "yaw_error": Column((), "rad", "absolute angle between the object and its goal, from 0 to pi"),
+    "clearance": Column((), "m", "phi_2, the object's distance to the obstacles; negative if they overlap"),
     "contact_tool_object": Column((), "N", "largest force between tool and object during the step"),
     "contact_object_obstacle": Column((), "N", "largest force between object and obstacles during the step"),
     "contact_robot_obstacle": Column((), "N", "largest force between robot and obstacles or table during the step"),
-    "plan_ms": Column((), "ms", "wall time of the planner's whole call"),
-    "object_plan_ms": Column((), "ms", "of that, the object level"),
+    "plan_ms": Column((), "ms", "wall time of the planner's call"),
+    "object_plan_ms": Column((), "ms", "part of plan_ms spent in the object level"),
     "effective_samples": Column((), "1", "effective sample size of the robot level"),
     "object_effective_samples": Column((), "1", "effective sample size of the object level"),
     "min_cost": Column((), "1", "smallest cost of the robot level's samples"),
     "cost_terms": Column(("n_terms",), "1", "weighted cost terms of the nominal, summed over the horizon"),
-    "lost_samples": Column((), "1", "samples whose cost was not finite"),
-    "missed_deadline": Column((), "1", "1 where a plan was due and not there"),
-    "stopped": Column((), "1", "1 where the arm was told to stop: the plan had expired, or none could be made"),
-    "lag_ms": Column((), "ms", "how far the loop was behind the wall clock"),
+    "lost_samples": Column((), "1", "number of samples whose cost was not finite"),
+    "missed_deadline": Column((), "1", "1 if a plan was due but not ready"),
+    "stopped": Column((), "1", "1 if the arm was stopped because the plan had expired or no plan could be made"),
+    "lag_ms": Column((), "ms", "delay of the control loop behind the wall clock"),
 }
-"""Every column. A row holds one control step: the command applied during it, the plan that gave the command, and the
-state observed at its end. Values that a method does not have (the object level for MPPI) are NaN."""
+"""All columns. A row holds one control step: the command applied during it, the plan that contained the command, and
+the state observed at its end. Values that a method does not have (the object level for MPPI) are NaN."""
 
 EVENTS = ("none", "first", "accepted", "rejected", "recovered")
-"""Results of processing a detection: there is none, it awaits confirmation by another, it corrects the prediction, it
-is rejected, it overrules the prediction together with the one before."""
+"""Results of processing a detection, in order: there was none; it awaits confirmation by a second one; it corrects the
+prediction; it is rejected; it replaces the prediction, confirmed by the previous detection."""
 
 _NPZ, _JSON = "episode.npz", "episode.json"
 
@@ -109,7 +109,7 @@ _NPZ, _JSON = "episode.npz", "episode.json"
 class EpisodeLog:
     """The record of one episode.
 
-    Rows are appended to arrays that double when full; reading a column gives a view of the rows so far.
+    Rows are appended to arrays that double in size when full; reading a column returns a view of the rows so far.
 
     Attributes:
         header: Description of the run, see the module's table.
@@ -154,14 +154,14 @@ class EpisodeLog:
         return np.full((self._rows, *(size if isinstance(size, int) else 0 for size in column.shape)), np.nan)
 
     def append(self, **row: Any) -> None:
-        """Adds one control step; columns that are left out are NaN in it.
+        """Adds one control step; omitted columns are NaN.
 
         Raises:
             KeyError: There is no such column.
-            ValueError: A value has another shape than in the rows before.
+            ValueError: The shape of a value differs from that in the previous rows.
         """
         if unknown := row.keys() - COLUMNS.keys():
-            raise KeyError(f"no such column: {', '.join(sorted(unknown))}; columns are {', '.join(COLUMNS)}")
+            raise KeyError(f"no such column: {', '.join(sorted(unknown))}; the columns are {', '.join(COLUMNS)}")
         for name, value in row.items():
             if name not in self._data:
                 self._data[name] = np.full((max(256, 2 * self._rows), *np.shape(value)), np.nan)
@@ -170,16 +170,16 @@ class EpisodeLog:
                 array = self._data[name] = np.concatenate([array, np.full_like(array, np.nan)])
             value = row.get(name, np.nan)
             if name in row and np.shape(value) != array.shape[1:]:
-                raise ValueError(f"{name}: shape {np.shape(value)}, but {array.shape[1:]} in the rows before")
+                raise ValueError(f"{name}: shape {np.shape(value)}, but the previous rows have {array.shape[1:]}")
             array[self._rows] = value
         self._rows += 1
 
     def add_reference(self, path: np.ndarray, step: int | None = None) -> None:
-        """Stores a copy of an object plan, planar poses [length, 3], made before ``step`` (default: the next)."""
+        """Stores a copy of an object plan, planar poses [length, 3], made before ``step`` (default: the next step)."""
         self.references.append((self._rows if step is None else step, np.array(path, dtype=float).reshape(-1, 3)))
 
     def save(self, folder: str | Path) -> Path:
-        """Writes the record to ``folder``, which is created if needed; the JSON exists only if both files are complete.
+        """Writes the record to ``folder``, created if needed; the JSON file exists only if both files are complete.
 
         Raises:
             LogError: The folder cannot be written to.
@@ -207,7 +207,7 @@ class EpisodeLog:
         """Reads a record that :meth:`save` wrote.
 
         Raises:
-            LogError: There is no complete record in ``folder``.
+            LogError: ``folder`` contains no complete record.
         """
         folder = Path(folder)
         try:
@@ -219,14 +219,14 @@ class EpisodeLog:
                 log.references = list(zip(arrays["reference_steps"].tolist(), paths, strict=True))
         except (OSError, ValueError, KeyError) as error:
             raise LogError(
-                f"{folder}: no complete record in it ({error})\n  allowed: a folder with {_NPZ} and {_JSON}"
+                f"{folder}: contains no complete record ({error})\n  allowed: a folder with {_NPZ} and {_JSON}"
             ) from error
         log._rows = max((len(array) for array in log._data.values()), default=0)
         return log
 
 
 def write_atomically(path: str | Path, content: bytes) -> None:
-    """Writes a file completely or not at all: under a temporary name first, then renamed."""
+    """Writes a file completely or not at all, by renaming a temporary file."""
     path = Path(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:

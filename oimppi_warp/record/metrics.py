@@ -1,4 +1,4 @@
-"""Metrics of an episode, as plain functions of its log: the paper's, and others that explain them."""
+"""Metrics of an episode, computed from its log: the paper's metrics, and others that help to explain them."""
 
 from __future__ import annotations
 
@@ -16,38 +16,39 @@ from oimppi_warp.record.log import EVENTS, EpisodeLog, flatten, to_json
 
 @dataclass(frozen=True)
 class Metrics:
-    """Metrics of one episode. Numbers that the episode does not have are NaN (``null`` in JSON).
+    """Metrics of one episode. Numbers that are not available are NaN (``null`` in JSON).
 
     Attributes:
         scene, preset: Names of the scene and the preset.
         run: The options of the run, with engine, device and threads as chosen. In JSON its fields are inlined.
         start, goal: Planar poses of the object (x, y [m], yaw [rad]).
-        ended: Reason for its end, see :mod:`oimppi_warp.record.log`.
+        ended: Reason for the end of the episode, see :mod:`oimppi_warp.record.log`.
         success: Whether the object stayed within tolerance for the hold time.
         success_tight: The same for the tight tolerance.
-        position_error_m, yaw_error_rad: Errors at the end.
+        position_error_m, yaw_error_rad: Errors at the end of the episode.
         mean_position_error_m: Position error averaged over time (the paper's epsilon_d).
         min_clearance_m: Smallest phi_2; negative where the object overlapped an obstacle.
-        steps: Control steps.
+        steps: Number of control steps.
         sim_time_s: Simulated time.
         success_time_s: Simulated time at which the object came within tolerance and stayed; NaN without success.
         preplan_time_s: Wall time of SOI's object plan.
         total_time_s: The paper's T: pre-planning, then each step as long as its planning or the control period,
             whichever is longer, until success (without success: to the end).
         plan_ms_median, plan_ms_p95: Wall time of a plan.
-        object_plan_ms_median: The object level's share of it.
-        control_hz: Inverse of the mean time of a plan (the paper's f).
+        object_plan_ms_median: The same for the object level alone.
+        control_hz: Inverse of the mean plan time (the paper's f).
         max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces.
         mean_effective_samples, mean_object_effective_samples: Effective sample sizes of the two levels.
         lost_samples: Total number of samples whose cost was not finite.
-        missed_deadlines: Control steps in which a plan was due but not ready.
-        stops: Control steps in which the arm was stopped: the last plan had expired, or nothing could be planned.
-        max_lag_ms: Largest delay of the loop behind the wall clock.
-        detections, rejected_detections, recoveries: Detections that arrived, those of them that were rejected, and
-            those that overruled the prediction.
+        missed_deadlines: Number of control steps in which a plan was due but not ready.
+        stops: Number of control steps in which the arm was stopped, because the last plan had expired or no plan could
+            be made.
+        max_lag_ms: Largest delay of the control loop behind the wall clock.
+        detections, rejected_detections, recoveries: Number of detections that arrived, that were rejected, and that
+            replaced the prediction.
         mean_estimate_error_m, max_estimate_error_m: Distance between the object's estimated and true positions.
         mean_cost_terms: Mean of each cost term over time.
-        versions: Versions of Python and of the packages that were used.
+        versions: Versions of Python and of the packages used.
     """
 
     scene: str
@@ -155,20 +156,20 @@ def summarize(log: EpisodeLog) -> Metrics:
 
 
 def pose_error(pose: Any, goal: Any) -> tuple[float, float]:
-    """Returns distance [m] and absolute angle [rad], within 0 to pi, between two planar poses."""
+    """Returns distance [m] and absolute angle [rad], from 0 to pi, between two planar poses."""
     turn = (float(pose[2]) - float(goal[2]) + math.pi) % (2 * math.pi) - math.pi
     return math.hypot(float(pose[0]) - float(goal[0]), float(pose[1]) - float(goal[1])), abs(turn)
 
 
 def within(log: EpisodeLog, tolerance: Mapping[str, float | None]) -> np.ndarray:
-    """Returns whether the object is within a tolerance, shape [steps]; a yaw of ``None`` allows every yaw."""
+    """Returns whether the object is within a tolerance, shape [steps]; a yaw of ``None`` allows any yaw."""
     yaw = tolerance["yaw"]
     near = log["position_error"] <= tolerance["position"]
     return near if yaw is None else near & (log["yaw_error"] <= yaw)
 
 
 def hold_steps(hold_seconds: float, control_period: float) -> int:
-    """Returns the number of successive control steps in ``hold_seconds``, at least one."""
+    """Returns the number of consecutive control steps in ``hold_seconds``, at least one."""
     return max(1, math.ceil(hold_seconds / control_period - 1e-6))
 
 

@@ -1,1 +1,1 @@
-"""The viewer: a session or a record produces pictures, and one canvas draws them in the browser or into a file."""
+"""The viewer: a session or a record produces pictures, and a canvas draws them in the browser or to a file."""

@@ -25,11 +25,11 @@ PLAN = (0.1, 0.35, 0.9)
 FORCE = (0.85, 0.1, 0.1)
 CLEARANCE = (0.55, 0.2, 0.6)
 FAINT, STRONG = np.array((0.72, 0.76, 0.85)), np.array((0.45, 0.2, 0.75))
-"""Colours of a sampled path with zero weight and with the largest weight."""
+"""Colours of sampled paths with zero weight and with the largest weight."""
 METRES_PER_NEWTON = 0.01
 """Drawn length of a contact force per newton."""
 _REFERENCE_POINTS = 60
-"""Number of points that a reference is drawn with; it is constant, so that lines are updated instead of recreated."""
+"""Number of points drawn of a reference; constant, so that lines are updated instead of recreated."""
 _MAX_CONTACTS = 8
 """Maximum number of contact forces drawn."""
 _CONTACT_RADIUS = 0.006
@@ -47,7 +47,7 @@ class Canvas:
 
     Args:
         viewer: One of Newton's viewers.
-        thickness: Width of lines, in that viewer's unit for a width of one.
+        thickness: Factor from the line widths in this module to the viewer's unit.
     """
 
     def __init__(self, viewer: ViewerBase, *, thickness: float = 1.0) -> None:
@@ -108,7 +108,7 @@ class Canvas:
     def _draw_contacts(self, contact_points: np.ndarray) -> None:
         largest = contact_points[np.argsort(-np.linalg.norm(contact_points[:, 3:], axis=1))[:_MAX_CONTACTS]]
         shown = np.zeros((_MAX_CONTACTS, 6))
-        shown[:, 2] = -1.0  # the rest are hidden below the table
+        shown[:, 2] = -1.0  # unused entries are hidden below the table
         shown[: len(largest)] = largest
         ends = shown[:, :3] + METRES_PER_NEWTON * shown[:, 3:]
         self._lines("contact/force", [np.stack([shown[:, :3], ends], axis=1)], FORCE, width=0.04)
@@ -118,7 +118,7 @@ class Canvas:
         self._viewer.log_points("/oimppi/contact/point", points, radii, colors)
 
     def _draw_clearance(self, picture: Picture) -> None:
-        """Draws a line from the object to the nearest thing, hidden below the table if nothing is near."""
+        """Draws a line from the object to the nearest obstacle or the robot's base; hidden if none is near."""
         x, y, yaw = (float(value) for value in planar_pose(picture.object_transform))
         ends = shapely.shortest_line(object_outline(picture.scene, (x, y, yaw)), self._obstacle_area)
         near = 0.0 < shapely.length(ends) < _NEAR

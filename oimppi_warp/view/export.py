@@ -1,4 +1,4 @@
-"""Exports a recorded episode for other players: a web page, a USD animation, a video, a log for Foxglove."""
+"""Exports a recorded episode as a web page, a USD animation, a video or a log for Foxglove."""
 
 from __future__ import annotations
 
@@ -108,26 +108,26 @@ def export(folder: Path, to: str, output: Path | None = None) -> Path:
     Args:
         folder: A record's folder, as written by ``--record``.
         to: One of :data:`EXPORTS`.
-        output: Destination; default: ``episode`` in the record's folder.
+        output: File to write; default: ``episode`` with the format's suffix, in the record's folder.
 
     Returns:
         The file that was written.
 
     Raises:
-        LogError: There is no record in the folder.
+        LogError: The folder contains no record.
         ConfigError: The export cannot be written, or a package is missing.
     """
     replay = Replay(folder)
     suffix = ".usdc" if to == "usd" else f".{to}"
     file = folder / f"episode{suffix}" if output is None else output
     if to == "usd" and file.suffix not in (".usd", ".usda", ".usdc"):
-        raise ConfigError(f"--output {file}: not the name of a USD file\n  allowed: .usd, .usda or .usdc")
+        raise ConfigError(f"--output {file}: not a USD file name\n  allowed: names ending in .usd, .usda or .usdc")
     try:
         file.absolute().parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--output {file}: {error}\n  allowed: a file in a folder that can be made") from error
+        raise ConfigError(f"--output {file}: {error}\n  allowed: a file in a folder that can be created") from error
     if file.is_dir() or not os.access(file.absolute().parent, os.W_OK):
-        raise ConfigError(f"--output {file}: cannot be written\n  allowed: a file in a folder to write in")
+        raise ConfigError(f"--output {file}: cannot be written\n  allowed: a file in a writable folder")
     EXPORTS[to](replay, file)
     return file
 

@@ -1,4 +1,4 @@
-"""The live view: shows a session in the browser, with controls to interfere with it."""
+"""The live view: shows a session in the browser, with controls to change it while it runs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FPS = 20.0
 """Maximum frame rate [1/s]."""
 KNOCK = 0.4
 """Speed that a click imparts to the object [m/s]."""
-_SPEEDS = {"0.25": 0.25, "0.5": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "as fast as it goes": float("inf")}
+_SPEEDS = {"0.25": 0.25, "0.5": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "unlimited": float("inf")}
 _BARS = 10
 """Maximum number of cost terms shown."""
 
@@ -92,11 +92,13 @@ class LiveView:
 
     def _add_controls(self) -> None:
         gui, session = self._gui, self._session
-        with gui.add_folder("What it does", order=-10.0):
+        with gui.add_folder("Status", order=-10.0):
             self._status = gui.add_markdown("")
             self._bars = gui.add_html("")
         with gui.add_folder("Task and planner", order=5.0):
-            speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Simulated seconds a second")
+            speed = gui.add_dropdown(
+                "Speed", tuple(_SPEEDS), initial_value="1", hint="Maximum simulated seconds per second of wall time."
+            )
             speed.on_update(lambda _event: setattr(session, "speed", _SPEEDS[speed.value]))
             gui.add_button("New seed and start").on_click(lambda _event: self._new_seed())
             offered = {"method": tuple(METHODS), "engine": ("auto", *ENGINES), "plant": tuple(PLANTS)}
@@ -106,10 +108,14 @@ class LiveView:
             preset = gui.add_dropdown("Preset", tuple(PRESETS), initial_value=session.wanted.config.preset)
             preset.on_update(self._choose_preset)
             self._move = gui.add_checkbox(
-                "Move things", initial_value=False, hint="Drag the goal, the object and the obstacles over the table"
+                "Show handles",
+                initial_value=False,
+                hint="Shows handles for dragging the goal, the object and the obstacles across the table.",
             )
             self._knock = gui.add_checkbox(
-                "Click to push", initial_value=False, hint="A click on the object knocks at it"
+                "Click to push",
+                initial_value=False,
+                hint="A click on the object gives it a push in the viewing direction.",
             )
             name = gui.add_text("Scene file", initial_value=f"my_{session.wanted.scene.name}.usda")
             gui.add_button("Save as scene").on_click(lambda event: self._save(event, name.value))
@@ -141,9 +147,9 @@ class LiveView:
         try:
             file = save_scene(picture.scene.with_start((x, y, yaw)), name)
         except OimppiError as error:
-            event.client.add_notification("Not saved", str(error), color="red")
+            event.client.add_notification("Scene not saved", str(error), color="red")
         else:
-            event.client.add_notification("Saved", f"oimppi run {file}", color="green")
+            event.client.add_notification("Scene saved", f"Run it with: oimppi run {file}", color="green")
 
     def _show_gizmos(self, picture: Picture) -> None:
         """Shows handles on draggable items, and moves an item when its handle is released."""
@@ -180,7 +186,7 @@ class LiveView:
             x, y, turn = (float(value) for value in to - before)
             try:
                 self._session.change(scene=scene.with_obstacle_moved(name, (x, y, turn)))
-            except OimppiError as error:  # it has been removed meanwhile
+            except OimppiError as error:  # the obstacle has been removed in the meantime
                 self._session.problem = str(error)
 
     def _click(self, event: Any) -> None:
@@ -203,11 +209,14 @@ class LiveView:
         figures = picture.figures
         errors = ""
         if figures:
-            errors = f"{figures['position error [m]']:.3f} m and {figures['yaw error [rad]']:.2f} rad to go, "
-            errors += f"{figures['plan time [ms]']:.0f} ms a plan of {1e3 * session.wanted.config.control_period:.0f}"
+            errors = f"; {figures['position error [m]']:.3f} m and {figures['yaw error [rad]']:.2f} rad from the goal; "
+            errors += (
+                f"plan time {figures['plan time [ms]']:.0f} ms, "
+                f"control period {1e3 * session.wanted.config.control_period:.0f} ms"
+            )
         problem = f"\n\n**{session.problem}**" if session.problem else ""
-        rate = f"{session.rate:.0f} control steps a second" if session.rate else "waiting"
-        self._status.content = f"**{picture.status}**{problem}\n\n{picture.time:.1f} s; {errors}\n\n{rate}"
+        rate = f"{session.rate:.0f} control steps per second" if session.rate else "waiting"
+        self._status.content = f"**{picture.status}**{problem}\n\n{picture.time:.1f} s{errors}\n\n{rate}"
         if picture.terms:
             self._bars.content = _bars(picture.terms)
 
@@ -222,4 +231,4 @@ def _bars(terms: dict[str, float]) -> str:
         f"<span>{value:.3g}</span></div>"
         for value, name in largest
     )
-    return f'<div style="padding:0 8px">cost of the best sample{rows}</div>'
+    return f'<div style="padding:0 8px">Cost terms of the best sample{rows}</div>'

@@ -32,11 +32,11 @@ _WORLD = "world"
 
 
 def write_mcap(replay: Replay, file: Path, rows: Iterable[int]) -> None:
-    """Writes an episode, with simulated times that begin at zero.
+    """Writes an episode, with simulated time starting at zero.
 
     Args:
         replay: The episode.
-        file: Destination, which must not exist yet.
+        file: File to write; it must not exist yet.
         rows: Control steps to write.
     """
     posed = PosedScene(replay.scene)

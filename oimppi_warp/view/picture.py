@@ -19,7 +19,7 @@ class Picture:
 
     Attributes:
         scene: The task.
-        time: Time since the beginning [s].
+        time: Time since the start of the episode [s].
         joints: Joint positions, shape [dof] [rad].
         object_transform: Transform of the object's frame, shape [7].
         reference: Object poses that the robot level tracks, shape [n, 3].

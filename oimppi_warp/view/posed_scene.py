@@ -1,7 +1,7 @@
 """Poses a scene by joint positions and object transform, for display in Newton's viewers.
 
-The robot, the table and everything unchanged from the scene's file look as they do there. Moved obstacles keep their
-look; new or changed ones, and an object with another shape, are drawn as their colliders.
+The robot, the table and everything unchanged from the scene's file are displayed as in that file. Moved obstacles keep
+their appearance; new or changed ones, and an object with another shape, are drawn as their colliders.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import warp as wp
 from oimppi_warp.scene import Scene
 
 GHOSTS = r"/[^/]+/Goal(/.*)?"
-"""Prims hidden from the file's display: the goal's ghost is drawn at the current goal instead."""
+"""Prims of the file that are not displayed: the ghost at the goal is drawn at the current goal instead."""
 
 
 class PosedScene:
-    """The Newton model of a scene with its skin, used by viewers only and not for the physics.
+    """The Newton model of a scene with its display geometry, used by viewers only, not for the physics.
 
     Args:
         scene: The task.

@@ -36,14 +36,14 @@ class Replay:
         folder: A record's folder, as written by ``--record``.
 
     Raises:
-        LogError: The folder has no complete record, or one without a single step.
-        SceneError: The record's scene is neither at its original place nor a shipped one.
+        LogError: The folder contains no complete record, or the record has no control steps.
+        SceneError: The record's scene is neither at its original location nor a shipped one.
     """
 
     def __init__(self, folder: str | Path) -> None:
         self.log = EpisodeLog.load(folder)
         if not len(self.log):
-            raise LogError(f"{folder}: the record has no control step\n  allowed: a record of one step or more")
+            raise LogError(f"{folder}: the record has no control steps\n  allowed: a record with at least one")
         self.scene = _scene_of(self.log)
 
     def __len__(self) -> int:
@@ -85,7 +85,7 @@ class ReplayView:
         self._period = float(replay.log.header["control_period"])
         viewer.set_reset_callback(lambda: self._jump(0))
         gui, metrics = viewer.server.gui, summarize(replay.log)
-        result = "reached its goal" if metrics.success else "did not reach its goal"
+        result = "goal reached" if metrics.success else "goal not reached"
         with gui.add_folder("Record", order=-10.0):
             gui.add_markdown(f"**{metrics.scene}, {metrics.run.method.upper()}, seed {metrics.run.seed}**: {result}")
             self._state = gui.add_markdown("")
@@ -96,7 +96,7 @@ class ReplayView:
 
     @property
     def row(self) -> int:
-        """Control step shown at present."""
+        """Control step currently shown."""
         return int(self._row)
 
     def run(self) -> None:
@@ -107,7 +107,7 @@ class ReplayView:
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 
     def tick(self, seconds: float) -> None:
-        """Advances by a wall time in seconds, unless paused."""
+        """Advances playback by some seconds of wall time, unless paused."""
         last = len(self._replay) - 1
         if self._viewer.should_step():
             rows = 1.0 if self._viewer.is_paused() else seconds * self._speed.value / self._period
@@ -119,7 +119,10 @@ class ReplayView:
         self._canvas.draw(picture)
         self._viewer.end_frame()
         self._slider.value = self.row
-        errors = f"{picture.figures['position error [m]']:.3f} m, {picture.figures['yaw error [rad]']:.2f} rad to go"
+        errors = (
+            f"{picture.figures['position error [m]']:.3f} m and "
+            f"{picture.figures['yaw error [rad]']:.2f} rad from the goal"
+        )
         self._state.content = f"{picture.time:.2f} s; {errors}; {picture.status}"
         self._drawn = self.row
 
@@ -127,7 +130,7 @@ class ReplayView:
         self._row = float(row)
 
     def _add_plots(self) -> None:
-        """Plots all values over the whole episode, as they are known in advance."""
+        """Plots all values over the whole episode."""
         from viser import uplot
 
         log = self._replay.log
@@ -150,9 +153,9 @@ def _scene_of(log: EpisodeLog) -> Scene:
         scene = load_scene(file if file.exists() else log.header["scene"])
     except SceneError as error:
         raise SceneError(
-            f"the scene of this record, {log.header['scene']}, is not there any more",
+            f"the scene of this record, {log.header['scene']}, was not found",
             file=file,
-            allowed="the file where it was, or a shipped scene of that name",
+            allowed="the original file, or a shipped scene with that name",
         ) from error
     (x0, y0, yaw0), (x1, y1, yaw1) = log.header["start"], log.header["goal"]
     return scene.with_start((x0, y0, yaw0)).with_goal((x1, y1, yaw1))

@@ -1,7 +1,7 @@
 """Runs the viewer's control loop in its own thread; it produces pictures without waiting for their display.
 
-Requests from outside (pause, another goal, other weights) are applied between two control steps. A change that requires
-another planner is prepared while the present one runs, and takes over from its latest state.
+User requests (pausing, another goal, other weights) are applied between two control steps. If a change requires a new
+planner, it is prepared while the current one runs, and then continues from its latest state.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _RATE = 40
 
 
 class Session:
-    """Runs episodes that a user can watch and interfere with.
+    """Runs episodes that a user can watch and change.
 
     Args:
         setup: Setup of the first episode.
-        speed: Maximum simulated seconds per second; infinity for as fast as possible.
+        speed: Maximum simulated seconds per second of wall time; infinity for no limit.
 
     Attributes:
         wanted: The setup requested last; the running episode adopts it as soon as it is ready.
@@ -80,7 +80,7 @@ class Session:
 
     @property
     def running(self) -> Episode:
-        """The episode running at present."""
+        """The current episode."""
         return self._episode
 
     @property
@@ -98,7 +98,7 @@ class Session:
         """Request another setup.
 
         Args:
-            fresh: Whether to restart from the beginning; otherwise the episode continues from its present state.
+            fresh: Whether to restart from the beginning; otherwise the episode continues from its current state.
             **fields: As for :meth:`oimppi_warp.runtime.episode.Setup.changed`.
         """
         with self._lock:
@@ -142,7 +142,7 @@ class Session:
                 step = next(self._steps, None)
             except FloatingPointError:
                 self._episode.log.header["ended"], step = "diverged", None
-            except Exception as error:  # from a third-party plant or method, say: the page shows it
+            except Exception as error:  # for example from a third-party plant or method; shown in the page
                 self.problem, step = str(error) or type(error).__name__, None
             self._over = step is None
             if step is None:
@@ -166,7 +166,7 @@ class Session:
         self._problem_of_plan = ""
 
     def _apply_requests(self) -> None:
-        """Applies pending requests, as far as they are ready."""
+        """Applies the pending requests that are ready."""
         with self._lock:
             if self._changed and self._pending is None:
                 self._pending = self._builder.submit(_build, self.wanted, self._fresh)
@@ -192,7 +192,9 @@ class Session:
         plant = self._episode.plant
         if not isinstance(plant, MovablePlant):
             if moved is not None or knock is not None:
-                self.problem = f"the plant {self._episode.spec.plant} cannot be moved or pushed by hand"
+                self.problem = (
+                    f"the plant {self._episode.spec.plant} does not support moving or pushing the object by hand"
+                )
             return
         if moved is not None:
             plant.place(self._state.joint_position, moved)
@@ -241,7 +243,7 @@ class Session:
                 "plan time [ms]": 1e3 * step.plan_seconds,
             },
         )
-        if not self.watched or episode.log.header["mode"] == "realtime":  # where the planner is busy already
+        if not self.watched or episode.log.header["mode"] == "realtime":  # in real time the planner is still busy
             return picture
         samples = episode.planner.samples(SAMPLED)
         return replace(picture, sampled=samples.tips, weights=samples.weights, terms=samples.terms)
@@ -250,19 +252,19 @@ class Session:
         """Returns a one-line status message."""
         if self._over:
             return {
-                "success": "at its goal; move the goal or the object, or begin again",
-                "object fell": "the object fell; begin again",
-                "time limit": "the time is up; begin again",
-                "diverged": "the simulation diverged; begin again",
+                "success": "goal reached: move the goal or the object, or press Reset",
+                "object fell": "the object fell: press Reset",
+                "time limit": "time limit reached: press Reset",
+                "diverged": "the simulation diverged: press Reset",
             }.get(self._episode.log.header["ended"], "stopped")
         if self._pending is not None:
-            return "preparing what was asked for"
+            return "preparing the requested change"
         if self.paused:
             return "paused"
         if self._problem_of_plan:
             return f"stopped: {self._problem_of_plan}"
         if self._episode.planner.repositioning:
-            return "no headway: repositioning, to push from another side"
+            return "no progress: repositioning to push from another side"
         return "pushing"
 
 

@@ -1,4 +1,4 @@
-"""Controls for every setting, with help and unit as tooltip, generated from the fields of the config dataclasses."""
+"""Controls for all settings, with help and unit as tooltip, generated from the fields of the config dataclasses."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _SLIDER_TOP = 4.0
 
 
 class SettingsPanel:
-    """Shows controls for all settings in folders, and lists the changed ones, each with a button that reverts it.
+    """Shows controls for all settings in folders, and lists the changed ones, each with a button that resets it.
 
     An optimizer's kind is a dropdown; selecting another kind replaces the controls in the folder.
 
     Args:
         server: A viser server.
-        config: Initial settings, which are also the defaults that the buttons revert to.
+        config: Initial settings, which are also the defaults that the buttons restore.
         on_change: Callback that receives the new settings.
     """
 
@@ -104,18 +104,18 @@ class SettingsPanel:
         elif get_origin(kind) is tuple:
             control = self._gui.add_text(shown, initial_value=_control_value(value), hint=about)
         else:
-            raise TypeError(f"{name}: no control for a setting of the type {kind}")
+            raise TypeError(f"{name}: no control for settings of type {kind}")
         self._controls[name] = control
 
         @control.on_update
         def _changed(event: Any) -> None:
             if event.client_id is None:
-                return  # the change came from here
+                return  # changed by this program, not in a browser
             try:
                 self.set(name, event.target.value)
             except ConfigError as error:
                 event.target.value = _control_value(options(self.config)[name])
-                event.client.add_notification("This value cannot be used", str(error), color="red")
+                event.client.add_notification("Invalid value", str(error), color="red")
 
     def _show_changed(self) -> None:
         now, differing = options(self.config), changed(self.config, self._default)
@@ -123,7 +123,7 @@ class SettingsPanel:
             self._buttons.pop(name).remove()
         for name in sorted(differing.keys() - self._buttons.keys()):
             with self._changed:
-                button = self._gui.add_button(f"{name}: back to {_control_value(differing[name])}")
+                button = self._gui.add_button(f"Reset {name} to {_control_value(differing[name])}")
             button.on_click(lambda _event, name=name: self._revert(name))
             self._buttons[name] = button
         self._changed.visible = bool(differing)

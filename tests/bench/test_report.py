@@ -69,7 +69,7 @@ def test_every_table_is_in_both(results: ResultSet, written: tuple[str, str, Pat
         "The paper's Table II",
         "Time and planning",
         "Clearance and forces",
-        "Methods against each other",
+        "Comparison of methods",
     ]
     for table in tables:
         assert f"## {table.title}\n" in markdown
@@ -93,8 +93,8 @@ def test_every_failure_is_in_both_with_its_cause_and_command(results: ResultSet,
 
 def test_what_is_missing_and_what_raised_is_said(written: tuple[str, str, Path]):
     page, markdown, _ = written
-    assert "**Not complete:** 3 of 40 trials are still to be run." in markdown
-    assert "<b>1 trials raised an error</b>" in page
+    assert "**Incomplete:** 3 of 40 trials have not been run." in markdown
+    assert "<b>Failed with an error: 1</b>" in page
     assert "A made-up suite &amp; its &lt;results&gt;" in page
 
 
@@ -107,14 +107,14 @@ def test_changed_settings_are_said(results: ResultSet):
 
 def test_trials_that_are_not_the_first_are_said(results: ResultSet):
     text = "\n".join(facts(replace(results, entries=[{"first": 10, "trials": 5, "seed": 3}])))
-    assert "Trials number 10 to 14, seed 3." in text
+    assert "Trials numbered 10 to 14, seed 3." in text
     assert "Trials" not in "\n".join(facts(results))
 
 
 def test_results_of_two_codes_are_said(results: ResultSet):
     other = replace(results.results[0], code="other")
     text = "\n".join(facts(replace(results, results=[other, *results.results[1:]])))
-    assert "**Made by 2 versions of the code** (c0de, other)" in text
+    assert "**Produced by 2 versions of the code** (c0de, other)" in text
 
 
 def test_the_pictures_of_the_markdown_are_there(written: tuple[str, str, Path]):
@@ -217,11 +217,11 @@ def test_what_was_planned_ahead_is_told_whoever_did_it():
 def test_a_file_that_has_no_results_is_refused(content: str, tmp_path: Path):
     file = tmp_path / "results.json"
     file.write_text(content)
-    with pytest.raises(LogError, match="no results of a suite"):
+    with pytest.raises(LogError, match="cannot be read as the results of a suite"):
         load_results(file)
 
 
 def test_a_report_needs_no_successes_and_no_steps(tmp_path: Path):
     found = [make_one(success=False, steps=0), make_one(method="soi", error=TRACE)]
     page, _ = write_report(make_set(found), tmp_path)
-    assert "nothing was run" in page.read_text()
+    assert "no steps were run" in page.read_text()

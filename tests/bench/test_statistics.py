@@ -111,5 +111,5 @@ def test_entries_of_one_scene_are_compared_with_the_first_and_count_once_among_m
 def test_sets_with_nothing_in_common_are_refused():
     first = make_set([make_one(number=0)], suite="a")
     second = make_set([replace(make_one(number=0), start=(9.0, 9.0, 9.0))], suite="b")
-    with pytest.raises(ConfigError, match="nothing in common"):
+    with pytest.raises(ConfigError, match="no trials in common"):
         compare_sets(first, second)

@@ -136,7 +136,7 @@ def test_an_entry_has_what_stands_at_the_top_unless_it_says_otherwise(tmp_path: 
 
 def test_the_same_task_and_method_twice_need_labels(tmp_path: Path):
     twice = SMALL + '[[entry]]\n[[entry]]\nmethods = ["soi"]\nset = ["cost.w_d=3"]\n'
-    with pytest.raises(ConfigError, match="soi on task01 stands there twice"):
+    with pytest.raises(ConfigError, match="soi on task01 is listed twice"):
         make_trials(suite_of(tmp_path, twice))
     trials, scenes = make_trials(suite_of(tmp_path, twice + 'label = "far"\n'))
     assert set(scenes) == {"task01", "task02", "task01-far", "task02-far"}
@@ -207,7 +207,7 @@ BAD = {
     "empty tasks": ("tasks = []", "a list of scenes"),
     "a word for a list": ('tasks = "task01"', "a list of scenes"),
     "unknown key": (SMALL + "sead = 1", "did you mean seed?"),
-    "unknown method": ('tasks = ["task01"]\nmethods = ["rrt"]', "a list out of mppi, soi, cloi"),
+    "unknown method": ('tasks = ["task01"]\nmethods = ["rrt"]', "a list of names from mppi, soi, cloi"),
     "no trials": (SMALL.replace("3", "0"), "a whole number from 1"),
     "trials that are none": (SMALL.replace("3", "true"), "a whole number from 1"),
     "seed of 33 bits": (SMALL + "seed = 4294967296", "a whole number from 0 to 4294967295"),

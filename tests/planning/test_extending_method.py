@@ -47,7 +47,7 @@ def suite_in(folder: Path) -> Suite:
 
 
 def test_an_unknown_method_is_refused_with_those_there_are(tmp_path: Path):
-    with pytest.raises(ConfigError, match="allowed: a list out of mppi, soi, cloi"):
+    with pytest.raises(ConfigError, match="allowed: a list of names from mppi, soi, cloi"):
         suite_in(tmp_path)
 
 

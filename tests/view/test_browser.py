@@ -141,7 +141,7 @@ def test_the_page_is_drawn_without_an_error_and_says_what_goes_on(live, page):
     page.goto(live.url)
     until(lambda: scene_is_drawn(picture_of(page, "live")))
     page.get_by_text("pushing", exact=True).wait_for()
-    page.get_by_text("cost of the best sample").wait_for()
+    page.get_by_text("Cost terms of the best sample").wait_for()
     assert page.problems == []
 
 
@@ -167,14 +167,14 @@ def test_a_slider_changes_the_planners_weight_and_one_click_takes_it_back(live, 
         thumb.press("ArrowRight")
     until(lambda: live.session.running.config.cost.w_theta > default)
     picture_of(page, "slider")
-    page.get_by_role("button", name="cost.w_theta: back to").click()
+    page.get_by_role("button", name="Reset cost.w_theta to").click()
     until(lambda: live.session.running.config.cost.w_theta == default)
     assert page.problems == []
 
 
 def test_dragging_the_goal_changes_the_plan(live, page):
     opened(page, live)
-    page.get_by_label("Move things", exact=True).check()
+    page.get_by_label("Show handles", exact=True).check()
     before = live.session.running.scene.goal
     middle = on_screen(live, (before[0], before[1], 0.06))
     handles = []
@@ -235,7 +235,7 @@ def test_a_replay_scrubs(record, page):
         thumb = slider(page, "Step")
         thumb.press("End")
         until(lambda: view.row == len(Replay(record)) - 1)
-        until(lambda: "2.0" in page.get_by_text("to go;").inner_text())
+        until(lambda: "2.0" in page.get_by_text("from the goal;").inner_text())
         for _ in range(5):
             thumb.press("ArrowLeft")
         until(lambda: view.row == len(Replay(record)) - 6)

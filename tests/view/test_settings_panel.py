@@ -53,7 +53,7 @@ def test_another_optimizer_brings_its_settings_into_its_folder(panel, told):
     assert panel._controls.keys() == options(told[-1]).keys()
     panel.set("robot.optimizer.elites", 0.2)
     assert told[-1].robot.optimizer.elites == 0.2
-    assert buttons(panel) == {"robot.optimizer: back to mppi", "robot.optimizer.elites: back to 0.05"}
+    assert buttons(panel) == {"Reset robot.optimizer to mppi", "Reset robot.optimizer.elites to 0.05"}
     assert panel._command.content == "`--set robot.optimizer=cem robot.optimizer.elites=0.2`"
     panel._revert("robot.optimizer")
     assert told[-1] == best("cloi")

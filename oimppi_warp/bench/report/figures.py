@@ -27,36 +27,36 @@ FAILED = "#b91c1c"
 
 
 def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
-    """Draw the figures of a report; returns a caption and a figure for each file name."""
+    """Draw the figures of a report; returns a caption and a figure by file name."""
     with matplotlib.rc_context(STYLE):
         found = {
             "success": (
-                "Successes with Wilson's 95 % intervals: light to the task's tolerance, full colour to the tight one; "
-                "diamonds are the paper's rates.",
+                "Success rates with Wilson's 95 % intervals. Light bars: the task's tolerance; solid bars: the tight "
+                "tolerance; diamonds: the rates reported in the paper.",
                 success_figure(results),
             ),
             "errors": (
-                "Distance to the goal over simulated time: mean and quartiles over trials; an episode that ended keeps "
-                "its last error. The dotted line is the tolerance.",
+                "Distance to the goal over simulated time: mean and quartiles over trials; after an episode ends, its "
+                "last error is kept. The dotted line is the tolerance.",
                 errors_figure(results),
             ),
             "plan_times": (
-                "Wall time of plans, each method's over all its tasks. The line is the median.",
+                "Distribution of the wall time per plan, for each method over all its tasks. The line is the median.",
                 plan_figure(results),
             ),
         }
         for task in results.tasks:
             title = results.places[task]["title"].rstrip(".")
             found[f"ways_{task}"] = (
-                f"{task}. {title}. Ways of the object from above, a dot at the start, the object drawn where it ended; "
-                "failures in red. Dashed: the goal; dotted: its tolerance.",
+                f"{task}. {title}. Paths of the object seen from above, with a dot at the start and the object drawn "
+                "at its final pose; failed trials in red. Dashed: the goal; dotted: its tolerance.",
                 paths_figure(results, task),
             )
     return found
 
 
 def success_figure(results: ResultSet) -> Figure:
-    """Draw bars of the success rates with confidence intervals, by task and method."""
+    """Draw a bar chart of the success rates with confidence intervals, by task and method."""
     tasks, colors = results.tasks, _colors(results)
     methods = list(colors)
     figure = Figure(figsize=(max(5.0, 1.6 + 1.5 * len(tasks)), 3.6), layout="constrained")
@@ -147,7 +147,7 @@ def plan_figure(results: ResultSet) -> Figure:
         axes.set_title(text, loc="right", fontsize=8, fontweight="normal")
         used = np.flatnonzero(share > 0.001 * share.sum())
         shown += [float(PLAN_BINS[used[0]]), float(PLAN_BINS[used[-1] + 1])]
-    panels[-1].set(xscale="log", xlabel="wall time of a plan [ms]")
+    panels[-1].set(xscale="log", xlabel="wall time per plan [ms]")
     if shown:
         panels[-1].set_xlim(0.7 * min(shown), 1.4 * max(shown))
     ticks = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
@@ -180,7 +180,7 @@ def paths_figure(results: ResultSet, task: str) -> Figure:
 
 
 def _colors(results: ResultSet) -> dict[str, str]:
-    """Assigns a colour to each method, in display order."""
+    """Returns a colour for each method, in display order."""
     return method_colors(shown_methods(results))
 
 

@@ -19,7 +19,7 @@ def write_markdown(results: ResultSet, pictures: dict[str, tuple[str, str]]) -> 
     lines = [f"# {results.title}", "", *facts(results), ""]
     for table in every_table(results):
         lines += [f"## {table.title}", "", table.note, "", *markdown_table(table), ""]
-    lines += ["## Pictures", ""]
+    lines += ["## Figures", ""]
     for caption, file in pictures.values():
         lines += [f"![{caption}]({file})", "", f"*{caption}*", ""]
     lines += ["## Failures", "", *_failures(results), ""]
@@ -45,39 +45,39 @@ def facts(results: ResultSet) -> list[str]:
     """Describe in a few sentences how the results were made."""
     found = results.results
     succeeded = wilson(sum(result.success for result in found), len(found))
-    count = f"{rate(succeeded)} trials succeeded" if found else "No trial is finished"
+    count = f"{rate(succeeded)} trials succeeded" if found else "no trials have finished yet"
     text = [f"Suite `{results.suite}`: {count}."]
     if len(found) < results.planned:
-        text.append(
-            f"**Not complete:** {results.planned - len(found)} of {results.planned} trials are still to be run."
-        )
+        text.append(f"**Incomplete:** {results.planned - len(found)} of {results.planned} trials have not been run.")
     if raised := sum(bool(result.error) for result in found):
-        text.append(f"**{raised} trials raised an error** and count as failures.")
+        text.append(f"**Failed with an error: {raised}**; these trials count as failures.")
     if len(results.codes) > 1:
         text.append(
-            f"**Made by {len(results.codes)} versions of the code** ({', '.join(results.codes)}); run the suite into a "
-            "new folder to have them all by one."
+            f"**Produced by {len(results.codes)} versions of the code** ({', '.join(results.codes)}); run the suite in "
+            "a new folder to get all results from one version."
         )
     if drawn := dict.fromkeys(filter(None, map(_numbers, results.entries))):
         text.append(f"Trials {'; '.join(drawn)}.")
-    kinds = dict.fromkeys(f"{r.preset}, engine {r.run.engine}, {r.run.mode}, {r.run.plant} plant" for r in found)
+    kinds = dict.fromkeys(f"{r.preset}, engine {r.run.engine}, mode {r.run.mode}, plant {r.run.plant}" for r in found)
     changed = dict.fromkeys(filter(None, map(_changed, results.entries)))
     if changed:
         text.append(f"Changed settings: {'; '.join(changed)}.")
     machines = dict.fromkeys(result.machine for result in found)
     packages = ", ".join(f"{name} {version}" for name, version in results.versions.items())
-    text.append(f"Preset {'; '.join(kinds)}. On {'; '.join(machines)}. Code {', '.join(results.codes)}; {packages}.")
+    text.append(
+        f"Preset {'; '.join(kinds)}. Run on {'; '.join(machines)}. Code version {', '.join(results.codes)}; {packages}."
+    )
     return text
 
 
 def _numbers(entry: dict[str, Any]) -> str:
-    """Describes which trials an entry has, if they are not the first ones with seed 0."""
+    """Describes the trial numbers and the seed of an entry; empty if the numbers start at 0 and the seed is 0."""
     first, seed = entry.get("first", 0), entry.get("seed", 0)
-    return f"number {first} to {first + entry['trials'] - 1}, seed {seed}" if first or seed else ""
+    return f"numbered {first} to {first + entry['trials'] - 1}, seed {seed}" if first or seed else ""
 
 
 def _changed(entry: dict[str, Any]) -> str:
-    """Describes the changes that an entry of the suite makes."""
+    """Describes the settings that an entry of the suite changes."""
     changes = [f"`{assignment}`" for assignment in entry.get("set", [])]
     if (limit := entry.get("max_sim_seconds")) is not None:
         changes.append(f"at most {limit:g} simulated seconds")
@@ -90,7 +90,7 @@ def _failures(results: ResultSet) -> list[str]:
     found = failures(results)
     if not found:
         return ["None."]
-    lines = ["The cause is what the log suggests. Each command runs its trial again, with the same result.", ""]
+    lines = ["Causes are inferred from the logs. Each command reruns its trial with the same result.", ""]
     for result in found:
         name = f"{result.task}, {result.run.method.upper()}, start {result.number}"
         lines += [

@@ -65,7 +65,7 @@ def write_page(results: ResultSet, pictures: dict[str, tuple[str, bytes]]) -> st
         if table is tables[0]:
             parts.append(figures.pop("success", ""))
     parts += ["<h2>Errors and plan times</h2>", figures.pop("errors", ""), figures.pop("plan_times", "")]
-    parts += ["<h2>Ways of the object</h2>", *figures.values()]
+    parts += ["<h2>Paths of the object</h2>", *figures.values()]
     parts.append(_failures(results, dots))
     body = "\n".join(part for part in parts if part)
     return (
@@ -90,11 +90,11 @@ def _cards(results: ResultSet, colors: dict[str, str]) -> str:
     cards = []
     for method, color in colors.items():
         stats = summarize_results(results.of(method=method))
-        tight = f"{100 * stats.tight.share:.0f} % tight" if stats.tight_counts else "tight not tried"
+        tight = f"tight: {100 * stats.tight.share:.0f} %" if stats.tight_counts else "tight: not tested"
         cards.append(
             f'<div class="card" style="--color: {color}">{escape(method.upper())}'
             f"<b>{100 * stats.success.share:.0f} %</b>"
-            f"<span>{stats.success.count} of {stats.success.total}, 95 %: {interval(stats.success)}</span>"
+            f"<span>{stats.success.count} of {stats.success.total}, 95 % interval {interval(stats.success)}</span>"
             f"<span>{tight}</span></div>"
         )
     return f'<div class="cards">{"".join(cards)}</div>'
@@ -134,7 +134,7 @@ def _failures(results: ResultSet, dots: dict[str, str]) -> str:
         f"<li>{escape(cause)}: {count} of {escape(method.upper())}</li>"
         for (cause, method), count in causes.most_common()
     ]
-    intro = "The cause is what the log suggests. Each command runs its trial again, with the same result."
+    intro = "Causes are inferred from the logs. Each command reruns its trial with the same result."
     return f'<h2>Failures</h2>\n<p class="note">{intro}</p>\n<ul class="causes">{"".join(items)}</ul>\n' + "\n".join(
         _failure(result, dots[result.run.method.upper()]) for result in found
     )

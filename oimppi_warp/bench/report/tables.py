@@ -12,7 +12,7 @@ from oimppi_warp.bench.results import Result, ResultSet
 from oimppi_warp.bench.statistics import Rate, Statistics, summarize_results
 
 PLANNED_AHEAD = 0.5
-"""Minimum mean wall time of planning ahead for it to be reported [s]; cost fields take a tenth of it."""
+"""Minimum mean wall time of planning in advance that is reported [s]; computing cost fields takes a tenth of it."""
 
 _NOT_REPORTED = Reported("", math.nan)
 
@@ -23,7 +23,7 @@ class Table:
 
     Attributes:
         title: Its heading.
-        note: Reading notes.
+        note: Explanation of the table.
         header: One heading per column; the first two columns are text, the others numbers.
         rows: Cells of each row.
     """
@@ -35,7 +35,7 @@ class Table:
 
 
 def shown_methods(results: ResultSet) -> list[str]:
-    """Return the methods of a result set in display order: the paper's in its order, then the others in the suite's."""
+    """Return the methods of a result set in display order: the paper's methods first, then all others."""
     others = [method for method in results.methods if method not in METHODS]
     return [*(method for method in METHODS if method in results.methods), *others]
 
@@ -47,8 +47,8 @@ def every_table(results: ResultSet) -> list[Table]:
         *(paper_table(results, table) for table in TABLES),
         time_table(results),
         safety_table(results),
-        comparison_table(compare_methods(results), title="Methods against each other", sides=("first", "second")),
-        comparison_table(compare_labels(results), title="Entries against the first", sides=("first", "second")),
+        comparison_table(compare_methods(results), title="Comparison of methods", sides=("first", "second")),
+        comparison_table(compare_labels(results), title="Comparison with the first entry", sides=("first", "second")),
     ]
     return [table for table in tables if table.rows]
 
@@ -70,23 +70,23 @@ def success_table(results: ResultSet) -> Table:
     for task, method, stats in _groups(results):
         errors = [stats.error_until, stats.error_until_success, stats.error, stats.error_success]
         cells = [rate(stats.success), interval(stats.success)]
-        cells += [rate(stats.tight), interval(stats.tight)] if stats.tight_counts else ["not tried", "-"]
+        cells += [rate(stats.tight), interval(stats.tight)] if stats.tight_counts else ["not tested", "-"]
         rows.append((task, method.upper(), *cells, *(number(error, 3) for error in errors)))
     return Table(
         "Success and position error",
-        "Trials that held the task's tolerance, and the tight one, for the hold time, with Wilson's 95 % interval. The "
-        "error is the object's distance to its goal averaged over time and then over trials, in metres: until success "
-        "(ε_d of the paper, whose episodes end there), and over the whole episode.",
+        "Trials in which the object stayed within the task's tolerance, and within the tight one, for the hold time, "
+        "with Wilson's 95 % intervals. Errors are the object's distance to its goal in metres, averaged over time and "
+        "then over trials: until success (the paper's ε_d, as its episodes end there), and over the whole episode.",
         (
             *("task", "method", "success", "95 %", "tight", "95 %"),
-            *("ε_d", "ε_d of successes", "error, whole", "error of successes, whole"),
+            *("ε_d", "ε_d of successes", "error, whole episode", "error of successes, whole episode"),
         ),
         tuple(rows),
     )
 
 
 def paper_table(results: ResultSet, table: str) -> Table:
-    """Build one of the paper's tables with our results beside it."""
+    """Build one of the paper's tables with our results next to the paper's."""
     rows = []
     tasks = [task for task in TABLES[table] if task in results.tasks]
     methods = shown_methods(results)
@@ -101,12 +101,12 @@ def paper_table(results: ResultSet, table: str) -> Table:
             if all(group.success.total for group in groups):
                 reported = MEANS.get((table, method), _NOT_REPORTED)
                 rows.append(("mean", method.upper(), *_paper_pairs(reported, *groups)))
-    where = "in simulation" if table == "I" else "on the real arm; ours are simulated"
+    where = "from simulation" if table == "I" else "from the real arm; ours are from simulation"
     return Table(
         f"The paper's Table {table}",
-        f"The paper's figures are {where}. ε_d is the position error averaged over time, f the control frequency, T "
-        "the total time to success with planning, in brackets SOI's planning ahead. The paper's T and f were measured "
-        "on its own computer. The mean is over tasks.",
+        f"The paper's figures are {where}. ε_d is the position error averaged over time, f the control frequency, and "
+        "T the total time to success including planning, with the time SOI plans in advance in brackets. T and f "
+        "depend on the computer; the paper's were measured on a different one. Means are over tasks.",
         (
             "task",
             "method",
@@ -132,12 +132,12 @@ def time_table(results: ResultSet) -> Table:
         rows.append((task, method.upper(), *cells, number(s.control_hz, 1), *samples))
     return Table(
         "Time and planning",
-        "Steps and simulated time to success are medians over successful trials, T is the mean of their times with "
-        "planning (in brackets what was planned ahead, as SOI does). Plan times are medians over trials of each "
-        "trial's median and 95th percentile. The effective sample sizes are means.",
+        "Steps and simulated time to success are medians over successful trials; T is the mean of their total times "
+        "including planning (in brackets the part spent planning in advance, as SOI does). Plan times are medians over "
+        "trials of each trial's median and 95th percentile. Effective sample sizes are means.",
         (
             *("task", "method", "steps", "time [s]", "T [s]", "plan [ms]", "p95 [ms]", "f [Hz]"),
-            *("effective samples", "of the object level"),
+            *("effective samples", "effective samples, object level"),
         ),
         tuple(rows),
     )
@@ -152,10 +152,10 @@ def safety_table(results: ResultSet) -> Table:
         rows.append((task, method.upper(), number(1000 * s.clearance, 1), clear, *forces))
     return Table(
         "Clearance and forces",
-        "The smallest clearance of the object (negative: it was pressed into an obstacle), the successful trials in "
-        "which it never went below -5 mm, and the largest contact forces of the object on an obstacle and of the robot "
-        "on an obstacle or the table.",
-        ("task", "method", "least clearance [mm]", "clear successes", "object's force [N]", "robot's force [N]"),
+        "The smallest clearance of the object (negative: it was pressed into an obstacle), the number of successful "
+        "trials in which it never fell below -5 mm, and the largest contact forces between the object and an obstacle, "
+        "and between the robot and an obstacle or the table.",
+        ("task", "method", "min. clearance [mm]", "never below -5 mm", "max. object force [N]", "max. robot force [N]"),
         tuple(rows),
     )
 
@@ -174,9 +174,10 @@ def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[st
     names = [item.name for item in found[0].numbers] if found else []
     return Table(
         title,
-        "Pairs of trials with the same start. p is that of McNemar's exact test on the pairs that succeed on one side "
-        "only. Behind it medians on either side, with p of the Wilcoxon signed-rank test in brackets; times to success "
-        "are of pairs that succeed on both sides. The p are not corrected for how many there are.",
+        "Pairs of trials with the same start. p is the p value of McNemar's exact test on the pairs that succeed on "
+        "one side only. The columns after it show the medians of both sides, with the p value of the Wilcoxon "
+        "signed-rank test in brackets; times to success use only pairs that succeed on both sides. The p values are "
+        "not corrected for multiple comparisons.",
         ("compared", "pairs", *sides, f"only {sides[0]}", f"only {sides[1]}", "p", *names),
         tuple(rows),
     )
@@ -191,8 +192,9 @@ def differing_pairs(found: Comparison) -> Table:
             rows.append((f"{a.task}, {a.run.method.upper()}", f"{a.number}", side, failed.cause, failed.command))
     return Table(
         "Pairs that differ",
-        "Which side succeeded, why the other failed, and what runs the failed trial again.",
-        ("trial", "start", "succeeds", "the other", "command of the other"),
+        "The side that succeeded, the likely cause of the other side's failure, and the command that reruns the failed "
+        "trial.",
+        ("trial", "start", "succeeded", "cause of the other's failure", "command to rerun the failed trial"),
         tuple(rows),
     )
 
@@ -250,7 +252,7 @@ def _paper_pairs(reported: Reported, *groups: Statistics) -> tuple[str, ...]:
 
 
 def _total(groups: Sequence[Statistics]) -> str:
-    """Returns the mean total time to success of some groups, with the part planned in advance in brackets."""
+    """Returns the mean total time to success of some groups, with the time spent planning in advance in brackets."""
     ahead = _mean([group.preplan_time for group in groups])
     text = number(_mean([group.total_time for group in groups]), 1)
     return f"{text} ({number(ahead, 1)})" if ahead >= PLANNED_AHEAD else text

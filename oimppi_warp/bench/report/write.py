@@ -1,4 +1,4 @@
-"""Writes the report of a result set: one HTML page, and Markdown with its figures beside it."""
+"""Writes the report of a result set: an HTML page, and a Markdown file with its figures next to it."""
 
 from __future__ import annotations
 
