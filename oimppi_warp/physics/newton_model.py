@@ -280,7 +280,7 @@ def _set_robot_masses(builder: newton.ModelBuilder, robot: Robot, bodies: dict[s
             raise SceneError(
                 f"a link of {link.mass:g} kg with {parts}",
                 prim=link.path,
-                allowed="more than what is welded to it weighs",
+                allowed="more than the mass of the bodies welded to it",
                 fix="give the link a larger mass; it includes that of the welded bodies",
             )
         for part, mass in ((link, own), *((part, part.mass) for part in link.welded)):

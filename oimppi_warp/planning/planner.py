@@ -152,7 +152,7 @@ class Planner:
         """
         check_shapes(observation, self.scene.robot.dof)
         if problem := implausible(observation, self.scene.robot):
-            raise ObservationError(f"no episode can begin here: {problem}")
+            raise ObservationError(f"an episode cannot start from this observation: {problem}")
         self.optimizer.reset()
         self._repositioner.reset()
         return self._setup_seconds
