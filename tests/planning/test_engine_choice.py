@@ -140,7 +140,7 @@ def test_an_engine_that_nobody_has_measured_is_not_tried(add, monkeypatch):
     assert choose_engine("mine", 0.05, machine.make).engine == "known"
     assert machine.made == ["known", "known"]
     del add["known"]
-    with pytest.raises(ConfigError, match=r"no engine has a known success\n.*unknown, plain"):
+    with pytest.raises(ConfigError, match=r"no engine has a known success rate\n.*unknown, plain"):
         choose_engine("soi", 0.05, machine.make)
 
 
