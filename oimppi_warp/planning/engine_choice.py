@@ -67,7 +67,7 @@ def choose_engine(method: str, period: float, make: Callable[[str], P]) -> Engin
     """
     known = {name: figures for name, engine in ENGINES.loadable() if (figures := getattr(engine, "known_success", {}))}
     success = {name: figures[method] for name, figures in known.items() if method in figures}
-    if not success:  # a method from elsewhere: each engine is rated by its best figure with ours
+    if not success:  # a method from outside the package: each engine is rated by its best known figure
         success = {name: max(figures.values()) for name, figures in known.items()}
     slower = {name: getattr(ENGINES[name], "slower_than", frozenset()) for name in success}
     if not success:

@@ -209,7 +209,7 @@ def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:
                 f"a rigid body in the {noun}",
                 part,
                 allowed=allowed,
-                fix="remove PhysicsRigidBodyAPI, or the prim's role",
+                fix="remove PhysicsRigidBodyAPI, or the role's API schema",
             )
         )
     return bool(moving)

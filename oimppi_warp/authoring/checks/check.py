@@ -98,7 +98,7 @@ def _task_warnings(scene: Scene) -> Iterator[Problem]:
             fix="set oimppi:spread, from which seeds draw starts, or list several oimppi:starts",
         )
     body = scene.object
-    if tipping_height(body) > 0.0 and can_tip(body):  # at zero its centre of mass is wrong: a separate warning
+    if tipping_height(body) > 0.0 and can_tip(body):  # zero means a wrong centre of mass, which has its own warning
         top = body.rest_height + height_range(body.colliders)[1]
         yield _warning(
             scene,

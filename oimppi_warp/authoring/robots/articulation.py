@@ -53,7 +53,7 @@ class Articulation:
         self._names = {index: name for name, index in bodies.items()}
 
     def arm(self, chain: Chain, *, name: str, doc: str, length: float, radius: float, axis: ToolAxis) -> Arm:
-        """Build the arm for a chain, with a start of all zeros (see :func:`.start.with_start`).
+        """Build the arm for a chain, with a start of all zeros (see :func:`.start_pose.with_start`).
 
         Args:
             chain: Selects links and joints.

@@ -50,7 +50,7 @@ class NewtonWorlds(NewtonDynamics):
         solver: Newton's solver.
 
     Raises:
-        RuntimeError: In :meth:`traced`, if contacts or constraints outgrew their buffers.
+        RuntimeError: In :meth:`traced`, if the buffers of contacts or constraints overflowed.
     """
 
     one_graph = True
