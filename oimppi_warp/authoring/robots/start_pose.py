@@ -57,7 +57,7 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
         "no joint positions were found that hold the tool upright above the table in front of the arm",
         file=file,
         allowed=f"a tip {HEIGHT:g} m above z = 0, {min(_DISTANCES):g} to {max(_DISTANCES):g} m from the base",
-        fix="check --flange and --tool-axis, and that the arm stands at the table with z up",
+        fix="check --flange and --tool-axis, and that z points up and is zero at the table's top",
     )
 
 

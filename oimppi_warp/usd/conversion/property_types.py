@@ -1,6 +1,6 @@
 """Checks that a stage's properties have the kinds and types given by their schemas, before anything reads them.
 
-USD itself accepts a string as a mass, or an attribute in place of a relationship; a reader then gets a value of the
+USD itself accepts a string as a mass, or an attribute in place of a relationship; a reader then receives a value of the
 wrong type.
 """
 
