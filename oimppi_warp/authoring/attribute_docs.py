@@ -10,10 +10,10 @@ _STANDARD = {
     "physics:mass": "Mass [kg].",
     "physics:centerOfMass": "Centre of mass in the object's frame [m].",
     "physics:diagonalInertia": "Principal moments of inertia about the centre of mass [kg m^2].",
-    "physics:principalAxes": "How the principal axes of inertia are turned: a quaternion (w, x, y, z).",
-    "physics:dynamicFriction": "Coulomb coefficient of sliding; between two shapes the larger one counts.",
-    "physics:staticFriction": "Coulomb coefficient at rest; the planner goes by dynamicFriction.",
-    "physics:restitution": "Bounce, 0 to 1; not used.",
+    "physics:principalAxes": "Orientation of the principal axes of inertia: a quaternion (w, x, y, z).",
+    "physics:dynamicFriction": "Coefficient of sliding friction; for a pair of shapes, the larger one applies.",
+    "physics:staticFriction": "Coefficient of static friction; the planner uses dynamicFriction instead.",
+    "physics:restitution": "Coefficient of restitution, 0 to 1; not used.",
     "physics:gravityDirection": "Down.",
     "physics:gravityMagnitude": "[m/s^2]",
     "physics:approximation": "The collision shape is the convex hull of the points.",
@@ -29,12 +29,12 @@ _ROLES = {schema.name: schema.doc for schema in SCHEMAS}
 
 _PLACES = {
     "/World/Robot": "The arm, from its own file.",
-    "/World/Object": "The object to be pushed, from its own file; where it stands here is where it starts.",
-    "/World/Goal": "A ghost that shows the goal; it is only looked at. What counts is oimppi:goal.",
-    "/World/Obstacles": "What stands in the way: neither arm nor object may run into it.",
-    "/World/Table": "What the object slides on: a box with its top at z = 0.",
-    "/World/Materials": "Friction of table and obstacles.",
-    "/World/Camera": "Looks over the table towards the arm.",
+    "/World/Object": "The object to be pushed, from its own file; its pose here is its start.",
+    "/World/Goal": "A ghost at the goal, for display only; the goal itself is oimppi:goal.",
+    "/World/Obstacles": "Obstacles, which neither the arm nor the object may hit.",
+    "/World/Table": "The surface that the object slides on: a box with its top at z = 0.",
+    "/World/Materials": "Friction of the table and the obstacles.",
+    "/World/Camera": "View across the table towards the arm.",
 }
 
 

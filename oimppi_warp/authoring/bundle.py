@@ -33,16 +33,16 @@ def copy_bundle(file: Path, folder: Path) -> Path:
     """Copy a USD file and its dependencies into a folder, keeping their paths relative to the file.
 
     Raises:
-        SceneError: A dependency is missing or lies outside the file's folder.
+        SceneError: A dependency is missing or is outside the file's folder.
     """
     file = file.resolve()
     for dependency in dependencies_of(file):
         if not dependency.is_relative_to(file.parent):
             raise SceneError(
-                f"it needs {os.path.relpath(dependency, file.parent)}",
+                f"it depends on {os.path.relpath(dependency, file.parent)}, which is outside its folder",
                 file=file,
                 allowed="files in its own folder or below it, which can be copied with it",
-                fix="move them there, or make it one file: usdcat --flatten",
+                fix="move them there, or combine everything in one file with usdcat --flatten",
             )
         target = folder / dependency.relative_to(file.parent)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -81,5 +81,5 @@ def write_flattened(layer: Sdf.Layer, file: Path, source: Path) -> None:
 
 
 def _missing(path: str, file: Path) -> SceneError:
-    fix = "correct it; the paths of references count from the file that they stand in"
-    return SceneError(f"it needs {path}, which is not there", file=file, fix=fix)
+    fix = "correct the reference; its path is relative to the file that contains it"
+    return SceneError(f"it depends on {path}, which does not exist", file=file, fix=fix)

@@ -103,7 +103,7 @@ class Shape:
                 f", {parameter.name} in {parameter.unit}" for parameter in self.parameters if parameter.unit
             )
             raise ConfigError(
-                f"{spec}: {count} {'lengths' if lengths else 'numbers'} above zero are needed\n"
+                f"{spec}: needs {count} {'lengths' if lengths else 'numbers'} above zero\n"
                 f"  allowed: {self.usage(name)}{', in metres' if lengths else units}"
             )
         return found
@@ -174,14 +174,14 @@ T_BLOCK, LAB_T, SOUP_CAN = _shipped("T_BLOCK"), _shipped("LAB_T"), _shipped("SOU
 LETTER_I, LETTER_R, LETTER_O, LETTER_S = (_shipped(f"LETTER_{letter}") for letter in "IROS")
 
 LETTER = Shape(
-    about="a capital letter, of an alphabet of our own or, with `--font`, of an installed font",
+    about="a capital letter of the built-in alphabet or, with `--font`, a character of an installed font",
     make=deferred(f"{_AUTHORING}.letters.letters:letter"),
     example="S",
     options=("height", "size", "font"),
     noun="letters",
 )
 TEXT = Shape(
-    about="a word as one body: letters that stand on a bar",
+    about="a word as one rigid body: letters joined by a bar below them",
     make=deferred(f"{_AUTHORING}.letters.letters:word"),
     example="WARP",
     options=("height", "size", "font"),
@@ -202,13 +202,13 @@ CYLINDER = Shape(
     make_obstacle=_pillar,
 )
 PRISM = Shape(
-    about="an upright prism over a regular polygon, the radius that of its corners",
+    about="an upright prism over a regular polygon, whose radius is that of its corners",
     make=deferred(f"{_AUTHORING}.objects.outlines:regular_prism"),
     example="6x0.05x0.04",
     parameters=(Parameter("sides", unit=""), Parameter("radius"), Parameter("height")),
 )
 MESH = Shape(
-    about="a part of your own, made an object on the spot ([below](#a-part-of-your-own))",
+    about="a mesh file, converted to an object on the fly ([below](#a-part-of-your-own))",
     make=_mesh,
     example="part.stl",
     files=MESHES,
@@ -229,12 +229,12 @@ def usages() -> Iterator[str]:
 
 def objects() -> str:
     """Lists the shapes available as objects, for help and messages."""
-    return f"{', '.join(usages())}, or a USD file of an object"
+    return f"{', '.join(usages())}, or the USD file of an object"
 
 
 def obstacles() -> str:
     """Lists the shapes available as obstacles, for help and messages."""
-    return f"OBJECT@X,Y[,YAW], as box:0.1x0.1x0.1@0.5,0.05, with one of these: {objects()}"
+    return f"OBJECT@X,Y[,YAW], as in box:0.1x0.1x0.1@0.5,0.05, where OBJECT is one of these: {objects()}"
 
 
 def shapes_taking(option: str, by: Callable[[str, Shape], str] = lambda name, shape: shape.noun or name) -> list[str]:

@@ -91,7 +91,7 @@ def parse_object(spec: str, options: ShapeOptions = ShapeOptions(), *, folder: P
         raise ConfigError(f"{spec}: there is no such object\n  allowed: {objects()}{_suggestion(spec)}")
     if options.friction is not None or options.mass != stored.mass:
         raise ConfigError(
-            f"--object {spec}: its mass and friction stand in its file\n"
+            f"--object {spec}: its mass and friction are set in its file\n"
             f"  allowed: physics:mass and physics:dynamicFriction in {stored.file}"
         )
     return stored
@@ -112,7 +112,7 @@ def parse_obstacle(spec: str, options: ShapeOptions = ShapeOptions(), *, name: s
     """
     what, at, pose_text = spec.rpartition("@")
     if not at:
-        raise ConfigError(f"--obstacle {spec}: no place\n  allowed: {obstacles()}")
+        raise ConfigError(f"--obstacle {spec}: no position\n  allowed: {obstacles()}")
     numbers = pose_text.split(",")
     if len(numbers) == 2:
         numbers.append("0")
@@ -149,7 +149,7 @@ def check_used(options: ShapeOptions, specs: Iterable[str]) -> None:
     for option, value in options.given().items():
         if option not in taken and option not in COMMON_OPTIONS:
             what = " and ".join(shapes_taking(option))
-            raise ConfigError(f"--{option} {value}: there is nothing that it is for\n  allowed: with {what} only")
+            raise ConfigError(f"--{option} {value}: does not apply to any of the objects\n  allowed: with {what} only")
 
 
 def checked_pose(option: str, text: str) -> Pose:
@@ -161,8 +161,8 @@ def checked_pose(option: str, text: str) -> Pose:
     x, y, yaw = parse_pose(option, text)
     if abs(yaw) > 2.0 * math.pi + 1e-3:
         raise ConfigError(
-            f"{option} {text}: a yaw of {yaw:g} radians is more than a turn\n"
-            f"  allowed: -6.283 to 6.283 rad; {yaw:g} degrees are {math.radians(yaw):.4g}"
+            f"{option} {text}: a yaw of {yaw:g} radians is more than a full turn\n"
+            f"  allowed: -6.283 to 6.283 rad; {yaw:g} degrees are {math.radians(yaw):.4g} rad"
         )
     return x, y, yaw
 

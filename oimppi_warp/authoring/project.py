@@ -78,8 +78,11 @@ def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> 
         except SceneError as error:
             raise _relocated(error, draft, folder) from None
         except Tf.ErrorException as error:
-            what, fix = f"OpenUSD cannot write it ({usd_reason(error)})", "correct the object's or the robot's file"
-            raise SceneError(what, file=target, allowed="sound USD", fix=fix) from None
+            what, fix = (
+                f"OpenUSD cannot write the scene ({usd_reason(error)})",
+                "correct the object's or the robot's file",
+            )
+            raise SceneError(what, file=target, allowed="valid USD", fix=fix) from None
         files = _install(draft, folder, Path(target.name), own)
     return WrittenTask(target, replace(scene, file=target.resolve()), files)
 
@@ -129,19 +132,19 @@ def find_robot(robot: str, folder: Path) -> Path:
     shipped = sorted(f.stem for f in (SCENES / "robots").glob("*.usda") if not f.stem.endswith("_skin"))
     raise SceneError(
         f"--robot {robot}: there is no such robot",
-        allowed=f"{', '.join(shipped)}, one in {folder / 'robots'}, or a USD file",
+        allowed=f"{', '.join(shipped)}, a robot in {folder / 'robots'}, or a USD file",
     )
 
 
 def _check_target(name: str, file: Path, force: bool) -> None:
     """Raises SceneError for invalid file names, existing files, and folders that are not writable."""
     if not re.fullmatch(r"[A-Za-z0-9][\w-]*", name, flags=re.ASCII):
-        raise SceneError(f"{name!r}: no name for a scene", allowed="letters, digits, - and _, as in push_s")
+        raise SceneError(f"{name!r}: not a valid name", allowed="letters, digits, - and _, as in push_s")
     if file.exists() and not force:
-        raise SceneError("it is there already", file=file, allowed="a new name", fix="--force overwrites it")
+        raise SceneError("it already exists", file=file, allowed="a new name", fix="use --force to overwrite it")
     parent = next(place for place in (file.absolute(), *file.absolute().parents) if place.is_dir())
     if not os.access(parent, os.W_OK) or (file.parent.exists() and not file.parent.is_dir()):
-        raise SceneError("no folder that can be written to", file=file.parent, fix="take another one with --out")
+        raise SceneError("not a writable folder", file=file.parent, fix="choose another one with --out")
 
 
 def _own_objects(scene: Path, task: str) -> frozenset[Path]:
@@ -168,7 +171,7 @@ def _draft(task: Task, draft: Path, folder: Path, own: frozenset[Path]) -> None:
         for o in task.obstacles
     ]
     task = replace(task, robot=robot.name, object=obj, obstacles=tuple(obstacles))
-    note = f"Look at it: oimppi view {task.name}.usda. Run it: oimppi run {task.name}.usda. Metres, kilograms, z up"
+    note = f"View it: oimppi view {task.name}.usda. Run it: oimppi run {task.name}.usda. Metres, kilograms, z up"
     file = write(task, draft, note=note, find_arm_start=None if task.robot_start else clear_start)
     stage = Usd.Stage.Open(str(file))
     write_attribute_docs(stage)
@@ -191,7 +194,7 @@ def _add_object(obj: Pushable, task: str, draft: Path, folder: Path, own: frozen
             (draft / objects / made.name).replace(draft / file)
             shutil.rmtree(made.parent)
             return replace(obj, name=name)  # pyright: ignore[reportArgumentType]  # every object is a dataclass
-    raise SceneError(f"a hundred objects are called {obj.name}", file=folder, fix="take another folder with --out")
+    raise SceneError(f"a hundred objects are called {obj.name}", file=folder, fix="choose another folder with --out")
 
 
 def _write_object(obj: Pushable, file: Path) -> None:
@@ -214,8 +217,8 @@ def _install(draft: Path, folder: Path, main: Path, own: frozenset[Path]) -> tup
     found = [path for path in found if not _same(draft / path, folder / path)]
     for path in found:
         if (folder / path).exists() and path != main and path not in own:
-            fix = "take another folder with --out, or give one of the two another name"
-            raise SceneError("another file of this name is there already", file=folder / path, fix=fix)
+            fix = "choose another folder with --out, or rename one of the two"
+            raise SceneError("a different file of this name already exists", file=folder / path, fix=fix)
     for path in sorted(found, key=lambda path: path == main):
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -32,56 +32,56 @@ SCHEMAS = (
     Schema(
         "OimppiTaskAPI",
         "the scene's default prim; exactly one in a scene",
-        "What is to be done. Planar poses are (x, y, yaw) in the world's frame, whose origin is the centre of the "
-        "arm's base; z is up and the table's top is at z = 0. The object's start is where the object stands in the "
-        "file.",
+        "The task. Planar poses are (x, y, yaw) in the world frame, whose origin is the centre of the arm's base; "
+        "z points up, and the table's top is at z = 0. The object's start is its pose in the file.",
         (
-            Attribute("oimppi:title", "string", '""', "", "One line about the task."),
+            Attribute("oimppi:title", "string", '""', "", "One-line description of the task."),
             Attribute(
                 "oimppi:goal",
                 "double3",
                 "",
                 "m, m, rad",
-                "Where the object should go: planar pose of its frame.",
+                "Goal of the object: planar pose of its frame.",
             ),
             Attribute(
                 "oimppi:starts",
                 "double3[]",
                 "[]",
                 "m, m, rad",
-                "The starts that the task is measured with, one planar pose each. Left out: the one in the file.",
+                "Starts that the task is evaluated with, one planar pose each. If omitted, the one in the file.",
             ),
             Attribute(
                 "oimppi:spread",
                 "double2",
                 "(0, 0)",
                 "m, rad",
-                "Half widths of the box around the start that a seed draws a start from: of x and y, and of the yaw.",
+                "Half-widths of the box around the start from which a seed draws a start: of x and y, and of the yaw.",
             ),
             Attribute(
                 "oimppi:tolerance",
                 "double2",
                 "(0.2, 0.5)",
                 "m, rad",
-                "Success: distance and absolute yaw error at the goal. With an infinite yaw (`inf`), any yaw will do.",
+                "Largest distance and absolute yaw error at the goal for success; `inf` for the yaw accepts any yaw.",
             ),
             Attribute(
                 "oimppi:tightTolerance",
                 "double2",
                 "(0.05, 0.1)",
                 "m, rad",
-                "A stricter measure that is reported beside it.",
+                "A stricter tolerance; success within it is also reported.",
             ),
         ),
     ),
     Schema(
         "OimppiRobotAPI",
         "the root prim of the arm's articulation; exactly one in a scene",
-        "The arm. A serial chain of PhysicsRevoluteJoints and PhysicsPrismaticJoints, each about or along its local z "
-        "axis and with its frame at the link that it moves; its base stands at the world's origin, held by a "
-        "PhysicsFixedJoint to the world. Limits are UsdPhysics' own; the effort limit is the `physics:maxForce` of the "
-        "angular or linear drive, the velocity limit `newton:velocityLimit` of NewtonJointAPI (degrees per second, as "
-        "all angles in UsdPhysics, or metres per second; none: unlimited). A joint that slides must have limits.",
+        "The arm: a serial chain of PhysicsRevoluteJoints and PhysicsPrismaticJoints, each about or along its local z "
+        "axis and with its frame at the link that it moves. The base is at the world's origin, fixed to the world by a "
+        "PhysicsFixedJoint. Position limits are those of UsdPhysics; the effort limit is the `physics:maxForce` of the "
+        "angular or linear drive, and the velocity limit is `newton:velocityLimit` of NewtonJointAPI (in degrees per "
+        "second, like all angles in UsdPhysics, or metres per second; unlimited if not given). A sliding joint must "
+        "have position limits.",
         (
             Attribute(
                 "oimppi:startJoints",
@@ -101,20 +101,20 @@ SCHEMAS = (
     Schema(
         "OimppiObjectAPI",
         "a rigid body; exactly one in a scene",
-        "The object to be pushed. It needs a mass, at least one collider and a physics material, must lie on the "
-        "table, and may be turned about z only. Friction with table and tool is the larger of the two materials' "
-        "`physics:dynamicFriction`, as MuJoCo combines them.",
+        "The object to be pushed. It must have a mass, at least one collider and a physics material, lie on the "
+        "table, and be rotated about z only. Its friction with the table and with the tool is the larger of the two "
+        "materials' `physics:dynamicFriction`, as MuJoCo combines them.",
     ),
     Schema(
         "OimppiObstacleAPI",
-        "a static prim with colliders at it or below it; any number",
-        "Something that neither arm nor object may run into.",
+        "a static prim with colliders on itself or below it; any number",
+        "An obstacle, with which neither the arm nor the object may collide.",
     ),
     Schema(
         "OimppiTableAPI",
-        "a static prim with a box collider at it or below it; exactly one in a scene",
-        "What the object slides on: a box aligned with the world's axes, its top at z = 0. Its edge is the end of the "
-        "world for the object.",
+        "a static prim with a box collider on itself or below it; exactly one in a scene",
+        "The surface that the object slides on: a box aligned with the world's axes, with its top at z = 0. The "
+        "object must stay within its edges.",
     ),
 )
 
@@ -153,20 +153,21 @@ _HEAD = """# The scene schema
 
 <!-- Written by tools/make_scenes.py from the schema itself; do not edit by hand. -->
 
-A scene is a USD file, best in metres (`metersPerUnit = 1`), kilograms and z up; other units and y up are converted as
-it is read (`docs/scene-check.md` has all that is converted, and what is refused). What moves, collides, weighs and
-slides is said with the standard UsdPhysics schemas, so that other tools read it too. What USD has no word for is said
-with six API schemas of ours. They are codeless: `scenes/schema/` is all there is to them, the package registers it by
-itself, and other USD tools find it when `PXR_PLUGINPATH_NAME` names that folder. Our attributes are in metres and
-radians, and of the frame with z up, whatever the stage's units are; angles of UsdPhysics are degrees.
+A scene is a USD file, preferably in metres (`metersPerUnit = 1`), kilograms and z up; other units and y up are
+converted when it is read (`docs/scene-check.md` lists everything that is converted or refused). Motion, collision, mass
+and friction are described with the standard UsdPhysics schemas, so that other tools can read them too. Everything that
+USD has no schema for is described with six API schemas of this package. They are codeless: `scenes/schema/` contains
+their complete definition. The package registers it automatically, and other USD tools find it if `PXR_PLUGINPATH_NAME`
+names that folder. The package's own attributes are in metres and radians and refer to the frame with z up, whatever the
+stage's units; angles in UsdPhysics are in degrees.
 
-Everything that collides or moves must have a role; a scene in which something does not is refused, because the planner
-would not know of it. Colliders may be `Cube`, `Sphere`, `Cylinder`, `Capsule`, or `Mesh` with `physics:approximation`
-`convexHull`, `boundingCube` or `boundingSphere`, or that is convex as it is; a hollow shape is cut into convex ones, as
-the letters in `scenes/objects/` are.
+Everything that collides or moves must have a role; otherwise the scene is refused, because the planner would not know
+about it. A collider may be a `Cube`, `Sphere`, `Cylinder` or `Capsule`, or a `Mesh` that is convex or has
+`physics:approximation` `convexHull`, `boundingCube` or `boundingSphere`. Other shapes must be cut into convex pieces,
+like the letters in `scenes/objects/`.
 
-[`authoring.md`](authoring.md) shows how to write a scene, by command, by hand and in Python. The smallest one refers to
-the shipped arm and objects:
+[`authoring.md`](authoring.md) shows how to write a scene with a command, by hand and in Python. The smallest one refers
+to the shipped arm and objects:
 
 ```usda
 #usda 1.0
@@ -219,7 +220,7 @@ def page() -> str:
         if schema.attributes:
             lines += ["| attribute | type | unit | default | meaning |", "|---|---|---|---|---|"]
             for a in schema.attributes:
-                default = f"`{a.default}`" if a.default else "must be given"
+                default = f"`{a.default}`" if a.default else "required"
                 lines.append(f"| `{a.name}` | `{a.type}` | {a.unit or '-'} | {default} | {a.doc} |")
             lines.append("")
     return "\n".join(lines)

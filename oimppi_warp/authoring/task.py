@@ -1,4 +1,4 @@
-"""A task as data: the object, its start and goal, and the obstacles; and how it is written as USD."""
+"""A task as data (the object, its start and goal, and the obstacles), and its conversion to USD."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
             f"{label} is not wholly on the table",
             file=scene.file,
             prim=prim,
-            allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for all of the object",
+            allowed=f"x from {x0:g} to {x1:g} m and y from {y0:g} to {y1:g} m, for the whole object",
             fix=_fix(name),
         )
     for what, path, other in fixed_outlines(scene):
@@ -69,7 +69,7 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
                 f"{label} is inside {what} <{path}>",
                 file=scene.file,
                 prim=prim,
-                allowed="anywhere that the object overlaps nothing",
+                allowed="a pose at which the object overlaps nothing",
                 fix=_fix(name),
             )
     yield from _reach_mistakes(scene, name, label, pose)
@@ -108,8 +108,8 @@ def sample_start(scene: Scene, seed: int) -> PlanarPose:
         f"none of {MAX_DRAWS} starts drawn around ({scene.start[0]:.3g}, {scene.start[1]:.3g}) is free and within "
         "reach",
         file=scene.file,
-        allowed=f"{START_CLEARANCE:g} m of room around the object, and all of it {_reach_text(scene)}",
-        fix="give a start, or make oimppi:spread smaller",
+        allowed=f"{START_CLEARANCE:g} m of clearance around the object, and the whole object {_reach_text(scene)}",
+        fix="give a start, or reduce oimppi:spread",
     )
 
 
@@ -128,7 +128,7 @@ def _fix(name: str) -> str:
         "start": "move the object in the file, or give another start",
         "goal": "change oimppi:goal, or give another goal",
     }
-    return fixes.get(name, "change it in oimppi:starts, or leave it out")
+    return fixes.get(name, "change it in oimppi:starts, or remove it")
 
 
 def _reach_mistakes(scene: Scene, name: str, label: str, pose: PlanarPose) -> Iterator[SceneError]:
@@ -143,7 +143,7 @@ def _reach_mistakes(scene: Scene, name: str, label: str, pose: PlanarPose) -> It
             f"{label} is out of reach: the object's centre would be {where}",
             file=scene.file,
             prim=scene.object.path if name == "start" else "",
-            allowed=f"{_reach_text(scene)}, as far as the tool reaches when it points down",
+            allowed=f"{_reach_text(scene)}, the reach of the tool when it points down",
             fix=_fix(name),
         )
 
@@ -193,7 +193,7 @@ def _tool_mistakes(scene: Scene) -> Iterator[SceneError]:
                 f"the tool starts inside {what} <{path}>, with its tip at {np.round(tip, 3).tolist()}",
                 file=scene.file,
                 prim=scene.robot.path,
-                allowed="a start of the arm in which the tool touches nothing",
+                allowed="joint positions at which the tool touches nothing",
                 fix="change oimppi:startJoints, or start the object elsewhere",
             )
     if _tool(scene) is None and not can_lift(scene.robot):
@@ -201,8 +201,8 @@ def _tool_mistakes(scene: Scene) -> Iterator[SceneError]:
             f"the tool passes over the object: its tip stays {tip[2]:.3f} m above the table",
             file=scene.file,
             prim=scene.robot.path,
-            allowed="lower than the object's top for a robot that cannot lower its tool",
-            fix="lengthen the stick, or take a higher object",
+            allowed="a tip below the object's top, for a robot that cannot lower its tool",
+            fix="use a longer stick, or a taller object",
         )
     if tip[2] < 0.0:
         yield SceneError(

@@ -1,6 +1,6 @@
 """The MuJoCo model that Newton's SolverMuJoCo makes of a scene, cached by content.
 
-Importing Newton and MuJoCo Warp to make it again takes two seconds.
+Making it again would import Newton and MuJoCo Warp, which takes two seconds.
 """
 
 from __future__ import annotations

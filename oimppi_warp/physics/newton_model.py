@@ -47,7 +47,7 @@ SOLVER_OPTIONS = {
     "integrator": "implicitfast",
     "cone": "elliptic",
     "impratio": 1.0,  # with more, sliding contacts chatter
-    "enable_multiccd": True,  # without it, a cylinder or a mesh rests on one point and spins like a top
+    "enable_multiccd": True,  # without it, a cylinder or a mesh rests on one point and spins about it
 }
 """Options of Newton's SolverMuJoCo with which a flat object slides correctly."""
 
@@ -280,7 +280,7 @@ def _set_robot_masses(builder: newton.ModelBuilder, robot: Robot, bodies: dict[s
             raise SceneError(
                 f"a link of {link.mass:g} kg with {parts}",
                 prim=link.path,
-                allowed="more than what is welded to it weighs",
+                allowed="more than the mass of the bodies welded to it",
                 fix="give the link a larger mass; it includes that of the welded bodies",
             )
         for part, mass in ((link, own), *((part, part.mass) for part in link.welded)):
@@ -298,7 +298,7 @@ def _set_mass(
         inertia = mass * unit_inertia
     elif of_shapes > 0.0:
         inertia = np.array(builder.body_inertia[body]).reshape(3, 3) * (mass / of_shapes)
-    else:  # no data: a ball of water
+    else:  # no data: a sphere of the density of water
         inertia = 0.4 * mass * (mass / WATER * 3.0 / (4.0 * math.pi)) ** (2.0 / 3.0) * np.eye(3)
     builder.body_mass[body], builder.body_inv_mass[body] = mass, 1.0 / mass
     tensor: Any = wp.mat33(inertia)
@@ -328,8 +328,8 @@ def _transform(values: np.ndarray) -> Any:
 def _friction(scene: Scene, roles: np.ndarray) -> np.ndarray:
     """Returns each shape's coefficient of friction, such that each pair has the scene's; shape [shape].
 
-    MuJoCo takes the larger coefficient of two shapes in contact. The object's is therefore negligible, and that of the
-    other shape decides: the tool's is ``tool_friction``, all others' ``friction``.
+    MuJoCo takes the larger coefficient of two shapes in contact. The object's is therefore made negligible, so that the
+    other shape's applies: ``tool_friction`` for the tool, and ``friction`` for all others.
     """
     friction = np.full(len(roles), scene.object.friction)
     friction[roles == ROLES.index("tool")] = scene.object.tool_friction

@@ -13,7 +13,7 @@ class World:
     """Physics models of a scene, built on demand.
 
     Attributes:
-        scene: The scene, from which alone they are built.
+        scene: The scene that they are built from.
     """
 
     def __init__(self, scene: Scene) -> None:

@@ -67,12 +67,12 @@ def choose_engine(method: str, period: float, make: Callable[[str], P]) -> Engin
     """
     known = {name: figures for name, engine in ENGINES.loadable() if (figures := getattr(engine, "known_success", {}))}
     success = {name: figures[method] for name, figures in known.items() if method in figures}
-    if not success:  # a method from elsewhere: each engine is rated by its best figure with ours
+    if not success:  # a method from outside the package: each engine is rated by its best known figure
         success = {name: max(figures.values()) for name, figures in known.items()}
     slower = {name: getattr(ENGINES[name], "slower_than", frozenset()) for name in success}
     if not success:
         raise ConfigError(
-            f"--engine auto: no engine has a known success\n  allowed: {', '.join(ENGINES)}\n  to do:   name one"
+            f"--engine auto: no engine has a known success rate\n  allowed: {', '.join(ENGINES)}\n  to do:   name one"
         )
     found: dict[str, float] = {}
     left_out: list[str] = []
@@ -84,10 +84,12 @@ def choose_engine(method: str, period: float, make: Callable[[str], P]) -> Engin
         planners[name] = make(name)
         found[name] = plan_seconds(planners[name], period)
         if found[name] <= period:
-            others = "".join(f", with {other} {_ms(found[other])}" for other in found if other != name)
-            return EngineChoice(name, f"a plan takes {_ms(found[name])} of {_ms(period)}{others}", planners[name])
+            others = "".join(f"; with {other}, {_ms(found[other])}" for other in found if other != name)
+            return EngineChoice(
+                name, f"a plan takes {_ms(found[name])} of the {_ms(period)} available{others}", planners[name]
+            )
     fastest = min(found, key=lambda name: found[name])
-    reason = f"none keeps up; with this one a plan takes {_ms(found[fastest])} of {_ms(period)}"
+    reason = f"no engine keeps up; with this one, a plan takes {_ms(found[fastest])} of the {_ms(period)} available"
     if left_out:
         reason += f", and {', '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} known to be slower"
     return EngineChoice(fastest, reason, planners[fastest])

@@ -148,11 +148,11 @@ class Planner:
         """Prepares for an episode that begins with ``observation``; returns the wall time that planning took [s].
 
         Raises:
-            ObservationError: An array has the wrong length, or the observation cannot be true.
+            ObservationError: An array has the wrong length, or the observation is implausible.
         """
         check_shapes(observation, self.scene.robot.dof)
         if problem := implausible(observation, self.scene.robot):
-            raise ObservationError(f"no episode can begin here: {problem}")
+            raise ObservationError(f"an episode cannot start from this observation: {problem}")
         self.optimizer.reset()
         self._repositioner.reset()
         return self._setup_seconds
@@ -162,8 +162,8 @@ class Planner:
 
         It is one pass through Algorithm 2, lines 2 to 7, or Algorithm 3, lines 11 to 13.
 
-        From an observation that cannot be true (numbers that are not finite, an object far away, joints far beyond
-        their limits) nothing is planned: the command is zero, and :attr:`Plan.problem` says why.
+        From an implausible observation (numbers that are not finite, an object far away, joints far beyond their
+        limits) nothing is planned: the command is zero, and :attr:`Plan.problem` gives the reason.
 
         Raises:
             ObservationError: An array has the wrong length.

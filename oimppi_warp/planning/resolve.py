@@ -76,7 +76,7 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
     if config.resolved_for not in ("", task):
         raise ConfigError(
             f"the settings were resolved for another task: {config.resolved_for}; {scene.name} is: {task}\n"
-            "  to do:   give the settings as they were asked for"
+            "  to do:   pass the original settings, before they were resolved"
         )
     reasons: dict[str, str] = {}
     effective = config
@@ -98,7 +98,7 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
         effective = replace(effective, cost=replace(effective.cost, extra=effective_weights(effective.cost)))
     if control_period is not None:
         effective = replace(effective, control_period=control_period)
-        reasons["control_period"] = "the plant has a control period of its own"
+        reasons["control_period"] = "the plant has a fixed control period"
     asked, used = options(config), options(effective)
     changes = {name: Change(asked[name], why) for name, why in reasons.items() if asked[name] != used[name]}
     return Resolved(effective, changes)

@@ -27,7 +27,7 @@ def read_table(stage: SceneStage) -> Table:
         SceneError: There is no table or more than one, or it is not a level box with its top at z = 0.
     """
     prim = stage.single_prim("OimppiTableAPI", "table", "the box that the object slides on")
-    allowed = "a Cube with CollisionAPI, aligned with the world's axes, its top at z = 0"
+    allowed = "a Cube with CollisionAPI, aligned with the world's axes, with its top at z = 0"
     moving = _moving_parts(stage, prim, "table")
     colliders = read_colliders(stage, prim, _WORLD)
     tops = []
@@ -42,12 +42,12 @@ def read_table(stage: SceneStage) -> Table:
             tops.append(f"{top:.4g} m")
     if moving or len(colliders) < len(list(collider_prims(prim))):
         return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are reported already
-    found = f"; what is flat has its top at {', '.join(tops)}" if tops else ""
+    found = f"; level tops found at {', '.join(tops)}" if tops else ""
     raise stage.error(
         f"a table without a flat top at z = 0{found}",
         prim,
         allowed=allowed,
-        fix="use a box that is not tilted, and move it until its top is at z = 0",
+        fix="use a level box, and move it so that its top is at z = 0",
     )
 
 
@@ -66,14 +66,14 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
         SceneError: There is no object or more than one, or it cannot move, has no mass, shape or friction, or does not
             lie on the table.
     """
-    prim = stage.single_prim("OimppiObjectAPI", "object", "the rigid body that is to be pushed")
+    prim = stage.single_prim("OimppiObjectAPI", "object", "the rigid body to be pushed")
     if not prim.HasAPI(UsdPhysics.RigidBodyAPI) or not UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
         stage.collect(
             stage.error(
                 "an object that cannot move",
                 prim,
                 fix="apply PhysicsRigidBodyAPI to it",
-                allowed="a rigid body that is enabled",
+                allowed="an enabled rigid body",
             )
         )
     mass = stage.attempt(math.nan, read_mass, stage, prim)
@@ -81,7 +81,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
     colliders = read_colliders(stage, prim, frame)
     center, rest_height, friction, tool_friction = np.zeros(3), 0.0, math.nan, math.nan
     if not any(collider_prims(prim)):
-        fix = "apply PhysicsCollisionAPI to a shape at it or below it"
+        fix = "apply PhysicsCollisionAPI to this prim or to a shape below it"
         stage.collect(stage.error("an object without a collider", prim, allowed=ALLOWED, fix=fix))
     elif len(colliders) == len(list(collider_prims(prim))):
         rest_height = round(-float(height_range(colliders)[0]), 6)
@@ -115,7 +115,7 @@ def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
             "an obstacle without a collider",
             prim,
             allowed=ALLOWED,
-            fix="apply PhysicsCollisionAPI to a shape at it or below it",
+            fix="apply PhysicsCollisionAPI to this prim or to a shape below it",
         )
     return Obstacle(str(prim.GetPath()), read_colliders(stage, prim, _WORLD))
 
@@ -137,10 +137,10 @@ def check_roles(stage: SceneStage) -> None:
         if prim.HasAPI(UsdPhysics.CollisionAPI) or prim.HasAPI(UsdPhysics.RigidBodyAPI):
             unknown.append(path)
             mistake = stage.error(
-                "something that collides or moves, but has no role in the task",
+                "a prim that collides or moves but has no role in the task",
                 prim,
                 allowed="robot, object, obstacle or table",
-                fix="apply OimppiObstacleAPI to it, or remove its physics",
+                fix="apply OimppiObstacleAPI to it, or remove its physics schemas",
             )
             stage.collect(mistake)
 
@@ -150,9 +150,9 @@ def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
     frame = stage.frame(prim)
     if not is_orthogonal(frame) or scales(frame).min() < 1e-9 or frame.GetDeterminant() <= 0.0:
         raise stage.error(
-            "an object that is mirrored, sheared, or scaled to nothing",
+            "an object that is mirrored, sheared or scaled to zero",
             prim,
-            allowed="moved, turned, and scaled along its own axes",
+            allowed="translation, rotation, and scale along its own axes",
             fix="scale its shapes instead",
         )
     return frame.GetOrthonormalized()
@@ -161,14 +161,14 @@ def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
 def _check_resting(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:
     """Checks that an object lies flat on the table, neither above nor inside it."""
     if abs(pose[3]) > 1e-4 or abs(pose[4]) > 1e-4:
-        fix = "turn it until one of its axes points up; turn its shapes in it if they are drawn askew"
-        stage.collect(stage.error("an object that does not lie flat", prim, allowed="turned about z only", fix=fix))
+        fix = "rotate it so that one of its axes points up; if its shapes are tilted within it, rotate them"
+        stage.collect(stage.error("an object that does not lie flat", prim, allowed="rotation about z only", fix=fix))
         return
     above = float(pose[2]) - rest_height
     if abs(above) > FLOATING:
         where = f"{above * 1000:.1f} mm above" if above > 0 else f"{-above * 1000:.1f} mm inside"
         fix = f"set its z to {rest_height:.4g} m"
-        stage.collect(stage.error(f"an object {where} the table", prim, allowed="on it", fix=fix))
+        stage.collect(stage.error(f"an object {where} the table", prim, allowed="on the table", fix=fix))
 
 
 def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
@@ -206,7 +206,10 @@ def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:
         allowed = "static shapes: CollisionAPI without RigidBodyAPI"
         stage.collect(
             stage.error(
-                f"a rigid body in the {noun}", part, allowed=allowed, fix="remove PhysicsRigidBodyAPI, or the role"
+                f"a rigid body in the {noun}",
+                part,
+                allowed=allowed,
+                fix="remove PhysicsRigidBodyAPI, or the role's API schema",
             )
         )
     return bool(moving)

@@ -51,7 +51,7 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
     path, scale = str(prim.GetPath()), scales(frame)
     if scale.min() < 1e-9 or frame.GetDeterminant() <= 0.0:
         raise scene.error(
-            "a shape with a scale that is zero or negative",
+            "a shape with a zero or negative scale",
             prim,
             allowed="a positive scale",
             fix="scale it by positive numbers; to mirror a mesh, mirror its points",
@@ -60,8 +60,8 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         raise scene.error(
             "a sheared shape",
             prim,
-            allowed="turned, moved and scaled along its own axes",
-            fix="scale before turning: xformOp:scale last in xformOpOrder, and evenly in the frames above",
+            allowed="translation, rotation, and scale along its own axes",
+            fix="apply the scale first (xformOp:scale last in xformOpOrder), and scale its ancestors uniformly",
         )
 
     if prim.IsA(UsdGeom.Cube):
@@ -84,10 +84,10 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         points = _mesh_points(scene, prim) * scale
         return Collider(path, "mesh", transform(frame), (), points, _faces_outwards(prim, points))
     raise scene.error(
-        f"a collider of type {prim.GetTypeName() or 'nothing'}",
+        f"a collider of type {prim.GetTypeName() or 'none'}",
         prim,
         allowed=ALLOWED,
-        fix="put one of them in its place, and leave it to be seen only",
+        fix="use one of these as the collider, and keep this prim for display only",
     )
 
 
@@ -95,7 +95,10 @@ def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
     value = scene.number(prim, name, 0.0)
     if not 0.0 < value < MAX_LENGTH:
         raise scene.error(
-            f"{name} is {value:g}", prim, allowed=f"more than zero and less than {MAX_LENGTH:g} m", fix="give its size"
+            f"{name} is {value:g}",
+            prim,
+            allowed=f"more than zero and less than {MAX_LENGTH:g} m",
+            fix="correct its size",
         )
     return value
 
@@ -103,10 +106,10 @@ def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
 def _uniform(scene: SceneStage, prim: Usd.Prim, scale: np.ndarray) -> float:
     if np.ptp(scale) > 1e-5 * scale.max():
         raise scene.error(
-            "a round shape that is scaled unevenly",
+            "a round shape with a non-uniform scale",
             prim,
-            allowed="one scale for all of its radii",
-            fix="scale it evenly, or use a Mesh",
+            allowed="the same scale for all of its radii",
+            fix="scale it uniformly, or use a Mesh",
         )
     return float(scale.mean())
 
@@ -118,13 +121,13 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
             f"a mesh that is not convex, with physics:approximation = {approximation(prim)}",
             prim,
             allowed="convexHull, boundingCube, boundingSphere, or a closed convex surface",
-            fix="set physics:approximation to one of them; `oimppi scene import` cuts a hollow shape into convex ones",
+            fix="set physics:approximation to one of these; `oimppi scene import` cuts other shapes into convex pieces",
         )
     points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
     if not (np.abs(points) < MAX_LENGTH).all():
-        allowed = f"numbers below {MAX_LENGTH:g} m"
+        allowed = f"finite coordinates below {MAX_LENGTH:g} m"
         raise scene.error(
-            "a mesh collider with points that are not finite, or far away",
+            "a mesh collider with points that are too far away or not finite",
             prim,
             allowed=allowed,
             fix="correct its points",
@@ -139,7 +142,7 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
         )
     if triangles(prim) is None:
         raise scene.error(
-            "a mesh collider whose faces are missing, or name points that are not there",
+            "a mesh collider whose faces are missing or refer to points that do not exist",
             prim,
             allowed="a closed surface: faceVertexCounts of 3 or more, faceVertexIndices below the number of points",
             fix="correct its faces",

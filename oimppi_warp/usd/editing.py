@@ -42,25 +42,27 @@ def save_scene(scene: Scene, file: str | Path) -> Path:
 
     file = Path(file)
     if file.suffix not in (".usda", ".usdc"):
-        raise SceneError(f"{file.name}: not the name of a scene", file=file, allowed="a name with .usda or .usdc")
+        raise SceneError(
+            f"{file.name}: not a valid name for a scene", file=file, allowed="a name that ends in .usda or .usdc"
+        )
     stage = _edited(scene, SceneStage(scene.file), load_scene(scene.file))
     partial = file.with_name(f"{file.stem}.part{file.suffix}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         if not stage.GetRootLayer().Export(str(partial)):
-            raise OSError("OpenUSD refused")
+            raise OSError("OpenUSD could not export it")
         reloaded = load_scene(partial)
         lost = next(_differences(scene, reloaded), None)
         if lost is not None:
             raise SceneError(
-                f"{lost} was changed, which cannot be saved",
+                f"a change to {lost} cannot be saved",
                 file=file,
-                allowed="changes of start, goal, tolerances, obstacles and object",
-                fix="change it in the scene's file",
+                allowed="changes to start, goal, tolerances, obstacles and object",
+                fix="edit the scene's file instead",
             )
         partial.replace(file)
     except (OSError, RuntimeError) as error:
-        raise SceneError(f"the scene cannot be written ({error})", file=file, allowed="a folder to write in") from error
+        raise SceneError(f"the scene cannot be written ({error})", file=file, allowed="a writable folder") from error
     finally:
         partial.unlink(missing_ok=True)
     return file
@@ -167,7 +169,7 @@ def _write_friction(stage: Usd.Stage, root: Usd.Prim, friction: float) -> None:
 def _redefine(stage: Usd.Stage, path: str) -> Usd.Prim:
     """Defines an Xform in the world's frame, replacing any existing prim."""
     if not Sdf.Path.IsValidPathString(path) or not Sdf.Path(path).IsAbsoluteRootOrPrimPath():
-        raise SceneError(f"{path!r} is not the path of a prim", allowed="a path such as /World/Obstacles/Box")
+        raise SceneError(f"{path!r} is not a valid prim path", allowed="a path such as /World/Obstacles/Box")
     stage.RemovePrim(path)
     prim = UsdGeom.Xform.Define(stage, path).GetPrim()
     _set_world(prim, Gf.Matrix4d(1.0))

@@ -25,7 +25,7 @@ def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
     mass = scene.number(body, "physics:mass", 0.0) if body.HasAPI(UsdPhysics.MassAPI) else 0.0
     if not (math.isfinite(mass) and mass > 0.0):
         what = f"a mass of {mass:g} kg" if mass else "a body without a mass"
-        raise scene.error(what, body, allowed="more than zero", fix="apply PhysicsMassAPI and give physics:mass")
+        raise scene.error(what, body, allowed="more than zero", fix="apply PhysicsMassAPI and set physics:mass")
     return mass
 
 

@@ -38,7 +38,7 @@ def _misspelt_schemas(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
     for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
         if name.lower().startswith(_OURS) and name not in known:
             yield stage.warning(
-                f"an API schema that does not exist: {name}",
+                f"an unknown API schema: {name}",
                 prim,
                 allowed=", ".join(known),
                 fix=_suggestion(name, known),
@@ -57,12 +57,15 @@ def _unused_attributes(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
         if name in everywhere:
             (owner,) = (schema for schema, names in known.items() if name in names)
             yield stage.warning(
-                f"{name} does nothing here", prim, allowed=f"on a prim with {owner}", fix="move it there, or remove it"
+                f"{name} has no effect on this prim",
+                prim,
+                allowed=f"on a prim with {owner}",
+                fix="move it there, or remove it",
             )
         else:
             allowed = ", ".join(here) or "none on this prim"
             fix = _suggestion(name, here or everywhere)
-            yield stage.warning(f"an attribute that nothing reads: {name}", prim, allowed=allowed, fix=fix)
+            yield stage.warning(f"an unknown attribute: {name}", prim, allowed=allowed, fix=fix)
 
 
 def _suggestion(name: str, known: Iterable[str]) -> str:
@@ -78,10 +81,10 @@ def _moving_in_time(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
         timed += ["points"] * (UsdGeom.PointBased(prim).GetPointsAttr().GetNumTimeSamples() > 0)
     if timed:
         yield stage.warning(
-            f"{', '.join(timed)} with time samples, which are not read",
+            f"{', '.join(timed)} with time samples, which are ignored",
             prim,
-            allowed="a default value, without a time",
-            fix="give the value that counts as the default value",
+            allowed="a default value",
+            fix="set the intended value as the default value",
         )
 
 
@@ -92,10 +95,11 @@ def _impossible_inertia(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
     largest = inertia.max()
     if (inertia <= 0.0).any() or largest > 1.001 * (inertia.sum() - largest):
         yield stage.warning(
-            f"physics:diagonalInertia is ({', '.join(f'{moment:.4g}' for moment in inertia)}), which no body can have",
+            f"physics:diagonalInertia is ({', '.join(f'{moment:.4g}' for moment in inertia)}), "
+            "which is physically impossible",
             prim,
             allowed="three moments above zero, none larger than the sum of the other two",
-            fix="correct it, or leave it out: then the shapes and the mass decide",
+            fix="correct it, or leave it out to have it computed from the shapes and the mass",
         )
 
 
@@ -108,15 +112,15 @@ def _other_gravity(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
     if not down or (magnitude >= 0.0 and abs(magnitude - GRAVITY) > 0.1):
         x, y, z = direction
         yield stage.warning(
-            f"gravity is {magnitude:g} m/s^2 along ({x:g}, {y:g}, {z:g}), which the planner does not know of",
+            f"gravity is {magnitude:g} m/s^2 along ({x:g}, {y:g}, {z:g}), which the planner ignores",
             prim,
             allowed=f"{GRAVITY:g} m/s^2 downwards",
-            fix="leave physics:gravityDirection and physics:gravityMagnitude out",
+            fix="leave out physics:gravityDirection and physics:gravityMagnitude",
         )
 
 
 def _files_elsewhere(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
-    """Yields warnings about assets, such as textures, that are missing or lie outside the scene's folder."""
+    """Yields warnings about assets, such as textures, that are missing or outside the scene's folder."""
     for attribute in prim.GetAuthoredAttributes():
         value = attribute.Get()
         for asset in (value,) if isinstance(value, Sdf.AssetPath) else value if _is_assets(value) else ():
@@ -124,9 +128,9 @@ def _files_elsewhere(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
                 continue
             if not asset.resolvedPath:
                 yield stage.warning(
-                    f"{attribute.GetName()} names a file that is not there: {asset.path}",
+                    f"{attribute.GetName()} refers to a missing file: {asset.path}",
                     prim,
-                    allowed="a file; its path counts from the file that it stands in",
+                    allowed="an existing file; its path is relative to the file that contains it",
                     fix="correct the path, or remove it",
                 )
             elif not _belongs(stage, asset.resolvedPath):
@@ -144,7 +148,7 @@ def _layers_elsewhere(stage: SceneStage) -> Iterator[Problem]:
 
 
 def _belongs(stage: SceneStage, path: str) -> bool:
-    """Returns whether a file lies in the scene's folder or is shipped with the package."""
+    """Returns whether a file is in the scene's folder or is shipped with the package."""
     place = Path(Ar.SplitPackageRelativePathOuter(path)[0]).resolve()
     return any(place.is_relative_to(folder.resolve()) for folder in (stage.file.parent, SCENES))
 
@@ -168,7 +172,7 @@ def _layers_in_other_units(stage: SceneStage) -> Iterator[Problem]:
                 yield stage.warning(
                     f"{name} is {_plain(head.GetInfo(name))} in {layer.realPath}",
                     allowed=f"{_plain(own.GetInfo(name))}, as in the scene",
-                    fix="convert that file, or scale or turn its shapes: USD takes its numbers as they are",
+                    fix="convert that file, or scale or rotate its shapes: USD does not convert units between files",
                 )
 
 

@@ -33,7 +33,7 @@ def read_robot(scene: SceneStage) -> Robot:
                 "a robot without an articulation",
                 root,
                 fix="apply PhysicsArticulationRootAPI to it",
-                allowed="PhysicsArticulationRootAPI at the robot or below it",
+                allowed="PhysicsArticulationRootAPI on the robot or on a prim below it",
             )
         )
     tip_prim = scene.attempt(None, _tip, scene, root)
@@ -56,7 +56,7 @@ def _radius(scene: SceneStage, tip: Usd.Prim) -> float:
     radius = float(scene.numbers(tip, "oimppi:radius", (), "the stick's radius [m]"))
     if not 0.0 < radius < math.inf:
         raise scene.error(
-            f"oimppi:radius is {radius:g}", tip, allowed="more than zero [m]", fix="give the radius of the stick"
+            f"oimppi:radius is {radius:g}", tip, allowed="more than zero [m]", fix="set it to the radius of the stick"
         )
     return radius
 
@@ -68,7 +68,7 @@ def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
             "a tool that is not part of the robot",
             tip,
             allowed=f"a prim below <{root.GetPath()}>",
-            fix="put the Xform at the tip below the link that carries the stick",
+            fix="place the tip's Xform below the link that carries the stick",
         )
     return tip
 
@@ -99,8 +99,8 @@ class _Chain:
             raise scene.error(
                 "the robot's base is not fixed to the world",
                 root,
-                fix="one PhysicsFixedJoint with only physics:body1",
-                allowed="one joint to the world, a PhysicsFixedJoint",
+                fix="add one PhysicsFixedJoint with only physics:body1 set",
+                allowed="exactly one joint to the world, a PhysicsFixedJoint",
             )
         base = self.ends(mounts[0])[1]
         assert base is not None
@@ -108,15 +108,15 @@ class _Chain:
         position = np.array(frame.ExtractTranslation())
         if not np.allclose(position, 0.0, atol=1e-6):
             what = f"the robot's base is at {np.round(position, 4).tolist()}"
-            raise scene.error(what, base, allowed="at the world's origin", fix="move everything else instead")
+            raise scene.error(what, base, allowed="at the world's origin", fix="move the rest of the scene instead")
         held, at = self.frames(mounts[0])
         if not np.allclose(np.array(at.GetInverse() * held), np.array(frame), atol=1e-5):
-            fix = "make its physics:localPos0 and localRot0 the base's frame in the world, or place the base there"
+            fix = "set physics:localPos0 and physics:localRot0 to the base's frame in the world, or move the base"
             raise scene.error(
-                "a joint that holds the base elsewhere than where it stands",
+                "a joint that fixes the base at a pose other than the base's own",
                 mounts[0].GetPrim(),
                 fix=fix,
-                allowed="the frame in which the base stands",
+                allowed="the base's frame in the world",
             )
         self.base_frame = frame
         self.base = self.link([(base, frame)])  # shapes of the fixed base are in the world's frame
@@ -130,7 +130,7 @@ class _Chain:
         for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
             targets = relation.GetTargets()
             if targets and targets[0] not in self.bodies:
-                what = f"a joint to <{targets[0]}>, which is no rigid body of the robot"
+                what = f"a joint to <{targets[0]}>, which is not a rigid body of the robot"
                 raise self.scene.error(
                     what,
                     joint.GetPrim(),
@@ -142,7 +142,7 @@ class _Chain:
             raise self.scene.error(
                 "a joint that moves nothing",
                 joint.GetPrim(),
-                allowed="physics:body1 names a link",
+                allowed="a link as physics:body1",
                 fix="set physics:body1, or remove the joint",
             )
         return found[0], found[1]
@@ -152,8 +152,8 @@ class _Chain:
         before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
         after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
         if not (np.abs([np.array(before), np.array(after)]) < MAX_LENGTH).all():
-            allowed = f"numbers, and lengths below {MAX_LENGTH:g} m"
-            what = "a joint whose frames are not finite, or far away"
+            allowed = f"finite numbers, and lengths below {MAX_LENGTH:g} m"
+            what = "a joint with frames that are too far away or not finite"
             raise self.scene.error(
                 what, joint.GetPrim(), allowed=allowed, fix="correct physics:localPos0 and physics:localPos1"
             )
@@ -169,9 +169,9 @@ class _Chain:
                 links.append(self.link(group))
             elif len(group) > 1:
                 raise self.scene.error(
-                    "something is welded to the robot's base",
+                    "a body is welded to the robot's base",
                     group[1][0],
-                    allowed="a base alone",
+                    allowed="a base without welded bodies",
                     fix="make its shapes part of the base",
                 )
             if len(moving) > 1:
@@ -188,10 +188,10 @@ class _Chain:
                 if self.ends(moving[0])[0] != group[0][0]:
                     prim = moving[0].GetPrim()
                     raise self.scene.error(
-                        "a joint on a welded part",
+                        "a moving joint on a welded body",
                         prim,
-                        allowed="only the tool is welded",
-                        fix="make the joint start at the link that the part is welded to",
+                        allowed="moving joints on links only",
+                        fix="attach the joint to the link that the body is welded to",
                     )
                 unread = Joint(str(moving[0].GetPath()), _UNREAD, -math.inf, math.inf, math.inf, math.inf)
                 joints.append(self.scene.attempt(unread, self.joint, moving[0]))
@@ -200,8 +200,8 @@ class _Chain:
             raise self.scene.error(
                 "a robot without moving joints",
                 self.base_prim,
-                allowed="a joint that moves a link",
-                fix="give its joints physics:body0 and physics:body1, from the base outwards",
+                allowed="at least one joint that moves a link",
+                fix="set physics:body0 and physics:body1 of its joints, from the base outwards",
             )
         return tuple(joints), tuple(links)
 
@@ -226,7 +226,7 @@ class _Chain:
         """Mark a body of the chain as visited; raise SceneError if it already was."""
         if body.GetPath() in self.reached:
             raise self.scene.error(
-                "a link with two joints before it", body, allowed="a serial arm", fix="remove one of the joints"
+                "a link with two parent joints", body, allowed="a serial arm", fix="remove one of the joints"
             )
         self.reached.add(body.GetPath())
 
@@ -255,7 +255,7 @@ class _Chain:
                 f"a joint of type {prim.GetTypeName()}",
                 prim,
                 allowed=allowed,
-                fix="change its type; a PhysicsFixedJoint welds the tool on",
+                fix="change its type; use a PhysicsFixedJoint to weld the tool on",
             )
         axis = (turns or slides).GetAxisAttr().Get()
         if axis != UsdPhysics.Tokens.z:
@@ -263,17 +263,17 @@ class _Chain:
                 f"a joint {'about' if turns else 'along'} its {axis} axis",
                 prim,
                 allowed="physics:axis = Z",
-                fix="turn the frames of the joint and of the links until z is its axis",
+                fix="rotate the frames of the joint and of its links so that z is its axis",
             )
         before, after = self.frames(joint)
         if self.ends(joint)[0] == self.base_prim:
             before = before * self.base_frame
         if not np.allclose(np.array(after), np.eye(4), atol=1e-6):
             raise scene.error(
-                "a joint whose frame is not that of the link it moves",
+                "a joint whose frame differs from that of the link it moves",
                 prim,
                 allowed="physics:localPos1 = 0 and physics:localRot1 = 1",
-                fix="put the frame of the link at the joint; shapes and mass stay where they are in the world",
+                fix="move the link's frame to the joint, and keep its shapes and mass in place in the world",
             )
         kind, drive, inward = ("revolute", "angular", math.radians) if turns else ("prismatic", "linear", float)
         unit = _UNITS[kind]
@@ -283,23 +283,23 @@ class _Chain:
             raise scene.error(
                 f"limits of {lower:.4g} and {upper:.4g} {unit}",
                 prim,
-                allowed="lower below upper",
+                allowed="a lower limit below the upper one",
                 fix="set physics:lowerLimit and physics:upperLimit",
             )
         if slides and not max(abs(lower), abs(upper)) < MAX_LENGTH:
-            fix = "give physics:lowerLimit and physics:upperLimit in metres"
-            raise scene.error("a joint that slides without end", prim, allowed="finite limits", fix=fix)
+            fix = "set physics:lowerLimit and physics:upperLimit in metres"
+            raise scene.error("a sliding joint with unlimited travel", prim, allowed="finite limits", fix=fix)
         driven = prim.HasAPI(UsdPhysics.DriveAPI, drive)
         effort = scene.number(prim, f"drive:{drive}:physics:maxForce", math.inf) if driven else math.inf
         velocity = inward(scene.number(prim, "newton:velocityLimit", math.inf))
         if effort <= 0.0 or velocity <= 0.0:
-            what = f"limits of {effort:g} {_EFFORTS[kind]} and {velocity:g} {unit}/s"
+            what = f"effort and velocity limits of {effort:g} {_EFFORTS[kind]} and {velocity:g} {unit}/s"
             raise scene.error(
-                what, prim, allowed="more than zero", fix="give what the joint can do, or leave the limit out"
+                what, prim, allowed="more than zero", fix="set the joint's real limits, or leave them out"
             )
         friction, damping = (scene.number(prim, f"newton:{name}", 0.0) for name in ("friction", "damping"))
         if not (0.0 <= friction < math.inf and 0.0 <= damping < math.inf):
-            what = f"newton:friction is {friction:g} and newton:damping {damping:g}"
+            what = f"newton:friction is {friction:g} and newton:damping is {damping:g}"
             raise scene.error(what, prim, allowed="zero or more", fix="correct them, or leave them out")
         damping = math.degrees(damping) if turns else damping  # per degree, as everywhere in USD
         return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind, friction, damping)
@@ -316,7 +316,7 @@ class _Chain:
             "a tool that is not on the robot's last link",
             prim,
             allowed=f"on {self.welded[0][0].GetPath()}, unscaled",
-            fix="put the Xform at the tip below that link, or below a body welded to it",
+            fix="place the tip's Xform below that link, or below a body welded to it",
         )
 
 

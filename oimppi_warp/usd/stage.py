@@ -75,12 +75,12 @@ class SceneStage:
         except Tf.ErrorException as error:
             formats = ".usda, .usd, .usdc, .usdz"
             raise self.error(
-                f"not a USD file that can be read ({usd_reason(error)})",
+                f"not a readable USD file ({usd_reason(error)})",
                 allowed=formats,
-                fix="export it again, or correct it where USD says",
+                fix="export it again, or correct it at the location that USD reports",
             ) from None
-        allowed = "a file that is there, and a prim in it"
-        fix = "correct it; the paths of references count from the file that they stand in"
+        allowed = "an existing file and an existing prim in it"
+        fix = "correct the reference; its path is relative to the file that contains it"
         broken = stage.GetCompositionErrors()
         self._stop_at([self.error(str(each), allowed=allowed, fix=fix) for each in broken])
         invalid = invalid_properties(stage)
@@ -124,8 +124,8 @@ class SceneStage:
 
     def _unreadable(self, error: BaseException) -> SceneError:
         """Returns USD's own message about something that it cannot read, as an error."""
-        what = f"OpenUSD cannot read it ({usd_reason(error)})"
-        return self.error(what, allowed="sound USD", fix="correct what it names")
+        what = f"OpenUSD cannot read the file ({usd_reason(error)})"
+        return self.error(what, allowed="valid USD", fix="correct the error that OpenUSD reports")
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
         """Create a :class:`SceneError` at a prim of this file."""
@@ -141,17 +141,17 @@ class SceneStage:
         """Checks that units are given, since they are converted but never guessed."""
         lengths, masses = UsdGeom.GetStageMetersPerUnit(self.stage), UsdPhysics.GetStageKilogramsPerUnit(self.stage)
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
-            what = "the unit of length is not given: by USD's rule it would be a centimetre"
-            raise self.error(what, allowed="metersPerUnit", fix="give it at the head of the file: 1 for metres")
+            what = "the unit of length is not given; USD would assume centimetres"
+            raise self.error(what, allowed="metersPerUnit", fix="set it at the top of the file: 1 for metres")
         if not self.stage.HasAuthoredMetadata("upAxis"):
-            what = "which axis is up is not given: by USD's rule it would be y"
-            raise self.error(what, allowed='upAxis "Y" or "Z"', fix='give it at the head of the file: "Z" for z')
+            what = "the up axis is not given; USD would assume y"
+            raise self.error(what, allowed='upAxis "Y" or "Z"', fix='set it at the top of the file: "Z" for z')
         for name, unit in (("metersPerUnit", lengths), ("kilogramsPerUnit", masses)):
             if not (np.isfinite(unit) and unit > 0.0):
                 raise self.error(
                     f"{name} is {unit:g}",
                     allowed="a number above zero",
-                    fix="give the unit that the numbers in the file are in: 1 for metres, or kilograms",
+                    fix="set it to the unit of the numbers in the file: 1 for metres or kilograms",
                 )
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
@@ -176,7 +176,7 @@ class SceneStage:
         if len(found) > 1:
             paths = ", ".join(f"<{prim.GetPath()}>" for prim in found)
             what = f"{len(found)} {noun}s: {paths}"
-            raise self.error(what, allowed=f"exactly one prim with {schema}", fix="keep one")
+            raise self.error(what, allowed=f"exactly one prim with {schema}", fix="keep one of them")
         return found[0]
 
     def numbers(self, prim: Usd.Prim, name: str, shape: tuple[int, ...], meaning: str) -> np.ndarray:
@@ -191,7 +191,7 @@ class SceneStage:
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute and attribute.HasAuthoredValue() else schema_default(name)
         if value is None:
-            raise self.error(f"{name} is missing", prim, allowed=meaning, fix="give it; docs/schema.md says how")
+            raise self.error(f"{name} is missing", prim, allowed=meaning, fix="set it; docs/schema.md describes it")
         try:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError):
@@ -200,7 +200,7 @@ class SceneStage:
             array = np.empty([0 if n == -1 else n for n in shape])
         fits = array.ndim == len(shape) and all(n in (-1, got) for n, got in zip(shape, array.shape, strict=True))
         if not fits or np.isnan(array).any():
-            raise self.error(f"{name} is {value}", prim, allowed=meaning, fix="docs/schema.md has an example")
+            raise self.error(f"{name} is {value}", prim, allowed=meaning, fix="see the example in docs/schema.md")
         return array
 
     def text(self, prim: Usd.Prim, name: str) -> str:
@@ -222,12 +222,12 @@ class SceneStage:
         """Return a prim's frame in the world in USD's convention (row vectors, scale included)."""
         frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
         if not (np.abs(np.array(frame)) < MAX_LENGTH).all():
-            allowed = f"numbers, and lengths below {MAX_LENGTH:g} m"
+            allowed = f"finite numbers, and lengths below {MAX_LENGTH:g} m"
             raise self.error(
-                "a place that is not finite, or far away",
+                "a transform with values that are too large or not finite",
                 prim,
                 allowed=allowed,
-                fix="correct its xformOps, or those of the prims above",
+                fix="correct its xformOps or those of its ancestors",
             )
         return frame
 
@@ -237,9 +237,9 @@ class SceneStage:
         if not is_rigid(frame):
             self.collect(
                 self.error(
-                    f"a body with a scale {format_numbers(scales(frame))}",
+                    f"a body with the scale {format_numbers(scales(frame))}",
                     prim,
-                    allowed="1",
+                    allowed="(1, 1, 1), without mirroring",
                     fix="scale its shapes instead",
                 )
             )
@@ -256,7 +256,7 @@ class SceneStage:
                 f"physics:dynamicFriction is {value:g}",
                 material.GetPrim(),
                 allowed="zero or more",
-                fix="give the coefficient of Coulomb friction",
+                fix="set it to the coefficient of Coulomb friction",
             )
         return value
 

@@ -71,7 +71,7 @@ def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
             raise stage.error(
                 f"gravity is {magnitude:g} m/s^2 along {format_numbers(direction)}",
                 prim,
-                allowed="numbers",
+                allowed="finite numbers",
                 fix="correct physics:gravityDirection and physics:gravityMagnitude, or leave them out",
             )
         if enabled and enabled.Get() is False:
@@ -86,7 +86,7 @@ def _goal(stage: SceneStage, world: Usd.Prim) -> PlanarPose:
     x, y, yaw = map(float, stage.numbers(world, "oimppi:goal", (3,), f"{_POSE} of the object's goal"))
     if not all(map(math.isfinite, (x, y, yaw))):
         raise stage.error(
-            f"oimppi:goal is not finite: ({x:g}, {y:g}, {yaw:g})", world, allowed=_POSE, fix="give numbers"
+            f"oimppi:goal is not finite: ({x:g}, {y:g}, {yaw:g})", world, allowed=_POSE, fix="use finite numbers"
         )
     return x, y, yaw
 
@@ -95,19 +95,19 @@ def _starts(stage: SceneStage, world: Usd.Prim) -> np.ndarray:
     starts = stage.numbers(world, "oimppi:starts", (-1, 3), f"a list of {_POSE}")
     for number in np.flatnonzero(~np.isfinite(starts).all(axis=1)):
         what = f"oimppi:starts[{number}] is not finite: {tuple(starts[number].tolist())}"
-        stage.collect(stage.error(what, world, allowed=_POSE, fix="give numbers"))
+        stage.collect(stage.error(what, world, allowed=_POSE, fix="use finite numbers"))
     return starts
 
 
 def _spread(stage: SceneStage, world: Usd.Prim) -> tuple[float, float]:
-    meaning = "half widths (position [m], yaw [rad]), zero or more"
+    meaning = "half-widths (position [m], yaw [rad]), zero or more"
     position, yaw = map(float, stage.numbers(world, "oimppi:spread", (2,), meaning))
     if not (0.0 <= position < math.inf and 0.0 <= yaw < math.inf):
         raise stage.error(
             f"oimppi:spread is ({position:g}, {yaw:g})",
             world,
             allowed="finite numbers, zero or more",
-            fix="give half widths of the box of starts, or leave it out",
+            fix="set it to the half-widths of the box of starts, or leave it out",
         )
     return position, yaw
 
@@ -119,6 +119,6 @@ def _tolerance(stage: SceneStage, world: Usd.Prim, name: str) -> Tolerance:
             f"{name} is ({position:g}, {yaw:g})",
             world,
             allowed="numbers above zero",
-            fix="give them, or leave it out; inf for a yaw that does not matter",
+            fix="correct it, or leave it out; use inf for a yaw that does not matter",
         )
     return Tolerance(position, yaw)

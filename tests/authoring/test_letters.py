@@ -104,13 +104,13 @@ def test_a_letter_of_a_font_is_as_high_as_ours():
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
-        (lambda: letter("1"), "no such letter"),
+        (lambda: letter("1"), "not in the built-in alphabet"),
         (lambda: letter("AB"), "text:AB"),
         (lambda: letter("A", size=0.01), "too small for the stick"),
-        (lambda: letter("A", height=2.0), "no size for it"),
-        (lambda: letter("S", height=5.0), "no size for it"),
+        (lambda: letter("A", height=2.0), "out of range"),
+        (lambda: letter("S", height=5.0), "out of range"),
         (lambda: letter("A", mass=0.0), "--mass 0"),
-        (lambda: word(" "), "no word"),
+        (lambda: word(" "), "no letters were given"),
         (lambda: word("PNEUMONOULTRAMICROSCOPIC"), "too long"),
         (lambda: letter("A", font="No Such Font"), "no such font is installed"),
         (lambda: letter("\u4e00", font=FONT), "has no such character"),

@@ -102,7 +102,7 @@ def test_a_single_face_that_looks_the_wrong_way_is_turned(tmp_path):
     faces[5] = faces[5][::-1]
     file = tmp_path / "flipped.obj"
     trimesh.Trimesh(mesh.vertices, faces, process=False).export(file)
-    assert "wrong way" in import_mesh(file).notes[0]
+    assert "inconsistently oriented" in import_mesh(file).notes[0]
 
 
 def test_a_part_that_stands_on_edge_is_laid_down(tmp_path):
@@ -112,7 +112,7 @@ def test_a_part_that_stands_on_edge_is_laid_down(tmp_path):
     size = np.ptp(np.vstack([corners for corners, _ in solid.hulls]), axis=0)
     assert sorted(size) == pytest.approx([0.03, 0.12, 0.16], abs=1e-4)
     assert size[2] == pytest.approx(0.03, abs=1e-4)  # flat, and along the axes
-    assert "turned over by 90 degrees" in " ".join(solid.notes)
+    assert "tilted by 90 degrees" in " ".join(solid.notes)
     upright = import_mesh(tmp_path / "plate.stl", lay="as-is")
     assert 2 * upright.rest_height == pytest.approx(0.12, abs=1e-4)
 
@@ -212,11 +212,11 @@ REFUSED = {
     ),
     "an open box": (
         lambda: without(b := trimesh.creation.box((0.1, 0.1, 0.05)), b.face_normals[:, 2] > 0.9),
-        "the surface is open: 1 hole",
+        "too much of the surface is missing: 1 hole",
     ),
     "a tube without walls": (
         lambda: without(b := trimesh.creation.box((0.1, 0.1, 0.05)), np.abs(b.face_normals[:, 2]) > 0.9),
-        "would have to be made up",
+        "too much of the surface is missing",
     ),
     "three hundred marbles": (
         lambda: trimesh.util.concatenate(
@@ -274,7 +274,7 @@ def test_the_file_has_convex_colliders_a_surface_and_what_everything_means(tmp_p
     registry = UsdValidation.ValidationRegistry()
     errors = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators()).Validate(stage)
     assert [e.GetErrorAsString() for e in errors if e.GetType() == UsdValidation.ValidationErrorType.Error] == []
-    with pytest.raises(OimppiError, match="it is there already"):
+    with pytest.raises(OimppiError, match="it already exists"):
         write_object(solid, tmp_path)
 
 

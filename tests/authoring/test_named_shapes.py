@@ -64,13 +64,13 @@ def test_the_manual_has_the_table_of_shapes():
         ("boxx:0.1x0.1x0.1", "did you mean box:0.1x0.06x0.05?"),
         ("letter", "did you mean letter:S?"),
         ("lab_tt", "did you mean lab-t?"),
-        ("box:0.1x0.1", "3 lengths above zero are needed\n  allowed: box:0.1x0.06x0.05 (length x width x height), "
+        ("box:0.1x0.1", "needs 3 lengths above zero\n  allowed: box:0.1x0.06x0.05 (length x width x height), "
          "in metres"),
-        ("prism:6x0.05", "3 numbers above zero are needed\n  allowed: prism:6x0.05x0.04 (sides x radius x height), "
+        ("prism:6x0.05", "needs 3 numbers above zero\n  allowed: prism:6x0.05x0.04 (sides x radius x height), "
          "radius in m, height in m"),
-        ("prism:2x0.05x0.04", "2 sides are none for it\n  allowed: 3 to 24"),
-        ("prism:4.5x0.05x0.04", "4.5 sides are none for it"),
-        ("prism:6x0.5x0.04", "no size for it"),
+        ("prism:2x0.05x0.04", "2 is not a valid number of sides\n  allowed: a whole number from 3 to 24"),
+        ("prism:4.5x0.05x0.04", "4.5 is not a valid number of sides"),
+        ("prism:6x0.5x0.04", "out of range"),
         ("wedge:0.1", "allowed: t-block, lab-t"),
     ],
 )  # fmt: skip

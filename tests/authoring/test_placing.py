@@ -85,6 +85,6 @@ def test_what_openusd_cannot_write_is_said_and_nothing_is_written(tmp_path):
         return text.replace('["xformOp:translate", "xformOp:orient"]', '["xformOp:translate"]')
 
     robot_with(tmp_path, spoil)
-    with pytest.raises(SceneError, match="OpenUSD cannot write it"):
+    with pytest.raises(SceneError, match="OpenUSD cannot write the scene"):
         write_task(Task("mine", "Push", letter("S"), ON_THE_TIP, GOAL), tmp_path)
     assert not (tmp_path / "mine.usda").exists()

@@ -57,11 +57,11 @@ def test_mistakes_in_everything_are_all_told(tmp_path):
         ("joint2", "a joint about its X axis"),
         ("link3", "a body without a mass"),
         ("joint4", "limits of 17.45 and 6.283 rad"),
-        ("Table", "a table without a flat top at z = 0; what is flat has its top at 0.02 m"),
+        ("Table", "a table without a flat top at z = 0; level tops found at 0.02 m"),
         ("Object", "a mass of -1 kg"),
         ("Object", "an object 30.0 mm above the table"),
         ("Cube", "size is -1"),
-        ("Ball", "something that collides or moves, but has no role in the task"),
+        ("Ball", "a prim that collides or moves but has no role in the task"),
     ]
     assert all(mistake.allowed or mistake.fix for mistake in mistakes)
 
@@ -146,7 +146,7 @@ def test_people_read_what_where_what_is_allowed_and_what_to_do(tmp_path, capsys)
         f"error <{OBJECT}>",
         "found a mass of -1 kg",
         "allowed more than zero",
-        "to do apply PhysicsMassAPI and give physics:mass",
+        "to do apply PhysicsMassAPI and set physics:mass",
     ]
 
 
@@ -160,7 +160,7 @@ def test_tools_read_the_same_as_json(tmp_path, capsys):
         "prim": OBJECT,
         "what": "a mass of -1 kg",
         "allowed": "more than zero",
-        "fix": "apply PhysicsMassAPI and give physics:mass",
+        "fix": "apply PhysicsMassAPI and set physics:mass",
     }
     assert second["severity"] == "warning"
     assert list(second) == [field for field in Problem.__dataclass_fields__]
@@ -180,7 +180,7 @@ def test_something_that_is_no_usd_is_a_mistake_in_the_file(tmp_path):
     file = tmp_path / "scene.usda"
     file.write_text("not a scene at all")
     (problem,) = check_scene(file)
-    assert "not a USD file" in problem.what
+    assert "not a readable USD file" in problem.what
 
 
 def test_a_file_that_was_mended_is_read_anew(tmp_path):
@@ -224,7 +224,7 @@ def barrier(gap: float):
 def test_a_gap_narrower_than_the_object_is_warned_of_with_its_sides_and_by_how_much(tmp_path):
     problem = check_scene(variant(tmp_path, barrier(0.12), "task01"))[-1]
     assert problem.severity == "warning"
-    assert problem.what.startswith("no way to the goal is free from the object's start and 9 others: at (")
+    assert problem.what.startswith("no free path leads to the goal from the object's start and 9 others: at (")
     assert "between the obstacle </World/Obstacles/B> and the obstacle </World/Obstacles/C>" in problem.what
     assert "which are 120 mm apart: about " in problem.what
     missing = float(
@@ -236,7 +236,7 @@ def test_a_gap_narrower_than_the_object_is_warned_of_with_its_sides_and_by_how_m
 
 def test_a_gap_that_the_object_hardly_fits_through_is_warned_of(tmp_path):
     problem = check_scene(variant(tmp_path, barrier(0.162), "task01"))[-1]
-    assert problem.what.startswith("the way to the goal is narrow: at (")
+    assert problem.what.startswith("the path to the goal is narrow: at (")
     assert problem.what.endswith("162 mm apart: about 4 mm more than the object needs there")
 
 
@@ -248,7 +248,7 @@ def test_listed_starts_without_a_way_are_warned_of(tmp_path):
     starts = [Gf.Vec3d(0.5, 0.3, 0.0), Gf.Vec3d(0.3, -0.45, 0.0), Gf.Vec3d(0.3, -0.4, 0.0)]
     at_the_goal = [put(OBJECT, "xformOp:translate", Gf.Vec3d(0.5, 0.3, 0.025)), put("/World", "oimppi:starts", starts)]
     problem = check_scene(variant(tmp_path, several(barrier(0.12), *at_the_goal), "task01"))[-1]
-    assert problem.what.startswith("no way to the goal is free from the object's start 1 and 1 other: ")
+    assert problem.what.startswith("no free path leads to the goal from the object's start 1 and 1 other: ")
 
 
 @pytest.mark.parametrize("yaw", [-170.0, 180.0])
@@ -256,8 +256,8 @@ def test_the_start_in_the_file_counts_once_though_it_is_rounded_in_the_list(tmp_
     starts = [Gf.Vec3d(0.3, -0.45, round(math.radians(yaw), 9) + turns * 2.0 * math.pi) for turns in (0, -1)]
     turned = put(OBJECT, "xformOp:rotateZ", yaw)
     file = variant(tmp_path, several(barrier(0.12), turned, put("/World", "oimppi:starts", starts)), "task01")
-    (what,) = [what for _, what in found(file) if what.startswith("no way")]
-    assert what.startswith("no way to the goal is free from the object's start: at (")
+    (what,) = [what for _, what in found(file) if what.startswith("no free path")]
+    assert what.startswith("no free path leads to the goal from the object's start: at (")
 
 
 def test_a_goal_in_a_slot_is_warned_of(tmp_path):
@@ -279,7 +279,7 @@ def test_a_goal_in_a_slot_is_warned_of(tmp_path):
 
 def test_any_yaw_will_do_at_a_goal_without_one(tmp_path):
     change = several(barrier(0.12), put("/World", "oimppi:tolerance", Gf.Vec2d(0.1, float("inf"))))
-    assert "no way to the goal is free" in found(variant(tmp_path, change, "task01"))[-1][1]
+    assert "no free path leads to the goal" in found(variant(tmp_path, change, "task01"))[-1][1]
     assert found("lab02")[1:] == []
 
 
@@ -329,7 +329,7 @@ def test_warnings_help_where_a_scene_cannot_be_read(tmp_path):
     file = variant(tmp_path, several(drop("/World/Table", "OimppiTableAPI"), add("/World/Table", "OimppiTabelAPI")))
     assert found(file) == [
         ("error", "no table"),
-        ("warning", "an API schema that does not exist: OimppiTabelAPI"),
+        ("warning", "an unknown API schema: OimppiTabelAPI"),
     ]
 
 

@@ -171,7 +171,7 @@ def test_an_imported_object_is_known_by_its_name_and_by_its_file(tmp_path):
 
 def test_a_scene_is_not_taken_for_an_object(tmp_path):
     new(tmp_path)
-    with pytest.raises(SceneError, match="a whole scene, not an object"):
+    with pytest.raises(SceneError, match="a complete scene, not an object"):
         read_object(tmp_path / "mine.usda")
 
 
@@ -280,11 +280,11 @@ IMPOSSIBLE = {
     "in an obstacle": (["--obstacle", "box:0.1,0.1,0.1@0.5,0.3"], "is inside the obstacle"),
     "no pose": (["--start", "0.3,0.2"], "not a pose"),
     "no object": (["--object", "t-blok"], "did you mean t-block?"),
-    "no letter": (["--object", "letter:7"], "no such letter"),
+    "no letter": (["--object", "letter:7"], "not in the built-in alphabet"),
     "no sizes": (["--object", "box:0.1x0.1"], "3 lengths above zero"),
-    "too large": (["--object", "box:3x0.1x0.1"], "no size for it"),
+    "too large": (["--object", "box:3x0.1x0.1"], "out of range"),
     "no mesh": (["--object", "mesh:nowhere.stl"], "there is no such file"),
-    "no place": (["--obstacle", "box:0.1,0.1,0.1"], "no place"),
+    "no place": (["--obstacle", "box:0.1,0.1,0.1"], "no position"),
     "no robot": (["--robot", "hal9000"], "no such robot"),
     "a size without letters": (["--size", "0.1"], "with letters and words only"),
     "a unit without a mesh": (["--scale", "mm"], "with a mesh only"),
@@ -304,13 +304,13 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(tmp_path, capsys, ki
 
 @pytest.mark.parametrize("name", ["../up", "a b", "", ".hidden", "x/y"])
 def test_names_that_are_no_files_are_refused(tmp_path, name):
-    with pytest.raises(SceneError, match="no name for a scene"):
+    with pytest.raises(SceneError, match="not a valid name"):
         write_task(Task(name, "Push", letter("S"), (0.3, -0.4, 0.0), (0.5, 0.2, 0.0)), tmp_path)
 
 
 def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises((SceneError, ConfigError), match="no folder"):
+    with pytest.raises((SceneError, ConfigError), match="not a writable folder"):
         write_task(Task("mine", "Push", letter("S"), (0.3, -0.4, 0.0), (0.5, 0.2, 0.0)), tmp_path / "file")
 
 

@@ -149,7 +149,7 @@ def test_a_mass_that_no_file_gives_is_asked_for_and_taken(tmp_path, capsys):
     assert main([*command[:-1], str(dense), "--mass", "0.2", "--force"]) == 0
     assert load_scene(tmp_path / "mine.usda").object.mass == pytest.approx(0.2), "a mass counts before a density"
     assert main([*command[:-1], str(object_file(tmp_path / "c" / "c.usda")), "--mass", "0.15", "--force"]) == 2
-    assert "stand in its file" in capsys.readouterr().err
+    assert "are set in its file" in capsys.readouterr().err
 
 
 def test_an_object_in_the_folder_that_gives_a_density_only_is_written_with_its_mass(tmp_path):
@@ -250,7 +250,7 @@ def test_textures_come_along_and_are_not_mixed_up(tmp_path):
     again.write(tmp_path / "again" / "a.usda")
     assert (tmp_path / "again" / "a.usda").read_bytes() == again.file.read_bytes()
     (tmp_path / "b" / "thing" / "wood.png").unlink()
-    with pytest.raises(SceneError, match=r"it needs thing/wood.png, which is not there"):
+    with pytest.raises(SceneError, match=r"it depends on thing/wood.png, which does not exist"):
         pushed(tmp_path / "b" / "b.usda", tmp_path / "none")
     assert not (tmp_path / "none").exists()
 

@@ -166,7 +166,7 @@ BAD: dict[str, tuple[Callable[[Usd.Stage], object], str, str]] = {
         "the unit of length is not given",
         "metersPerUnit",
     ),
-    "no axis up": (lambda stage: stage.ClearMetadata("upAxis"), "which axis is up is not given", 'upAxis "Y" or "Z"'),
+    "no axis up": (lambda stage: stage.ClearMetadata("upAxis"), "the up axis is not given", 'upAxis "Y" or "Z"'),
     "a ball joint": (ball_joint, "type ball", "PhysicsRevoluteJoint"),
     "a branch": (branch, "the arm branches", "--flange"),
 }
@@ -183,7 +183,7 @@ def test_a_bad_robot_is_refused_with_words_that_help(tmp_path, case):
 
 def test_what_is_no_robot_is_refused(tmp_path):
     (tmp_path / "no.usda").write_text("nothing")
-    with pytest.raises(SceneError, match="not a USD file"):
+    with pytest.raises(SceneError, match="not a readable USD file"):
         read_usd(tmp_path / "no.usda")
     with pytest.raises(SceneError, match="no such file"):
         read_usd(tmp_path / "none.usda")

@@ -436,12 +436,12 @@ def test_objects_and_obstacles_of_every_kind_come_back_from_a_saved_scene(tmp_pa
 
 def test_what_cannot_be_saved_is_said_and_nothing_is_left_behind(scene, tmp_path):
     wider = replace(scene, table=replace(scene.table, upper=(1.2, 0.8)))
-    with pytest.raises(SceneError, match="the scene's table was changed, which cannot be saved"):
+    with pytest.raises(SceneError, match="a change to the scene's table cannot be saved"):
         save_scene(wider, tmp_path / "mine.usda")
-    with pytest.raises(SceneError, match="the scene's robot was changed"):
+    with pytest.raises(SceneError, match="a change to the scene's robot"):
         save_scene(replace(scene, robot=replace(scene.robot, start=np.full(6, -0.1))), tmp_path / "mine.usda")
     assert not list(tmp_path.glob("mine*"))
-    with pytest.raises(SceneError, match="is not the path of a prim"):
+    with pytest.raises(SceneError, match="is not a valid prim path"):
         box = small_tasks.box(0.1, 0.4, (0.1, 0.1, 0.1))
         save_scene(scene.with_obstacle(Obstacle("a box", (box,))), tmp_path / "a.usda")
 

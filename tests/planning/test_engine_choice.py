@@ -78,7 +78,7 @@ def test_the_most_successful_engine_that_keeps_up_is_taken(add, monkeypatch):
     choice = choose_engine("cloi", 0.05, machine.make)
     assert (choice.engine, choice.planner.engine, machine.made) == ("better", "better", ["better"])
     assert machine.timed == {"better": 3}
-    assert choice.reason == "a plan takes 40 ms of 50 ms"
+    assert choice.reason == "a plan takes 40 ms of the 50 ms available"
 
 
 def test_success_is_the_methods_own(add, monkeypatch):
@@ -101,7 +101,7 @@ def test_an_engine_that_is_too_slow_gives_way_after_one_plan(add, monkeypatch):
     choice = choose_engine("cloi", 0.05, machine.make)
     assert choice.engine == "good"
     assert machine.timed == {"better": 1, "good": 3}
-    assert choice.reason == "a plan takes 10 ms of 50 ms, with better 400 ms"
+    assert choice.reason == "a plan takes 10 ms of the 50 ms available; with better, 400 ms"
 
 
 def test_timing_stops_at_the_first_plan_beyond_the_period(add, monkeypatch):
@@ -109,7 +109,7 @@ def test_timing_stops_at_the_first_plan_beyond_the_period(add, monkeypatch):
     machine = Machine(monkeypatch, only=(0.01, 0.06, 0.01))
     choice = choose_engine("cloi", 0.05, machine.make)
     assert machine.timed == {"only": 2}
-    assert choice.reason == "none keeps up; with this one a plan takes 60 ms of 50 ms"
+    assert choice.reason == "no engine keeps up; with this one, a plan takes 60 ms of the 50 ms available"
 
 
 def test_an_engine_that_is_known_to_be_slower_is_not_tried_after_one_that_is_too_slow(add, monkeypatch):
@@ -117,7 +117,9 @@ def test_an_engine_that_is_known_to_be_slower_is_not_tried_after_one_that_is_too
     machine = Machine(monkeypatch, fast=0.7)
     choice = choose_engine("cloi", 0.05, machine.make)
     assert (choice.engine, machine.made, machine.timed) == ("fast", ["fast"], {"fast": 1})
-    assert choice.reason == "none keeps up; with this one a plan takes 700 ms of 50 ms, and slow is known to be slower"
+    assert choice.reason == (
+        "no engine keeps up; with this one, a plan takes 700 ms of the 50 ms available, and slow is known to be slower"
+    )
 
 
 def test_where_none_keeps_up_the_fastest_is_taken_and_that_is_said(add, monkeypatch):
@@ -126,7 +128,7 @@ def test_where_none_keeps_up_the_fastest_is_taken_and_that_is_said(add, monkeypa
     choice = choose_engine("cloi", 0.05, machine.make)
     assert (choice.engine, choice.planner.engine) == ("good", "good")
     assert machine.timed == {"better": 1, "good": 1}
-    assert choice.reason == "none keeps up; with this one a plan takes 200 ms of 50 ms"
+    assert choice.reason == "no engine keeps up; with this one, a plan takes 200 ms of the 50 ms available"
 
 
 def test_an_engine_that_nobody_has_measured_is_not_tried(add, monkeypatch):
@@ -138,7 +140,7 @@ def test_an_engine_that_nobody_has_measured_is_not_tried(add, monkeypatch):
     assert choose_engine("mine", 0.05, machine.make).engine == "known"
     assert machine.made == ["known", "known"]
     del add["known"]
-    with pytest.raises(ConfigError, match=r"no engine has a known success\n.*unknown, plain"):
+    with pytest.raises(ConfigError, match=r"no engine has a known success rate\n.*unknown, plain"):
         choose_engine("soi", 0.05, machine.make)
 
 
@@ -171,7 +173,7 @@ def test_a_quasistatic_plan_that_takes_too_long_makes_no_newton_planner(monkeypa
     )
     planner = make_planner(small_tasks.shipped("task01"), config, method="cloi", engine="auto", device="cpu")
     assert planner.engine == "quasistatic"
-    assert planner.engine_reason.startswith("none keeps up") and planner.engine_reason.endswith(
+    assert planner.engine_reason.startswith("no engine keeps up") and planner.engine_reason.endswith(
         "newton is known to be slower"
     )
 

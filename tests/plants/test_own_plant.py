@@ -143,7 +143,7 @@ def test_what_cannot_be_true_stops_the_arm_and_says_why(planner: Planner, name: 
     plan = planner.plan(wrong)
     np.testing.assert_array_equal(plan.command, np.zeros(6))
     assert re.search(said, plan.problem), plan.problem
-    with pytest.raises(ObservationError, match="no episode can begin here"):
+    with pytest.raises(ObservationError, match="an episode cannot start from this observation"):
         planner.start(wrong)
     # The next true observation is planned from as if nothing had happened.
     again = planner.plan(good)

@@ -35,27 +35,27 @@ double, double2 = Sdf.ValueTypeNames.Double, Sdf.ValueTypeNames.Double2
 LINT_CASES = {
     "a misspelt attribute": (
         author("/World", "oimppi:tolerence", double2, Gf.Vec2d(0.1)),
-        ("/World", "an attribute that nothing reads: oimppi:tolerence", "did you mean oimppi:tolerance?"),
+        ("/World", "an unknown attribute: oimppi:tolerence", "did you mean oimppi:tolerance?"),
     ),
     "a misspelt namespace": (
         author("/World", "oimpi:goal", double2, Gf.Vec2d(0.1)),
-        ("/World", "an attribute that nothing reads: oimpi:goal", "did you mean oimppi:goal?"),
+        ("/World", "an unknown attribute: oimpi:goal", "did you mean oimppi:goal?"),
     ),
     "an attribute in the wrong place": (
         author(OBJECT, "oimppi:goal", double2, Gf.Vec2d(0.1)),
-        (OBJECT, "oimppi:goal does nothing here", "on a prim with OimppiTaskAPI"),
+        (OBJECT, "oimppi:goal has no effect on this prim", "on a prim with OimppiTaskAPI"),
     ),
     "a misspelt schema": (
         add("/World/Table", "OimppiObstackleAPI"),
-        ("/World/Table", "an API schema that does not exist: OimppiObstackleAPI", "did you mean OimppiObstacleAPI?"),
+        ("/World/Table", "an unknown API schema: OimppiObstackleAPI", "did you mean OimppiObstacleAPI?"),
     ),
     "a prim that moves in time": (
         timed,
-        (CUBE, "xformOp:translate with time samples, which are not read", "default value"),
+        (CUBE, "xformOp:translate with time samples, which are ignored", "default value"),
     ),
     "a texture that is not there": (
         texture("./wood.png"),
-        ("/World/Table", "inputs:file names a file that is not there: ./wood.png", "counts from the file"),
+        ("/World/Table", "inputs:file refers to a missing file: ./wood.png", "relative to the file"),
     ),
     "a texture from elsewhere": (
         texture(__file__),
@@ -63,7 +63,11 @@ LINT_CASES = {
     ),
     "an inertia that no body has": (
         put(f"{ROBOT}/link3", "physics:diagonalInertia", Gf.Vec3f(0.001, 0.001, 0.01)),
-        (f"{ROBOT}/link3", "physics:diagonalInertia is (0.001, 0.001, 0.01), which no body can have", "leave it out"),
+        (
+            f"{ROBOT}/link3",
+            "physics:diagonalInertia is (0.001, 0.001, 0.01), which is physically impossible",
+            "leave it out",
+        ),
     ),
     "the moon's gravity": (
         put("/World/PhysicsScene", "physics:gravityMagnitude", 1.62),
@@ -71,7 +75,7 @@ LINT_CASES = {
     ),
     "gravity to the side": (
         put("/World/PhysicsScene", "physics:gravityDirection", Gf.Vec3f(0, -1, 0)),
-        ("/World/PhysicsScene", "gravity is 9.81 m/s^2 along (0, -1, 0)", "leave physics:gravityDirection"),
+        ("/World/PhysicsScene", "gravity is 9.81 m/s^2 along (0, -1, 0)", "leave out physics:gravityDirection"),
     ),
     "an object of feathers": (
         several(put(OBJECT, "physics:mass", 0.001), put(OBJECT, "physics:diagonalInertia", Gf.Vec3f(0.0))),

@@ -31,7 +31,7 @@ def manual() -> str:
 
 def _tables() -> Iterator[str]:
     yield "<!-- Made by tests/support/messages.py; do not edit by hand. -->\n"
-    yield "Each as it is said of one wrong scene: numbers and prims are examples."
+    yield "Each message is shown for one faulty scene; numbers and prims are examples."
     errors = {name: change for name, (change, *_) in {**MISTAKES, **IMPOSSIBLE}.items()} | {"no room": walls}
     warnings = {name: change for name, (change, _) in LINT_CASES.items()}
     for title, changes in (("Errors", errors), ("Warnings", warnings)):

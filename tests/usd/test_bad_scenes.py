@@ -68,7 +68,7 @@ def test_a_missing_scene_is_answered_with_the_nearest_name():
 def test_what_is_not_usd_is_refused(tmp_path, text, name):
     file = tmp_path / name
     file.write_text(text)
-    with pytest.raises(SceneError, match="not a USD file"):
+    with pytest.raises(SceneError, match="not a readable USD file"):
         load_scene(file)
 
 

@@ -167,7 +167,7 @@ def test_a_scene_is_saved_as_it_stands(tmp_path):
     np.testing.assert_allclose(shift, (0.05, -0.1, 0.0), atol=1e-9)
     assert again.object.mass == scene.object.mass
     assert held and load_scene("task02").start == scene.start  # the shared layers of the first are as they were
-    with pytest.raises(SceneError, match="not the name of a scene"):
+    with pytest.raises(SceneError, match="not a valid name for a scene"):
         save_scene(scene, tmp_path / "mine.txt")
 
 

@@ -81,8 +81,8 @@ def _too_large(scene: Scene) -> Iterator[SceneError]:
             f"the arm reaches {size[0]:.3g} x {size[1]:.3g} m of the table",
             file=scene.file,
             prim=scene.table.path,
-            allowed=f"as many as {MAX_NODES:.0e} nodes of the grid of phi_2, {YAW_NODES} of them to a square of 1 cm",
-            fix="make the table smaller, or the arm's links and limits",
+            allowed=f"at most {MAX_NODES:.0e} nodes in the phi_2 grid, at {YAW_NODES} nodes per square centimetre",
+            fix="reduce the size of the table, or the arm's links or limits",
         )
 
 
@@ -95,17 +95,17 @@ def _task_warnings(scene: Scene) -> Iterator[Problem]:
             scene,
             "every run starts from the same pose",
             allowed="a spread above zero, or several starts",
-            fix="give oimppi:spread, from which seeds draw starts, or list oimppi:starts",
+            fix="set oimppi:spread, from which seeds draw starts, or list several oimppi:starts",
         )
     body = scene.object
-    if tipping_height(body) > 0.0 and can_tip(body):  # at zero its centre of mass is wrong: a separate warning
+    if tipping_height(body) > 0.0 and can_tip(body):  # zero means a wrong centre of mass, which has its own warning
         top = body.rest_height + height_range(body.colliders)[1]
         yield _warning(
             scene,
             f"a push may tip the object over: its top is at {1000 * top:.0f} mm",
             prim=body.path,
             allowed=f"up to {1000 * tipping_height(body):.0f} mm at this width and friction",
-            fix="make it lower, broader or smoother; as it is, the planner touches it low and slowly",
+            fix="make it lower, wider or smoother; otherwise the planner pushes it low and slowly",
         )
 
 
@@ -148,7 +148,7 @@ def _path_warnings(scene: Scene) -> Iterator[Problem]:
         yield _warning(
             scene,
             f"there is hardly any room around the object's {name}, next to {next_to}",
-            allowed="so much that the object is free on a grid of 1 cm and 5 degrees",
+            allowed="enough room for the object to overlap nothing on a grid of 1 cm and 5 degrees",
             fix="move these away from it, or choose another pose",
         )
     starts = {name: pose for name, pose in poses.items() if name not in ("goal", *cramped)}
@@ -166,15 +166,15 @@ def _narrow_warnings(scene: Scene, paths: FreePaths, starts: dict[str, PlanarPos
         where = "" if bottleneck is None else f": {_describe(bottleneck)}"
         yield _warning(
             scene,
-            f"no way to the goal is free from the object's {which}{where}",
-            allowed="a way on which the object overlaps nothing, on a grid of 1 cm and 5 degrees",
+            f"no free path leads to the goal from the object's {which}{where}",
+            allowed="a path along which the object overlaps nothing, on a grid of 1 cm and 5 degrees",
             fix="move what is in the way, or choose another start or goal",
         )
     elif bottleneck is not None and bottleneck.clearance < NARROW:
         yield _warning(
             scene,
-            f"the way to the goal is narrow: {_describe(bottleneck)}",
-            allowed=f"{2000 * NARROW:g} mm more than the object is wide there",
+            f"the path to the goal is narrow: {_describe(bottleneck)}",
+            allowed=f"{2000 * NARROW:g} mm more than the object's width there",
             fix="move these apart, or choose another start or goal",
         )
 
@@ -182,7 +182,7 @@ def _narrow_warnings(scene: Scene, paths: FreePaths, starts: dict[str, PlanarPos
 def _describe(bottleneck: Bottleneck) -> str:
     """Describes a path's bottleneck in words."""
     x, y, yaw = bottleneck.pose
-    where = f"at ({x:.2f}, {y:.2f}, {yaw:.2f}) the widest one leads"
+    where = f"at ({x:.2f}, {y:.2f}, {yaw:.2f}) the widest path runs"
     missing = 1000.0 * abs(bottleneck.clearance)
     if bottleneck.gap is None:
         left = f"with {missing:.0f} mm to spare" if bottleneck.clearance > 0.0 else f"{missing:.0f} mm into it"

@@ -46,7 +46,7 @@ def mass_warnings(scene: Scene, stage: SceneStage, inertia: np.ndarray | None) -
     if not DENSITIES[0] <= density <= DENSITIES[1]:
         yield MassWarning(
             f"a mass of {body.mass:g} kg in a volume of {1000.0 * volume:.3g} litres is {density:.3g} kg/m^3",
-            f"{DENSITIES[0]:g} (foam) to {DENSITIES[1]:g} (gold)",
+            f"{DENSITIES[0]:g} (foam) to {DENSITIES[1]:g} (gold) kg/m^3",
             "correct physics:mass, or the size of the shapes",
         )
     if inertia is not None:
@@ -56,7 +56,7 @@ def mass_warnings(scene: Scene, stage: SceneStage, inertia: np.ndarray | None) -
             yield MassWarning(
                 f"physics:diagonalInertia is {ratio:.3g} times that of a uniform solid of this shape and mass",
                 f"{1.0 / FACTOR:g} to {FACTOR:g} times",
-                "correct it, or leave it out: then the shapes and the mass decide",
+                "correct it, or leave it out to have it computed from the shapes and the mass",
             )
     low, high = height_range(body.colliders)
     x, y, z = body.center_of_mass
@@ -65,7 +65,7 @@ def mass_warnings(scene: Scene, stage: SceneStage, inertia: np.ndarray | None) -
         yield MassWarning(
             f"physics:centerOfMass ({x:.3g}, {y:.3g}, {z:.3g}) is outside the object",
             "a point within its convex hull, in the object's frame",
-            "correct it, or leave it out: then the shapes decide",
+            "correct it, or leave it out to have it computed from the shapes",
         )
 
 

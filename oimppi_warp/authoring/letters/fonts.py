@@ -34,10 +34,10 @@ def glyph_outline(character: str, font: str, cap: float) -> BaseGeometry:
     """
     properties = _properties(font)
     if character.isspace() or not character.isprintable():
-        raise ConfigError(f"{character!r} is blank in the font {font}\n  allowed: characters that can be seen")
+        raise ConfigError(f"{character!r} is blank in the font {font}\n  allowed: visible characters")
     scale = cap / TextPath((0.0, 0.0), "H", _POINTS, prop=properties).get_extents().height
     if ord(character) not in font_manager.get_font(font_manager.findfont(properties)).get_charmap():
-        raise ConfigError(f"{character!r}: the font {font} has no such character\n  allowed: characters that it has")
+        raise ConfigError(f"{character!r}: the font {font} has no such character\n  allowed: characters in the font")
     rings = TextPath((0.0, 0.0), character, _POINTS, prop=properties).to_polygons(closed_only=True)
     outline = _filled([shapely.Polygon(scale * ring) for ring in map(np.asarray, rings) if len(ring) > 3])
     return shapely.simplify(outline, COARSE)
@@ -66,7 +66,7 @@ def _properties(font: str) -> FontProperties:
         names = sorted({entry.name for entry in font_manager.fontManager.ttflist})
         near = difflib.get_close_matches(font, names, n=3, cutoff=0.4) or names[:5]
         raise ConfigError(
-            f"--font {font}: no such font is installed\n  allowed: a font's file, or one of "
-            f"{len(names)} installed ones, such as {', '.join(near)}"
+            f"--font {font}: no such font is installed\n  allowed: a font file, or one of the "
+            f"{len(names)} installed fonts, such as {', '.join(near)}"
         ) from None
     return properties

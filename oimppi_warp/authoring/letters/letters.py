@@ -56,7 +56,9 @@ def letter(
         ConfigError: The letter or font does not exist, or a number is out of range.
     """
     if len(letter) != 1:
-        raise ConfigError(f"letter:{letter}: that is not one letter\n  allowed: letter:S, or a word as text:{letter}")
+        raise ConfigError(
+            f"letter:{letter}: not a single letter\n  allowed: one letter, as in letter:S; for a word, text:{letter}"
+        )
     outline = _letter_outline(letter, size, font)
     character = letter if font else letter.upper()
     name = f"letter_{_file_name_part(character)}"
@@ -99,7 +101,7 @@ def word(
     """
     text = " ".join(text.split())
     if not text:
-        raise ConfigError("text: there is no word\n  allowed: letters and spaces, as in text:WARP")
+        raise ConfigError("text: no letters were given\n  allowed: letters and spaces, as in text:WARP")
     outline = _row_of(text, font)
     x0, _, x1, _ = outline.bounds
     if size is None:
@@ -107,7 +109,7 @@ def word(
         if size < SMALLEST:
             raise ConfigError(
                 f"text:{text}: too long, its letters would be {1000 * size:.0f} mm high\n"
-                f"  allowed: words whose letters are {1000 * SMALLEST:.0f} mm high or more when the word is "
+                f"  allowed: words whose letters are at least {1000 * SMALLEST:.0f} mm high when the word is "
                 f"{LONGEST:g} m long"
             )
     outline = affinity.scale(outline, size / CAP_HEIGHT, size / CAP_HEIGHT, origin=(0.0, 0.0))
@@ -137,7 +139,7 @@ def _glyph(letter: str, font: str | None) -> BaseGeometry:
     capital = letter.upper()
     if capital not in string.ascii_uppercase:
         raise ConfigError(
-            f"{letter!r}: our alphabet has no such letter\n  allowed: A to Z, or --font and any character that it has"
+            f"{letter!r}: not in the built-in alphabet\n  allowed: A to Z, or any character of a font given with --font"
         )
     return outline_of(capital)
 

@@ -39,20 +39,20 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
     Raises:
         SceneError: The mesh cannot rest in this pose.
     """
-    done = "lies as it was modelled"
+    done = "placed as it was modelled"
     if how == "stable":
         probability, turn = _most_stable(mesh)
         mesh.apply_transform(turn)
         mesh.apply_transform(_along_axes(mesh))
         tilt = np.degrees(np.arccos(np.clip(turn[2, 2], -1.0, 1.0)))
-        done = f"lies in its most stable pose ({100 * probability:.0f} % of drops)"
-        done += f", turned over by {tilt:.0f} degrees" if tilt > 1.0 else ", as it was modelled"
+        done = f"placed in its most stable pose ({100 * probability:.0f} % of drops)"
+        done += f", tilted by {tilt:.0f} degrees" if tilt > 1.0 else ", as it was modelled"
     elif not _is_stable(mesh):
         raise SceneError(
-            "it would fall over as it is: its centre of mass is not above what it stands on",
+            "it would fall over in this pose: its centre of mass is not above its support area",
             file=file,
             allowed="a pose in which it can stand",
-            fix="lay it in its most stable pose (--lay stable), or turn it in the program that it comes from",
+            fix="lay it in its most stable pose (--lay stable), or rotate it in your modelling program",
         )
     (low, high), center = mesh.bounds, moments(mesh).center
     mesh.apply_translation([-center[0], -center[1], -(low[2] + high[2]) / 2])

@@ -58,7 +58,7 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
     """
     file = Path(file).expanduser()
     if scale is not None and scale not in UNITS:
-        raise ConfigError(f"--scale {scale}: there is no such unit\n  allowed: {', '.join(UNITS)}")
+        raise ConfigError(f"--scale {scale}: unknown unit\n  allowed: {', '.join(UNITS)}")
     mesh = _read(file)
     _check_size(file, mesh, scale)
     mesh.apply_scale(UNITS[scale or "m"])
@@ -67,15 +67,15 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
     parts = mesh.body_count
     if parts > PARTS:
         raise SceneError(
-            f"the mesh falls into {parts} separate parts",
+            f"the mesh consists of {parts} separate parts",
             file=file,
-            allowed=f"one solid, or up to {PARTS} that move as one",
-            fix="join them, and leave out screws, text and other small things, in the program that the mesh comes from",
+            allowed=f"one solid, or up to {PARTS} parts that move as one",
+            fix="in your modelling program, join them and remove screws, text and other small features",
         )
     notes = _close(file, mesh)
     if mesh.volume < 0.0:
         mesh.invert()
-        notes.append("turned inside out")
+        notes.append("inverted, as it was inside out")
     if mesh.volume < 1e-3 * mesh.convex_hull.volume:
         raise _flat_error(file, f"the mesh encloses {1e6 * mesh.volume:.3g} cm3")
     return Surface(mesh, parts, tuple(notes))
@@ -87,24 +87,24 @@ def _read(file: Path) -> trimesh.Trimesh:
     if not file.is_file():
         raise SceneError("there is no such file", file=file, allowed=f"a mesh: {formats}")
     if file.suffix.lower() not in MESHES:
-        fix = "export the part as STL from the program that it comes from"
-        raise SceneError(f"{file.suffix or 'no ending'}: not a mesh", file=file, allowed=formats, fix=fix)
+        fix = "export the part as STL from your modelling program"
+        raise SceneError(f"{file.suffix or 'no extension'}: not a mesh format", file=file, allowed=formats, fix=fix)
     try:
         mesh = trimesh.load_scene(str(file)).to_mesh()
     except Exception as error:  # readers of a dozen formats raise many kinds of exceptions
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SceneError(f"not a mesh that can be read ({reason})", file=file, allowed=formats) from None
+        raise SceneError(f"not a readable mesh ({reason})", file=file, allowed=formats) from None
     if file.suffix.lower() in (".glb", ".gltf"):  # y is up in glTF
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
-        what = "the mesh has no faces" if not len(mesh.faces) else "the mesh has corners that are not finite"
+        what = "the mesh has no faces" if not len(mesh.faces) else "the mesh has vertices that are not finite"
         raise SceneError(what, file=file, allowed="triangles that enclose a volume")
     if len(mesh.faces) > FACES:
         raise SceneError(
             f"the mesh has {len(mesh.faces)} triangles",
             file=file,
-            allowed=f"up to {FACES}",
-            fix="export it coarser, or decimate it: half a millimetre is fine enough",
+            allowed=f"up to {FACES} triangles",
+            fix="export it at a lower resolution, or decimate it: an accuracy of 0.5 mm is sufficient",
         )
     return mesh
 
@@ -118,13 +118,13 @@ def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
         return
     fitting = [unit for unit, meters in UNITS.items() if low <= longest * meters <= high]
     size = " x ".join(f"{side * UNITS[scale or 'm']:.3g}" for side in mesh.extents)
-    taken = f"with --scale {scale}" if scale else "taken in metres"
+    taken = f"with --scale {scale}" if scale else "read in metres"
     would = ", ".join(f"--scale {unit} makes it {longest * UNITS[unit]:.3g} m long" for unit in fitting)
     raise SceneError(
         f"too {'large' if in_meters > high else 'small'} for the arm: {size} m, {taken}",
         file=file,
         allowed=f"{low:g} to {high:g} m for the longest side",
-        fix=f"probably the mesh is in another unit: {would}" if would else "scale the part; no unit makes it fit",
+        fix=f"the mesh is probably in another unit: {would}" if would else "scale the part; no unit makes it fit",
     )
 
 
@@ -135,7 +135,7 @@ def _check_volume(file: Path, mesh: trimesh.Trimesh) -> None:
 
 
 def _flat_error(file: Path, what: str) -> SceneError:
-    fix = "give the part a thickness in the program that it comes from"
+    fix = "give the part a thickness in your modelling program"
     return SceneError(what, file=file, allowed="a solid: a surface that encloses a volume", fix=fix)
 
 
@@ -144,21 +144,23 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
     notes = []
     if not mesh.is_winding_consistent:
         trimesh.repair.fix_winding(mesh)
-        notes.append("faces that looked the wrong way were turned")
+        notes.append("inconsistently oriented faces were flipped")
     if not mesh.is_watertight:
         area, holes = float(mesh.area), _hole_count(mesh)
         if holes:
             trimesh.repair.fill_holes(mesh)
         if not mesh.is_watertight:
             if not _hole_count(mesh):
-                raise _open_error(file, "the surface crosses itself: some of its edges have more than two faces")
+                raise _open_error(file, "the surface intersects itself: some of its edges have more than two faces")
             _stitch(mesh)
         share = 1.0 - area / float(mesh.area)
-        missing = f"{_count_text(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of it"
+        missing = (
+            f"{_count_text(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of the surface"
+        )
         if not mesh.is_watertight or not mesh.is_winding_consistent:
             raise _open_error(file, f"the surface is open ({_count_text(holes, 'hole')}) and could not be closed")
         if share > FILLED:
-            raise _open_error(file, f"the surface is open: {missing}, would have to be made up")
+            raise _open_error(file, f"too much of the surface is missing: {missing}")
         notes.append(f"closed {missing}")
     trimesh.repair.fix_inversion(mesh, multibody=mesh.body_count > 1)
     return notes
@@ -175,8 +177,8 @@ def _open_error(file: Path, what: str) -> SceneError:
     return SceneError(
         what,
         file=file,
-        allowed=f"a closed surface, or one with up to {100 * FILLED:.0f} % of it missing",
-        fix="close it in the program that it comes from, as a solid: in Blender `3D Print > Make Manifold`",
+        allowed=f"a closed surface, or one with up to {100 * FILLED:.0f} % of its area missing",
+        fix="make it a closed solid in your modelling program: in Blender, `3D Print > Make Manifold`",
     )
 
 

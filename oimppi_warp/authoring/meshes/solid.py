@@ -138,10 +138,10 @@ def import_mesh(
     height = float(surface.extents[2])
     if height < LOWEST:
         raise SceneError(
-            f"too flat for the stick: {1000 * height:.1f} mm high as it lies",
+            f"too flat for the stick: {1000 * height:.1f} mm high in this pose",
             file=file,
             allowed=f"{1000 * LOWEST:.0f} mm or more",
-            fix="make the part thicker, or stand it up in the program that it comes from and take --lay as-is",
+            fix="make the part thicker, or stand it up in your modelling program and use --lay as-is",
         )
     solid = moments(surface)
     weight = checked_mass(mass, solid.volume)
@@ -172,5 +172,7 @@ def plain_name(text: str) -> str:
     """
     name = "_".join(part for part in "".join(c if c.isascii() and c.isalnum() else " " for c in text).split()).lower()
     if not name:
-        raise SceneError(f"{text!r}: no name for an object", allowed="letters, digits and underscores", fix="--name")
+        raise SceneError(
+            f"{text!r}: not a valid object name", allowed="letters, digits and underscores", fix="use --name"
+        )
     return name

@@ -74,7 +74,9 @@ def regular_prism(
     """
     if sides not in range(SIDES_OF_PRISM[0], SIDES_OF_PRISM[1] + 1):
         few, many = SIDES_OF_PRISM
-        raise ConfigError(f"prism: {sides:g} sides are none for it\n  allowed: {few} to {many}, a whole number")
+        raise ConfigError(
+            f"prism: {sides:g} is not a valid number of sides\n  allowed: a whole number from {few} to {many}"
+        )
     count = int(sides)
     angles = math.tau * (np.arange(count) + 0.5) / count - math.pi / 2
     outline = Polygon(radius * np.column_stack([np.cos(angles), np.sin(angles)]))
@@ -122,7 +124,9 @@ def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
     low, high = SIDES
     for length in lengths:
         if not low <= length <= high:
-            raise ConfigError(f"{what}: {length:.4g} m is no size for it\n  allowed: {low:g} to {high:g} m a side")
+            raise ConfigError(
+                f"{what}: a side of {length:.4g} m is out of range\n  allowed: {low:g} to {high:g} m per side"
+            )
     return lengths
 
 
@@ -135,7 +139,7 @@ def checked_mass(mass: float | None, volume: float) -> float:
     if mass is None:
         return max(round(DENSITY * volume, 2), 0.01)
     if not (math.isfinite(mass) and 0.001 <= mass <= 20.0):
-        raise ConfigError(f"--mass {mass:g}: cannot be used\n  allowed: 0.001 to 20 kg")
+        raise ConfigError(f"--mass {mass:g}: out of range\n  allowed: 0.001 to 20 kg")
     return mass
 
 
@@ -146,7 +150,7 @@ def checked_friction(friction: float) -> float:
         ConfigError: The coefficient is invalid.
     """
     if not (math.isfinite(friction) and 0.0 < friction <= 2.0):
-        raise ConfigError(f"--friction {friction:g}: cannot be used\n  allowed: more than 0, up to 2")
+        raise ConfigError(f"--friction {friction:g}: out of range\n  allowed: more than 0, up to 2")
     return friction
 
 

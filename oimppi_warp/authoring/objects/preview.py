@@ -78,7 +78,7 @@ def _draw_side(axes: Axes, body: PushedObject) -> None:
     axes.plot(x, z + body.rest_height, marker="o", color=GOAL, ms=4, ls="none")
     axes.axhline(0.0, color=INK, lw=1.2)
     axes.autoscale_view()
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="z [m]", title="from the side")
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="z [m]", title="side view")
     axes.annotate("centre of mass", (x, z + body.rest_height), (6, 3), textcoords="offset points", fontsize=7)
 
 

@@ -107,11 +107,11 @@ def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
     read_mass(stage, root)
     frame = stage.body_frame(root)
     if frame.GetRow3(2)[2] < 1.0 - 1e-6:
-        fix = "put the shapes below an Xform that is the default prim, and turn them there"
-        raise stage.error("an object that does not lie flat", root, allowed="turned about z only", fix=fix)
+        fix = "make an Xform the default prim, and rotate the shapes below it"
+        raise stage.error("an object that does not lie flat", root, allowed="rotation about z only", fix=fix)
     colliders = read_colliders(stage, root, frame)
     if not colliders:
-        fix = "apply PhysicsCollisionAPI to a shape at it or below it"
+        fix = "apply PhysicsCollisionAPI to this prim or to a shape below it"
         raise stage.error("an object without a collider", root, allowed=ALLOWED, fix=fix)
     for prim in collider_prims(root):
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
@@ -159,11 +159,11 @@ def _open(file: Path) -> SceneStage:
     stage = SceneStage(file)
     root = stage.stage.GetDefaultPrim()
     if not root:
-        fix = 'name the object\'s root in the file: defaultPrim = "..."'
-        raise stage.error("a file without a default prim cannot be referred to", fix=fix)
+        fix = "set the object's root as the file's default prim: defaultPrim = \"...\""
+        raise stage.error("a file without a default prim cannot be referenced", fix=fix)
     if stage.prims_with("OimppiTaskAPI"):
         allowed = "an object: a default prim with PhysicsMassAPI and colliders, as `oimppi scene import` writes them"
-        raise stage.error("a whole scene, not an object", root, allowed=allowed)
+        raise stage.error("a complete scene, not an object", root, allowed=allowed)
     apply_api(root, "OimppiObjectAPI")
     align_upright(stage.stage)
     return stage
@@ -197,7 +197,7 @@ def _set_mass(stage: SceneStage, mass: float | None) -> bool:
         for collider in read_colliders(stage, root, stage.body_frame(root)):
             density = _density(stage.stage.GetPrimAtPath(collider.path), root)
             if not density > 0.0:
-                fix = "give physics:mass or physics:density with PhysicsMassAPI, or take --mass"
+                fix = "set physics:mass or physics:density with PhysicsMassAPI, or use --mass"
                 raise stage.error("a body without a mass", root, allowed="a mass or a density above zero", fix=fix)
             found += density * _volume(collider)
     if found:

@@ -53,7 +53,7 @@ class Articulation:
         self._names = {index: name for name, index in bodies.items()}
 
     def arm(self, chain: Chain, *, name: str, doc: str, length: float, radius: float, axis: ToolAxis) -> Arm:
-        """Build the arm for a chain, with a start of all zeros (see :func:`.start.with_start`).
+        """Build the arm for a chain, with a start of all zeros (see :func:`.start_pose.with_start`).
 
         Args:
             chain: Selects links and joints.
@@ -142,15 +142,15 @@ class Articulation:
         center = first / max(mass, 1e-12)
         inertia = second - mass * _shifted(center)
         if mass > 0.0 and np.linalg.eigvalsh(inertia)[0] <= 0.0:
-            what = f"link {next(iter(placed))} has an inertia that no body has"
-            raise SceneError(what, file=self._file, allowed="moments above zero", fix="correct its inertia")
+            what = f"link {next(iter(placed))} has a physically impossible inertia"
+            raise SceneError(what, file=self._file, allowed="principal moments above zero", fix="correct its inertia")
         return ArmLink(mass, center, inertia, tuple(shapes), tuple(visuals))
 
     def _collider(self, shape: int, frame: np.ndarray, name: str, link: str) -> Collider:
         """Returns a collision shape in a frame."""
         found = self._shape(shape, frame, name)
         if found is None:
-            what = f"link {link} has a collision shape of a kind that is not known"
+            what = f"link {link} has a collision shape of an unsupported type"
             allowed = "boxes, spheres, cylinders, capsules and meshes"
             raise SceneError(what, file=self._file, allowed=allowed)
         if found.vertices is None:

@@ -83,7 +83,9 @@ def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
     path = _path(tree, base, flange, file)
     moving = [joint for joint in pairwise(path) if _joint(tree, *joint).kind != "fixed"]
     if not moving:
-        raise SceneError("a robot without moving joints", file=file, allowed="a chain of them from base to flange")
+        raise SceneError(
+            "a robot without moving joints", file=file, allowed="a chain of moving joints from base to flange"
+        )
     groups = tuple(tuple(_fixed_to(tree, link)) for link in [base, *(child for _, child in moving)])
     joints = [_joint(tree, *ends) for ends in moving]
     return Chain(
@@ -102,13 +104,13 @@ def _base(tree: nx.DiGraph, file: Path) -> str:
     """Returns the root link, which has no parent."""
     for link in tree:
         if tree.in_degree(link) > 1:
-            raise SceneError(f"link {link} has two joints before it", file=file, allowed="a tree of links")
+            raise SceneError(f"link {link} has two parent joints", file=file, allowed="a tree of links")
     bases = [link for link in tree if tree.in_degree(link) == 0]
     if not bases or not nx.is_directed_acyclic_graph(tree):
-        raise SceneError("links that hold each other in a circle, or none at all", file=file, allowed="a tree of links")
+        raise SceneError("links that form a loop, or no links at all", file=file, allowed="a tree of links")
     if len(bases) > 1:
-        what = f"{len(bases)} links that nothing holds: {', '.join(bases)}"
-        raise SceneError(what, file=file, allowed="one base", fix="join the others to it, or remove them")
+        what = f"{len(bases)} links without a parent: {', '.join(bases)}"
+        raise SceneError(what, file=file, allowed="one base", fix="connect the others to it, or remove them")
     return bases[0]
 
 
@@ -118,16 +120,16 @@ def _path(tree: nx.DiGraph, base: str, flange: str, file: Path) -> list[str]:
     ends = [link for link in moved if not any(other in moved for other in nx.descendants(tree, link))]
     if not flange and len(ends) > 1:
         raise SceneError(
-            f"the arm branches: {' and '.join(ends)} move on their own",
+            f"the arm branches: {' and '.join(ends)} move independently",
             file=file,
             allowed="a serial arm",
-            fix="say with --flange which link carries the stick; what else moves is left out",
+            fix="name the link that carries the stick with --flange; other branches are left out",
         )
     path = nx.shortest_path(tree, base, flange or (ends[0] if ends else base))
     for ends in pairwise(path):
         if _joint(tree, *ends).follows:
-            what = f"joint {_joint(tree, *ends).name} moves with another (mimic)"
-            raise SceneError(what, file=file, allowed="joints that are driven by themselves", fix="make it fixed")
+            what = f"joint {_joint(tree, *ends).name} follows another joint (mimic)"
+            raise SceneError(what, file=file, allowed="joints that are driven independently", fix="make it fixed")
     return path
 
 
@@ -151,14 +153,14 @@ def _checked(joint: TreeJoint, file: Path) -> Limits:
     """Checks that a joint can be driven within its limits, and returns them."""
     limits, unit = joint.limits, "m" if joint.kind == "slides" else "rad"
     if limits is None or (joint.kind == "slides" and not abs(limits.upper - limits.lower) < float("inf")):
-        fix = "" if joint.kind == "slides" else "a joint that turns without end is of type continuous"
+        fix = "" if joint.kind == "slides" else "for a joint that turns without limits, use the type continuous"
         allowed = f"lower and upper in {unit}, effort and velocity"
         raise SceneError(f"joint {joint.name} has no limits", file=file, allowed=allowed, fix=fix)
     if not limits.lower < limits.upper:
         what = f"joint {joint.name}: limits of {limits.lower:g} and {limits.upper:g} {unit}"
-        raise SceneError(what, file=file, allowed="lower below upper")
+        raise SceneError(what, file=file, allowed="a lower limit below the upper one")
     if not (limits.effort > 0.0 and limits.velocity > 0.0):
-        what = f"joint {joint.name}: effort {limits.effort:g} and velocity {limits.velocity:g}"
-        fix = "give what the arm can do; left out, they are unlimited"
+        what = f"joint {joint.name}: effort limit {limits.effort:g} and velocity limit {limits.velocity:g}"
+        fix = "set the joint's real limits; if left out, they are unlimited"
         raise SceneError(what, file=file, allowed="more than zero", fix=fix)
     return limits

@@ -48,8 +48,8 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
         try:
             builder.add_urdf(ET.tostring(root, encoding="unicode"))
         except Exception as error:
-            fix = "meshes may be STL, OBJ or PLY"
-            raise SceneError(f"it cannot be read ({error})", file=file, allowed="a URDF", fix=fix) from error
+            fix = "use meshes in STL, OBJ or PLY format"
+            raise SceneError(f"the file cannot be read ({error})", file=file, allowed="a URDF", fix=fix) from error
     bodies, joints = (
         {label.rpartition("/")[2]: index for index, label in enumerate(labels)}
         for labels in (builder.body_label, builder.joint_label)
@@ -63,9 +63,11 @@ def _parse(file: Path) -> ET.Element:
     try:
         root = ET.parse(file).getroot()
     except (ET.ParseError, UnicodeDecodeError, ValueError) as error:
-        raise SceneError(f"not XML that can be read ({error})", file=file, allowed="a URDF") from None
+        raise SceneError(f"not readable XML ({error})", file=file, allowed="a URDF") from None
     if root.tag != "robot":
-        raise SceneError(f"its root is <{root.tag}>", file=file, allowed="a URDF, whose root is <robot>")
+        raise SceneError(
+            f"its root element is <{root.tag}>", file=file, allowed="a URDF, with the root element <robot>"
+        )
     if any("ros.org/wiki/xacro" in str(element.tag) for element in root.iter()):
         fix = f"expand it: xacro {file.name} > {file.name.removesuffix('.xacro').removesuffix('.urdf')}.urdf"
         raise SceneError("xacro, not URDF", file=file, allowed="a URDF without macros", fix=fix)
@@ -81,7 +83,9 @@ def _tree(file: Path, root: ET.Element) -> nx.DiGraph:
         ends = [_named(joint, end) for end in ("parent", "child")]
         for link in ends:
             if link not in tree:
-                raise SceneError(f"joint {name} at a link {link!r} that is not there", file=file, allowed="its links")
+                raise SceneError(
+                    f"joint {name} refers to a missing link {link!r}", file=file, allowed="links of the URDF"
+                )
         if kind not in _KINDS:
             what = f"joint {name} of type {kind or 'none'}, between {ends[0]} and {ends[1]}"
             fix = "the base must be fixed" if kind in ("floating", "planar") else "correct its type"
@@ -123,10 +127,10 @@ def _resolve(file: Path, root: ET.Element, members: set[str]) -> None:
             found = _mesh(file, name)
             if found is None:
                 raise SceneError(
-                    f"the mesh {name!r} is not there",
+                    f"the mesh {name!r} does not exist",
                     file=file,
-                    allowed="a path beside it, or package://NAME/ for a folder NAME beside it or above it",
-                    fix="put it there, or take its <collision> out",
+                    allowed="a path relative to the URDF, or package://NAME/ for a folder NAME beside or above it",
+                    fix="add the file, or remove its <collision> element",
                 )
             mesh.set("filename", str(found))
         for visual in link.findall("visual"):

@@ -42,7 +42,7 @@ def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     try:
         found = builder.add_usd(scene.stage, load_visual_shapes=True, enable_self_collisions=False)
     except Exception as error:  # Newton's importer raises many kinds of exceptions
-        raise SceneError(f"it cannot be read ({error})", file=file, allowed="a USD articulation") from error
+        raise SceneError(f"the file cannot be read ({error})", file=file, allowed="a USD articulation") from error
     bodies, joints = found["path_body_map"], found["path_joint_map"]
     tree, base = _tree(builder, bodies, joints, file)
     chain = serial_chain(tree, file=file, flange=_path_of(flange, bodies))
@@ -83,7 +83,7 @@ def _tree(
         elif kinds[kind] == "fixed":
             base = matrix_of(builder.joint_X_p[joint]) @ np.linalg.inv(matrix_of(builder.joint_X_c[joint]))
     if base is None:
-        fix = "one PhysicsFixedJoint with only physics:body1"
+        fix = "add one PhysicsFixedJoint with only physics:body1 set"
         raise SceneError("the robot's base is not fixed to the world", file=file, allowed="a fixed base", fix=fix)
     return tree, base
 

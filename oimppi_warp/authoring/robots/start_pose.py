@@ -54,10 +54,10 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
         if best[0] > 0.0:
             return replace(arm, start=best[1])
     raise SceneError(
-        "no joint positions put the tool upright over the table in front of the arm",
+        "no joint positions were found that hold the tool upright above the table in front of the arm",
         file=file,
-        allowed=f"a tip {HEIGHT:g} m over z = 0, {min(_DISTANCES):g} to {max(_DISTANCES):g} m from the base",
-        fix="check --flange and --tool-axis, and that the arm stands at the table with z up",
+        allowed=f"a tip {HEIGHT:g} m above z = 0, {min(_DISTANCES):g} to {max(_DISTANCES):g} m from the base",
+        fix="check --flange and --tool-axis, and that z points up and is zero at the table's top",
     )
 
 
@@ -119,12 +119,17 @@ def table_clearance(robot: Robot, joints: np.ndarray) -> float:
 def _check_height(robot: Robot, joints: np.ndarray, height: float, file: object) -> None:
     """Raises SceneError if a robot without vertical motion has a tilted tool, or one at a wrong height for pushing."""
     if tip_frame(robot, joints)[0][2, 2] > -1.0 + 1e-6:
-        raise SceneError("its stick does not point down", file=file, allowed="down", fix="choose another --tool-axis")
+        raise SceneError(
+            "its stick does not point down",
+            file=file,
+            allowed="a stick that points down",
+            fix="choose another --tool-axis",
+        )
     low, high = PUSHING
     if not low <= height <= high:
         raise SceneError(
-            f"it cannot lower its tool, and the tip is at {height:.3f} m",
+            f"the robot cannot lower its tool, and the tip is at {height:.3f} m",
             file=file,
-            allowed=f"{low:g} to {high:g} m over the table",
-            fix=f"give a --tool-length that is {height - 0.012:.3f} m more",
+            allowed=f"{low:g} to {high:g} m above the table",
+            fix=f"increase --tool-length by {height - 0.012:.3f} m",
         )

@@ -1,7 +1,7 @@
 """Cost terms of the robot level from outside the package.
 
 A term is a Warp function of the stage, the result of one control step of a rollout. If it is registered and its weight
-is not zero, it is compiled into the kernels of every engine whose costs our kernels compute::
+is not zero, it is compiled into the kernels of every engine whose costs the package computes::
 
     import warp as wp
 

@@ -165,7 +165,7 @@ class RobotDynamics(ABC):
 
         By default arm and object stay where they are, and the cost is that of the cheapest sample.
         """
-        assert self._costs is not None, "trace() comes first"
+        assert self._costs is not None, "call trace() first"
         steps = self.task.level.optimizer.horizon + 1
         pose = to_center(self.task.geometry.surface, self.observation.object_pose)
         least = self._costs.numpy().min()
@@ -182,7 +182,7 @@ class RobotDynamics(ABC):
             Tool tips, shape [n, steps, 3] [m], and weighted cost terms, shape [n, terms]. By default the tips stay
             where they are.
         """
-        assert self._costs is not None, "trace() comes first"
+        assert self._costs is not None, "call trace() first"
         tips = np.tile(self._tip(), (len(samples), controls.shape[1] + 1, 1))
         return tips, self._costs.numpy()[samples][:, None]
 

@@ -50,7 +50,7 @@ class NewtonWorlds(NewtonDynamics):
         solver: Newton's solver.
 
     Raises:
-        RuntimeError: In :meth:`traced`, if contacts or constraints outgrew their buffers.
+        RuntimeError: In :meth:`traced`, if the buffers of contacts or constraints overflowed.
     """
 
     one_graph = True
@@ -145,13 +145,13 @@ class NewtonWorlds(NewtonDynamics):
         return self._joints, self._objects, wp.float32
 
     def traced(self) -> Trace:
-        """Returns the trace of the cheapest sample; RuntimeError if contacts outgrew a buffer in some world."""
+        """Returns the trace of the cheapest sample; RuntimeError if the contact buffers of some world overflowed."""
         bits = int(self._overflows.host[0]) & _grave_overflows()
         if bits:
             data = self.solver.mjw_data
             raise RuntimeError(
-                f"contacts outgrew their buffers in the Newton engine (overflow bits {bits:#x}): room for "
-                f"{data.naconmax // data.nworld} points of contact and {data.njmax} constraint rows per world"
+                f"the contact buffers of the Newton engine overflowed (overflow bits {bits:#x}): room for "
+                f"{data.naconmax // data.nworld} contact points and {data.njmax} constraint rows per world"
             )
         return super().traced()
 

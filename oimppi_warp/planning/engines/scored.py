@@ -1,4 +1,4 @@
-"""Base of the robot level engines whose stage costs are computed by our kernels."""
+"""Base of the robot level engines whose stage costs are computed by the package's kernels."""
 
 from __future__ import annotations
 

@@ -143,9 +143,9 @@ class Optimizer(ABC):
         """
 
     def advance(self) -> Sequence[Launch]:
-        """Prepares moving on by one step: the nominal's first becomes ``command``, its last is repeated.
+        """Prepares the shift by one step: the nominal's first control becomes ``command``, its last is repeated.
 
-        An optimizer that keeps more than the nominal from plan to plan moves that on as well.
+        An optimizer that keeps more than the nominal from plan to plan shifts that as well.
         """
         kernel = make_shift_nominal(self.dynamics.size)
         return [self.compute.launch(kernel, 1, [1], [self.nominal, self.counter, self.command.array])]

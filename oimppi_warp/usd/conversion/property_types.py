@@ -1,6 +1,6 @@
 """Checks that a stage's properties have the kinds and types given by their schemas, before anything reads them.
 
-USD itself accepts a string as a mass, or an attribute in place of a relationship; a reader then gets a value of the
+USD itself accepts a string as a mass, or an attribute in place of a relationship; a reader then receives a value of the
 wrong type.
 """
 
@@ -19,7 +19,7 @@ class InvalidProperty:
     prim: Usd.Prim
     what: str
     allowed: str
-    fix: str = "write it as its schema says, or take it out"
+    fix: str = "declare it as its schema does, or remove it"
 
 
 def invalid_properties(stage: Usd.Stage) -> Iterator[InvalidProperty]:
@@ -49,13 +49,13 @@ def _type_mismatch(prim: Usd.Prim, name: str, wanted: Sdf.PropertySpec) -> Itera
         found = prim.GetProperty(name).GetPropertyStack(Usd.TimeCode.Default())
     except Tf.ErrorException as error:
         yield InvalidProperty(
-            prim, f"{name} cannot be read ({usd_reason(error)})", "one kind of property in all layers"
+            prim, f"{name} cannot be read ({usd_reason(error)})", "the same kind of property in all layers"
         )
         return
     for spec in found:
         if type(spec) is not type(wanted):
             kind = "an attribute" if isinstance(wanted, Sdf.AttributeSpec) else "a relationship"
-            yield InvalidProperty(prim, f"{name} is not {kind}", f"{kind}, as its schema says")
+            yield InvalidProperty(prim, f"{name} is not {kind}", f"{kind}, as defined by its schema")
             return
         if isinstance(wanted, Sdf.AttributeSpec) and _kind(spec.typeName) != _kind(wanted.typeName):
             yield InvalidProperty(prim, f"{name} is of type {spec.typeName}", str(wanted.typeName))
@@ -87,14 +87,16 @@ def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
 
 def _invalid_transform(prim: Usd.Prim) -> Iterator[InvalidProperty]:
     """Yields transforms that USD would compute without the operations that it cannot interpret."""
-    allowed = "names of xformOp attributes of this prim, each of the type of its operation"
+    allowed = "names of xformOp attributes of this prim, each with the type of its operation"
     fix = "correct xformOpOrder"
     order = UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get() or []
     for name in (word.removeprefix("!invert!") for word in order if word != "!resetXformStack!"):
         if not name.startswith("xformOp:") or not prim.HasAttribute(name):
-            yield InvalidProperty(prim, f"xformOpOrder names {name}, which is no operation here", allowed, fix)
+            yield InvalidProperty(
+                prim, f"xformOpOrder lists {name}, which is not an operation of this prim", allowed, fix
+            )
             return
     try:
         UsdGeom.Xformable(prim).GetOrderedXformOps()
     except Tf.ErrorException as error:
-        yield InvalidProperty(prim, f"xformOpOrder cannot be followed ({usd_reason(error)})", allowed, fix)
+        yield InvalidProperty(prim, f"xformOpOrder cannot be evaluated ({usd_reason(error)})", allowed, fix)

@@ -1,6 +1,6 @@
 """Converts a stage in other units, or with another up axis, to metres, kilograms and z up.
 
-The changes are opinions in the stage's session layer: the files are not modified, and every reader of the stage gets
+The changes are opinions in the stage's session layer: the files are not modified, and every reader of the stage sees
 the same converted numbers. The package's own attributes are always in SI units and in the z-up frame.
 """
 

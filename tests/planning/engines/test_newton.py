@@ -226,7 +226,7 @@ def test_too_small_a_contact_buffer_is_an_error(pushes, capfd):
     data = dynamics.solver.mjw_data
     data.naconmax = 2  # Newton makes room for what touches at the start
     roll(dynamics, states[0], controls[:2, :3])
-    with pytest.raises(RuntimeError, match="outgrew their buffers"):
+    with pytest.raises(RuntimeError, match="contact buffers of the Newton engine overflowed"):
         dynamics.traced()
     capfd.readouterr()
 
