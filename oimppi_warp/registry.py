@@ -1,7 +1,7 @@
 """Registries, in which methods, optimisers, engines, plants, cost terms and shapes are added by name.
 
-Everything that offers a choice (the command line, suites, the viewer, tables, ``oimppi doctor``) reads a registry, so a
-new entry appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python
+Everything that offers a choice (the command line, suites, the viewer, tables, ``oimppi doctor``) reads a registry, so
+that a new entry appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python
 (:meth:`Registry.register`) or, to be available on the command line and in worker processes too, declared by an
 installed package as an entry point of the registry's group. `docs/extending.md` has an example of each.
 """
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Implementations of one kind, by name, in the order in which they were added.
+    """Named implementations of one kind, in the order in which they were added.
 
     Args:
         kind: Noun for an entry, in the singular, for messages: ``"method"``.
@@ -36,7 +36,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._loaded: dict[str, T] = {}
 
     def register(self, name: str, value: Any = None) -> Any:
-        """Adds an entry; without ``value``, returns a decorator that does.
+        """Adds an entry; without ``value``, returns a decorator that adds one.
 
         Raises:
             ConfigError: The name is taken by another entry.
@@ -57,7 +57,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """Returns the entry of a name.
 
         Raises:
-            ConfigError: There is none; the message lists those that exist.
+            ConfigError: The entry does not exist; the message lists those that do.
         """
         self.check(name)
         return self[name]
@@ -70,7 +70,7 @@ class Registry(Mapping[str, T], Generic[T]):
             *others: Other names that are allowed, such as ``"auto"``.
 
         Raises:
-            ConfigError: There is none; the message lists those that exist.
+            ConfigError: The entry does not exist; the message lists those that do.
         """
         known = [*others, *self]
         if name not in known:
@@ -110,7 +110,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 except Exception as error:
                     raise ConfigError(
                         f"{self.kind} {name!r} of the package {self.package_of(name)} cannot be loaded: {error}\n"
-                        "  to do:   mend the package or remove it; `oimppi doctor` lists what it adds"
+                        "  to do:   fix or remove the package; `oimppi doctor` lists its entries"
                     ) from error
             else:
                 raise KeyError(name)

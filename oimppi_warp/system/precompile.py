@@ -33,9 +33,9 @@ _USUAL_BLOCK = 256
 def needed_on_cuda(scene: Scene, config: Config, engines: Iterable[str]) -> list[Variant]:
     """Lists the modules that planning on a GPU needs, found by planning on the CPU with few samples.
 
-    MuJoCo Warp chooses its kernels by the model. It depends on the device only for the number of threads, not for the
-    choice of kernels, as long as the model is small enough for dense matrices (60 degrees of freedom); our kernels do
-    not depend on it. This has not been verified on a GPU.
+    MuJoCo Warp chooses its kernels by the model. Its choice does not depend on the device, apart from the number of
+    threads, as long as the model is small enough for dense matrices (60 degrees of freedom); neither do our kernels.
+    This has not been verified on a GPU.
 
     Args:
         scene: The task.
@@ -48,8 +48,8 @@ def needed_on_cuda(scene: Scene, config: Config, engines: Iterable[str]) -> list
     with record_modules() as found:
         wp.load_module(distance, device="cpu")  # fields cached on this machine may not be cached on the other
         for engine in engines:
-            # The Newton engine is a different one on the CPU, so the other kernels are found with the quasi-static
-            # engine.
+            # On the CPU the Newton engine has another implementation, so the remaining kernels are found with the
+            # quasi-static engine.
             around = "quasistatic" if engine == "newton" else engine
             for method in METHODS:
                 make_planner(scene, few, method=method, engine=around, device="cpu", threads=1).warm_up()
@@ -107,9 +107,9 @@ def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Modu
 def record_modules() -> Iterator[list[Variant]]:
     """Records the modules that Warp loads for the CPU in its context, with the block sizes that a GPU would use.
 
-    The list is filled at the end. Loaded modules are first unloaded, so that exactly those that the rehearsal needs are
-    loaded again (from the kernel cache). With ``enable_cpu_blocks`` the CPU uses the block sizes of the launches. A
-    launch of zero threads loads nothing, here as on a GPU; kernels for the tendons of a model without any, for example.
+    The list is filled at the end. Loaded modules are first unloaded, so that exactly those that the recorded code needs
+    are loaded again (from the kernel cache). With ``enable_cpu_blocks`` the CPU uses the block sizes of the launches. A
+    launch of zero threads loads nothing, here as on a GPU: for example, the tendon kernels of a model without tendons.
     """
     start_warp()
     variants: list[Variant] = []
@@ -125,7 +125,7 @@ def record_modules() -> Iterator[list[Variant]]:
         (module, block if block > 1 else _USUAL_BLOCK): None
         for module in _modules()
         for context, block in module.execs
-        if context is None  # the CPU's
+        if context is None  # modules for the CPU
     }
     variants += found
 
