@@ -1,7 +1,7 @@
 """Registries, in which methods, optimisers, engines, plants, cost terms and shapes are added by name.
 
-Everything that offers a choice (the command line, suites, the viewer, tables, ``oimppi doctor``) reads a registry, so
-that a new entry appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python
+Everything that offers a choice (the command line, suites, the viewer, tables, ``oimppi doctor``) reads a registry, so a
+new entry appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python
 (:meth:`Registry.register`) or, to be available on the command line and in worker processes too, declared by an
 installed package as an entry point of the registry's group. `docs/extending.md` has an example of each.
 """
