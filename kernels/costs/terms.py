@@ -29,7 +29,7 @@ _PACKED = {float: float, int: int, tuple[float, float]: wp.vec2}
 def weights_struct(name: str, settings: type, **more: type) -> Any:
     """Makes a Warp struct of a settings dataclass's numbers and pairs of numbers, with ``more`` fields."""
     fields = {key: _PACKED[kind] for key, kind in get_type_hints(settings).items() if kind in _PACKED}
-    about = f"``oimppi_warp.config.settings.{settings.__name__}`` as the kernels read it."
+    about = f"``oimppi_warp.config.settings.{settings.__name__}`` as read by the kernels."
     return wp.struct(type(name, (), {"__module__": __name__, "__doc__": about, "__annotations__": fields | more}))
 
 

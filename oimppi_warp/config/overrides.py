@@ -266,10 +266,10 @@ def _unknown(name: str, config: Any, known: list[str]) -> str:
             present_kind = options(config)[group]
             own = ", ".join(other for other in known if other.startswith(f"{group}."))
             near = difflib.get_close_matches(present, known, n=1, cutoff=0.75)
-            hint = f"did you mean {near[0]}? " if near else ""
+            hint = f"did you mean {near[0]}? Otherwise, " if near else ""
             return (
                 f"--set {name}: no such setting of the optimizer {present_kind}\n  allowed: {own}\n"
-                f"  to do:   {hint}to set an option of another optimizer, select it first with {group}=NAME"
+                f"  to do:   {hint}first select the optimizer that has this setting, with {group}=NAME"
             )
     leaf = name.rpartition(".")[2]
     same_leaf = [other for other in known if other.rpartition(".")[2] == leaf]

@@ -28,7 +28,7 @@ class RunSpec:
     """Options of a run, apart from its scene and settings. Trials, records and metrics contain it unchanged."""
 
     method: MethodName = "cloi"
-    """Method: plain MPPI (mppi), or MPPI that follows an object plan made once (soi) or anew at every step (cloi)."""
+    """Method: plain MPPI (mppi), or MPPI that follows an object plan made once (soi) or at every step (cloi)."""
 
     engine: EngineName = "auto"
     """Rollout engine: the paper's quasi-static model (quasistatic) or full physics (newton).
