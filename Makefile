@@ -1,4 +1,4 @@
-# Everything from a bare checkout with Python 3.11 or newer and make: `make demo`, `make test`.
+# All tasks from a bare checkout, with Python 3.11 or newer and make: `make demo`, `make test`.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 COMPILE := uv pip compile --no-config --universal --python-version 3.11 --generate-hashes --fork-strategy fewest \
 	--no-emit-index-url --no-emit-find-links --no-header --no-annotate --upgrade -q
 
-# One thread for NumPy's linear algebra: more of them slow the planner's kernels down.
+# One thread for NumPy's linear algebra; more threads slow down the planner's kernels.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
@@ -18,10 +18,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
 
-install: $(LOCK_ENV) ## make the environment in .venv: what it takes to run, no tools
+install: $(LOCK_ENV) ## create the environment in .venv with everything needed to run, without development tools
 
 $(LOCK_ENV): requirements.lock pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, $(PYTHON) is older: make PYTHON=python3.x")'
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is required, but $(PYTHON) is older; use make PYTHON=python3.x")'
 	@echo "Installing into $(VENV): about 1.3 GB, a minute or more"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
@@ -29,51 +29,51 @@ $(LOCK_ENV): requirements.lock pyproject.toml
 	@touch $@
 
 $(EXTRAS_ENV): $(LOCK_ENV) requirements-extras.lock
-	@echo "Installing the extras and the tools for development into $(VENV): about 0.7 GB more"
+	@echo "Installing the extras and the development tools into $(VENV): about 0.7 GB more"
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock -r requirements-extras.lock
 	@touch $@
 
 demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
 	$(BIN)/oimppi run task02 --start 1 --record runs/demo
 
-view: $(LOCK_ENV) ## watch it push in the browser, and change things while it runs
+view: $(LOCK_ENV) ## watch the same task in the browser, and change it while it runs
 	$(BIN)/oimppi view task02 --start 1
 
-test: $(EXTRAS_ENV) ## the tests, on all cores
+test: $(EXTRAS_ENV) ## run the tests on all cores
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
 
-nightly: $(EXTRAS_ENV) ## the tests that take longer: whole episodes over many seeds, kernels for a GPU that is not here
+nightly: $(EXTRAS_ENV) ## run the slow tests: whole episodes over many seeds, and kernels compiled for a GPU that is not present
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
 
-lint: $(EXTRAS_ENV) ## ruff, and which package may import which
+lint: $(EXTRAS_ENV) ## run ruff, and check which packages may import which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 
-format: $(EXTRAS_ENV) ## let ruff format and fix
+format: $(EXTRAS_ENV) ## format and fix the code with ruff
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-types: $(EXTRAS_ENV) ## pyright
+types: $(EXTRAS_ENV) ## check types with pyright
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-bench: $(LOCK_ENV) ## time of a plan, by stage
+bench: $(LOCK_ENV) ## measure planning time by stage
 	$(BIN)/python tools/bench_plan.py
 
-scenes: $(LOCK_ENV) ## write the shipped scenes anew
+scenes: $(LOCK_ENV) ## regenerate the shipped scenes
 	$(BIN)/python tools/make_scenes.py
 
-wheel: $(EXTRAS_ENV) ## build a wheel through the source distribution and try it elsewhere
+wheel: $(EXTRAS_ENV) ## build a wheel from the source distribution and test it in a separate environment
 	$(BIN)/python tools/check_wheel.py
 
-ci: ## what the continuous integration runs
+ci: ## run the continuous integration locally
 	.ci/run
 
-lock: ## resolve the dependencies anew (needs uv)
+lock: ## update the dependency locks (needs uv)
 	$(COMPILE) --group build pyproject.toml -o requirements.lock
 	$(COMPILE) --all-extras -c requirements.lock pyproject.toml -o requirements-extras.lock \
 		$$(sed -n 's/^\([a-z0-9-]*\)==.*/--no-emit-package \1/p' requirements.lock)
 
-clean: ## remove what was built; not .venv
+clean: ## remove build products and caches, but not .venv
 	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find oimppi_warp kernels tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

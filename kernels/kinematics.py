@@ -48,7 +48,7 @@ class Environment:
     Attributes:
         obstacles: Distance to the obstacles [m].
         top: Height above which no obstacle is near [m].
-        near: Clearance above which a lower bound is good enough [m].
+        near: Clearance above which a lower bound is sufficient [m].
         tool_radius: Radius of the tool [m].
     """
 
@@ -65,7 +65,7 @@ class ArmPlacement:
     Attributes:
         tip: The tool's tip [m].
         up: The world's z axis in the tip's frame.
-        lean: How far the stick's other end is from straight above the tip, per metre of height, in x and y.
+        lean: Horizontal offset of the stick's axis from the tip per metre of height, in x and y.
         arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m]; beyond ``Environment.near`` a
             lower bound.
     """
@@ -126,7 +126,7 @@ def make_place_arm(chain: str) -> wp.Function:
                 p = p + q[j] * wp.vec3(r[0, 2], r[1, 2], r[2, 2])
             else:
                 r = turn_about_z(r * arm.rotation[j], wp.cos(q[j]), wp.sin(q[j]))
-            # The spheres of a link whose hull is far from everything need not be checked.
+            # If a link's hull is far from everything, its spheres need not be checked.
             whole = lowest_clearance(environment, p, r, arm.hull[j])
             if whole > environment.near:
                 clearance = wp.min(clearance, whole)

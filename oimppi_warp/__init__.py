@@ -1,6 +1,6 @@
 """Object-informed MPPI: an xArm6 pushes an object to its goal, planned on a CPU or a GPU.
 
-Public names are imported on first use, so that ``import oimppi_warp`` is fast.
+Public names are imported on first use to keep ``import oimppi_warp`` fast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Errors that a user can cause; each says what is wrong and where, what is allowed and how to fix it."""
+"""Errors caused by bad input; each message states the mistake and its place, the allowed values and a fix."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ class OimppiError(Exception):
 
 @dataclass(frozen=True)
 class Problem:
-    """A problem in a scene that the user should know about, as data for tools.
+    """A problem in a scene, as data for tools.
 
     Attributes:
         file: The USD file with the problem.
-        severity: An error prevents a run, a warning may spoil it.
-        prim: Path of the prim with the problem; empty if it belongs to none.
+        severity: An error prevents a run; a warning may spoil it.
+        prim: Path of the prim with the problem; empty if there is none.
         what: Description of the problem, with the value found.
         allowed: The values that would be allowed.
         fix: How to fix it.
@@ -37,7 +37,7 @@ class SceneError(OimppiError):
     Args:
         what: Description of the mistake, with the value found.
         file: The USD file with the mistake.
-        prim: Path of the prim with the mistake, if it belongs to one.
+        prim: Path of the prim with the mistake, if there is one.
         allowed: The values that would be allowed.
         fix: How to fix it.
         others: Number of other mistakes in the scene.
@@ -70,7 +70,7 @@ class SceneError(OimppiError):
         return Problem(self.file, "error", self.prim, self.what, self.allowed, self.fix)
 
     def among(self, others: int) -> SceneError:
-        """Returns the same error, with a mention of ``others`` more mistakes in the scene."""
+        """Returns the same error with a note that the scene has ``others`` more mistakes."""
         return SceneError(self.what, file=self.file, prim=self.prim, allowed=self.allowed, fix=self.fix, others=others)
 
 
@@ -83,4 +83,4 @@ class DeviceError(OimppiError):
 
 
 class ObservationError(OimppiError):
-    """An observation that cannot be used: an array of the wrong length, or, at the start, impossible numbers."""
+    """An observation that cannot be used: an array of the wrong length or, at the start, impossible values."""

@@ -1,4 +1,4 @@
-"""Observations, which a plant sends to a planner, and checks of them."""
+"""Observations, which a plant sends to a planner, and their checks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEYOND_LIMITS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A plant's knowledge of its state at one instant.
+    """The state of a plant as it is known at one instant.
 
     Attributes:
         time: Time since the start of the episode [s].
@@ -26,10 +26,10 @@ class Observation:
         joint_velocity: Joint velocities, shape [dof] [rad/s].
         object_pose: Planar pose of the object as last seen: (x [m], y [m], yaw [rad]), shape [3]; NaN before that.
         object_transform: Pose of the object (position, quaternion xyzw), shape [7].
-        object_time: Time at which the object was seen there [s]; NaN before it was seen. ``None`` if it is always
-            known, at ``time``.
+        object_time: Time at which the object had this pose [s]; NaN before it was first seen. ``None`` if the pose is
+            always known, at ``time``.
         trail: Times [s] and joint positions [rad] since the previous observation, which is included, shape
-            [n, 1 + dof]; empty if a plant reports only once per control period.
+            [n, 1 + dof]; empty if the plant reports only once per control period.
     """
 
     time: float
@@ -81,20 +81,20 @@ def check_shapes(observation: Observation, dof: int) -> None:
 
 
 def implausible(observation: Observation, robot: Robot) -> str:
-    """Returns why nothing can be planned from an observation; empty if it can.
+    """Returns the reason why an observation cannot be planned from; empty if it can.
 
     Numbers that are not finite, an object farther than :data:`FARTHEST_OBJECT` away and joints more than
     :data:`BEYOND_LIMITS` outside their limits are sensor errors, not states to plan from.
     """
     values = {
-        "joint positions": observation.joint_position,
-        "joint velocities": observation.joint_velocity,
+        "the joint positions": observation.joint_position,
+        "the joint velocities": observation.joint_velocity,
         "the object's pose": observation.object_pose,
         "the object's transform": observation.object_transform,
     }
     for name, value in values.items():
         if not np.isfinite(value).all():
-            return f"{name} not finite: {np.round(np.asarray(value, dtype=float), 4).tolist()}"
+            return f"non-finite values in {name}: {np.round(np.asarray(value, dtype=float), 4).tolist()}"
     distance = max(
         float(np.hypot(*observation.object_pose[:2])), float(np.linalg.norm(observation.object_transform[:3]))
     )

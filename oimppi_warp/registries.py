@@ -1,4 +1,4 @@
-"""All registries, with the locations of their shipped entries. Importing this module imports none of the entries."""
+"""All registries, with the locations of their built-in entries. Importing this module does not import the entries."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Implementations of one kind, by name, in the order in which they were added.
+    """Named implementations of one kind, in the order in which they were added.
 
     Args:
         kind: Noun for an entry, in the singular, for messages: ``"method"``.
@@ -36,7 +36,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._loaded: dict[str, T] = {}
 
     def register(self, name: str, value: Any = None) -> Any:
-        """Adds an entry; without ``value``, returns a decorator that does.
+        """Adds an entry; without ``value``, returns a decorator that adds one.
 
         Raises:
             ConfigError: The name is taken by another entry.
@@ -57,7 +57,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """Returns the entry of a name.
 
         Raises:
-            ConfigError: There is none; the message lists those that exist.
+            ConfigError: The entry does not exist; the message lists those that do.
         """
         self.check(name)
         return self[name]
@@ -70,7 +70,7 @@ class Registry(Mapping[str, T], Generic[T]):
             *others: Other names that are allowed, such as ``"auto"``.
 
         Raises:
-            ConfigError: There is none; the message lists those that exist.
+            ConfigError: The entry does not exist; the message lists those that do.
         """
         known = [*others, *self]
         if name not in known:
@@ -110,7 +110,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 except Exception as error:
                     raise ConfigError(
                         f"{self.kind} {name!r} of the package {self.package_of(name)} cannot be loaded: {error}\n"
-                        "  to do:   mend the package or remove it; `oimppi doctor` lists what it adds"
+                        "  to do:   fix or remove the package; `oimppi doctor` lists its entries"
                     ) from error
             else:
                 raise KeyError(name)

@@ -1,8 +1,8 @@
-"""A task as data: robot, obstacles, pushed object, start and goal.
+"""Tasks as data: robot, obstacles, pushed object, start and goal.
 
 A :class:`Scene` is read from USD by :func:`oimppi_warp.usd.load_scene`, and is the only description of a task that
-planner, plant, viewer and caches use. It is immutable, including its arrays; ``dataclasses.replace`` and the ``with_``
-methods make a changed copy, and everything built from that copy follows the change:
+planner, plant, viewer and caches use. It is immutable, including its arrays. ``dataclasses.replace`` and the ``with_``
+methods make a changed copy, and everything built from that copy reflects the change:
 
     heavy = replace(scene, object=replace(scene.object, mass=5.0), obstacles=())
 
@@ -52,8 +52,8 @@ class Collider(_ReadOnly):
         size: Box: half extents (3) [m]. Sphere: (radius,). Cylinder and capsule: (radius, half height of the straight
             part), along the shape's local z. Mesh: empty.
         vertices: Mesh vertices in the shape's frame, shape [n, 3] [m]; ``None`` for the other kinds.
-        faces: Triangles of a mesh, indices into ``vertices``, shape [m, 3]. They enclose the volume that has mass,
-            which may have hollows; ``None``: the hull is solid.
+        faces: Triangles of a mesh, indices into ``vertices``, shape [m, 3]. They enclose the material, which may be
+            hollow; ``None``: the hull is solid.
     """
 
     path: str
@@ -117,20 +117,20 @@ class Link(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Joint(_ReadOnly):
-    """A joint that turns about its own local z axis, or slides along it.
+    """A joint that turns about or slides along its own local z axis.
 
-    Wherever this package gives rad, rad/s or N m for a joint, the unit is m, m/s or N for one that slides.
+    Wherever this package gives rad, rad/s or N m for a joint, the units of a sliding joint are m, m/s or N.
 
     Attributes:
         path: Prim path.
         parent_transform: Joint frame in the frame of the previous link (the base for the first joint), shape [7]; the
             link that the joint moves has this frame at position zero.
-        lower, upper: Position limits [rad]; finite for one that slides.
+        lower, upper: Position limits [rad]; finite for a sliding joint.
         velocity_limit: Velocity limit [rad/s].
         effort_limit: Torque limit [N m].
         kind: ``"revolute"`` turns, ``"prismatic"`` slides.
         friction: Torque of dry friction in the joint [N m].
-        damping: Torque of viscous friction over velocity [N m s/rad].
+        damping: Torque of viscous friction per velocity [N m s/rad].
     """
 
     path: str
@@ -190,10 +190,10 @@ class PushedObject(_ReadOnly):
         tool_friction: Coulomb coefficient between object and tool.
         center_of_mass: Centre of mass in the body's frame, shape [3] [m].
         colliders: Shapes in the body's frame.
-        rest_height: z of the body's frame when the object lies on the table [m].
+        rest_height: z of the body's frame when the object rests on the table [m].
         unit_inertia: Rotational inertia about the centre of mass, divided by the mass, in the axes of the body's frame,
-            shape [3, 3] [m^2]; ``None``: that of the colliders at uniform density. It depends on the shape: set new
-            colliders together with ``unit_inertia=None`` and the rest height.
+            shape [3, 3] [m^2]; ``None``: that of the colliders at uniform density. It depends on the shape: when you
+            replace the colliders, also set ``unit_inertia=None`` and the rest height.
     """
 
     path: str
@@ -275,7 +275,7 @@ class Scene(_ReadOnly):
     """One task.
 
     Attributes:
-        file: The USD file it was read from, which is used for appearance only.
+        file: The USD file from which the scene was read; now used for appearance only.
         name: Short name (the file's stem).
         title: One-line description.
         start: Start pose of the object; ``starts`` lists the task's ten default ones, shape [n, 3].
@@ -301,40 +301,40 @@ class Scene(_ReadOnly):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
     def with_start(self, start: PlanarPose) -> Scene:
-        """Returns the same task from another start; nothing is checked (see ``feasibility.check_task``)."""
+        """Returns the task with another start; it is not checked (see ``feasibility.check_task``)."""
         return replace(self, start=start)
 
     def with_goal(self, goal: PlanarPose) -> Scene:
-        """Returns the same task to another goal; nothing is checked (see ``feasibility.check_task``)."""
+        """Returns the task with another goal; it is not checked (see ``feasibility.check_task``)."""
         return replace(self, goal=goal)
 
     def with_obstacle(self, obstacle: Obstacle) -> Scene:
-        """Returns the same task with another obstacle, which replaces one with the same path."""
+        """Returns the task with another obstacle, which replaces one with the same path."""
         others = {each.path: each for each in self.obstacles} | {obstacle.path: obstacle}
         return replace(self, obstacles=tuple(others.values()))
 
     def without_obstacle(self, path: str) -> Scene:
-        """Returns the same task without one of its obstacles.
+        """Returns the task without one of its obstacles.
 
         Raises:
-            SceneError: There is no obstacle of that path.
+            SceneError: There is no obstacle with that path.
         """
         gone = self.obstacle(path)
         return replace(self, obstacles=tuple(each for each in self.obstacles if each is not gone))
 
     def with_obstacle_moved(self, path: str, by: PlanarPose) -> Scene:
-        """Returns the same task with an obstacle moved, see :meth:`Obstacle.moved`; nothing is checked.
+        """Returns the task with an obstacle moved (see :meth:`Obstacle.moved`); it is not checked.
 
         Raises:
-            SceneError: There is no obstacle of that path.
+            SceneError: There is no obstacle with that path.
         """
         return self.with_obstacle(self.obstacle(path).moved(by))
 
     def obstacle(self, path: str) -> Obstacle:
-        """Returns the obstacle of a path.
+        """Returns the obstacle with a path.
 
         Raises:
-            SceneError: There is none.
+            SceneError: There is no obstacle with that path.
         """
         for each in self.obstacles:
             if each.path == path:
@@ -342,13 +342,13 @@ class Scene(_ReadOnly):
         raise SceneError(
             f"no obstacle <{path}>",
             file=self.file,
-            allowed=", ".join(f"<{each.path}>" for each in self.obstacles) or "none, as the scene has no obstacle",
+            allowed=", ".join(f"<{each.path}>" for each in self.obstacles) or "none, as the scene has no obstacles",
             fix="give the path of one of the scene's obstacles",
         )
 
 
 def _carried(shape: Collider, center: np.ndarray, by: tuple[float, float], turn: float) -> Collider:
-    """Rotates a shape in the world about the vertical through a point [3], and then moves it."""
+    """Rotates a shape in the world about the vertical through a point [3], then translates it."""
     c, s = math.cos(turn), math.sin(turn)
     x, y = shape.transform[:2] - center[:2]
     half_c, half_s = math.cos(turn / 2.0), math.sin(turn / 2.0)

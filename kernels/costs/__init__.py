@@ -1,1 +1,1 @@
-"""Stage costs: the terms and how they add up."""
+"""Stage costs: the terms and their sum."""

@@ -81,9 +81,9 @@ def outside_ring(pose: wp.vec3, ring: wp.vec2) -> float:
 
 @wp.func
 def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, clearance: float, to_go: float) -> float:
-    """Stage cost of the object level: ``l_o = w_d d^2(x_o, g) + w_f max(lambda_2 - f_0, 0)^2`` (equation 15), and ours.
+    """Stage cost of the object level: ``l_o = w_d d^2(x_o, g) + w_f max(lambda_2 - f_0, 0)^2`` (equation 15).
 
-    ``d^2`` is that of equation 16. Our additions are terms of the clearance phi_2, of the cost-to-go and of the ring in
+    ``d^2`` is that of equation 16. We add terms of the clearance phi_2, of the cost-to-go and of the ring in
     which the arm pushes well.
     """
     return (
@@ -113,9 +113,9 @@ def term(name: str):
 
 @term("goal")
 def goal_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of the object's distance to its goal: ``w_d d^2(x_o, g)``, the first term of l_o (equation 15), and ours.
+    """Cost of the object's distance to its goal: ``w_d d^2(x_o, g)``, the first term of l_o (equation 15).
 
-    Ours is ``w_to_go V(x_o)``, with the cost-to-go V.
+    We add ``w_to_go V(x_o)``, with the cost-to-go V.
     """
     return w.w_d * pose_distance_squared(s.pose, s.goal, w.w_theta) + w.w_to_go * s.to_go
 
@@ -124,7 +124,7 @@ def goal_term(w: RobotWeights, s: Stage) -> float:
 def contact_term(w: RobotWeights, s: Stage) -> float:
     """Cost of contact of object and obstacles: ``w_f max(lambda_2 - f_0, 0)^2``, the second term of l_o (equation 15).
 
-    Ours is ``w_margin max(margin - phi_2, 0)^2``.
+    We add ``w_margin max(margin - phi_2, 0)^2``.
     """
     return w.w_f * contact_cost(s.force, w.f_0) + w.w_margin * shortfall(s.gap, w.margin)
 
@@ -152,8 +152,8 @@ def approach_term(w: RobotWeights, s: Stage) -> float:
 def align_term(w: RobotWeights, s: Stage) -> float:
     """Cost of a tool not behind the object: ``w_align psi_align`` (equation 18), the second term of l_r (equation 17).
 
-    Closer than ``align_fade`` to the target, where the direction loses its meaning, the cost fades out; 0 turns that
-    off. The cost is zero while repositioning.
+    Closer than ``align_fade`` to the target, where the direction becomes meaningless, the cost fades out; 0 turns
+    fading off. The cost is zero while repositioning.
     """
     cost = float(0.0)
     if s.waypoint[3] <= 0.0:

@@ -29,7 +29,7 @@ _PACKED = {float: float, int: int, tuple[float, float]: wp.vec2}
 def weights_struct(name: str, settings: type, **more: type) -> Any:
     """Makes a Warp struct of a settings dataclass's numbers and pairs of numbers, with ``more`` fields."""
     fields = {key: _PACKED[kind] for key, kind in get_type_hints(settings).items() if kind in _PACKED}
-    about = f"``oimppi_warp.config.settings.{settings.__name__}`` as the kernels read it."
+    about = f"``oimppi_warp.config.settings.{settings.__name__}`` as read by the kernels."
     return wp.struct(type(name, (), {"__module__": __name__, "__doc__": about, "__annotations__": fields | more}))
 
 
@@ -42,7 +42,7 @@ RobotWeights = weights_struct(
     size=float,
     extra=wp.array[float],
 )
-"""Weights of the robot level: the fields of ``oimppi_warp.config.settings.RobotCost``, and some more.
+"""Weights of the robot level: the fields of ``oimppi_warp.config.settings.RobotCost``, and the following.
 
 Attributes:
     edge_lower, edge_upper: Corners of the rectangle within which the object's centre keeps all of it on the table [m].
@@ -54,27 +54,27 @@ Attributes:
 
 @wp.struct
 class Stage:
-    """Result of one control step of a rollout, as the robot level's cost terms see it.
+    """Result of one control step of a rollout, as used by the robot level's cost terms.
 
     Attributes:
         tip: Tool tip [m].
         up: The world's z axis in the tip's frame.
-        lean: How far the stick leans, see ``ArmPlacement``.
+        lean: Tilt of the stick, see ``ArmPlacement``.
         velocity: Velocity of the tip in x and y [m/s].
         pose: The object's pose.
         top: Height of the object's top above the table [m].
         goal: The object's goal.
         reference: The object plan's pose at this step.
-        target: The object plan's pose some steps ahead, for the alignment.
+        target: The object plan's pose ``align_ahead`` steps later, for the alignment.
         to_go: Cost-to-go of the pose [m]; 0 if its weight is zero.
-        force: Contact force of object and environment, lambda_2 [N].
+        force: Contact force between object and environment, lambda_2 [N].
         arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m].
         above: 1 if the tip is above the object, else 0.
-        pressed: Depth by which the tool presses into an object that cannot yield [m].
-        gap: Clearance phi_2 of the pose that the tool pushes the object to; ``NOT_PUSHED`` if it does not push [m].
+        pressed: Depth to which the tool presses into an object that cannot yield [m].
+        gap: Clearance phi_2 of the pose to which the tool pushes the object; ``NOT_PUSHED`` if it does not push [m].
         rise: Speed at which the tip rises while it pushes [m/s].
         speed_squared: Squared norm of the joint velocities [rad^2/s^2].
-        collision: Contact force of robot and environment, lambda_3 [N].
+        collision: Contact force between robot and environment, lambda_3 [N].
         waypoint: Waypoint of the tip while repositioning (x, y, z [m]) and its weight [1/m^2], zero for none.
     """
 
@@ -102,7 +102,7 @@ class Stage:
 def module_of(name: str, extra: ExtraTerms) -> dict[str, str]:
     """Returns arguments for ``wp.kernel`` that give a kernel with extra terms its own name and module.
 
-    The module's name contains the names of the terms and ends with a hash of all that is compiled.
+    The module's name contains the names of the terms and ends with a hash of everything that is compiled.
     """
     if not extra:
         return {"module": f"oimppi_warp.kernels.{name}"}

@@ -8,31 +8,31 @@ wp.set_module_options({"enable_backward": False})
 
 
 HOME = wp.constant(0.05)
-"""Distance from the goal, turning counted, within which the path to it is straight [m]."""
+"""Distance from the goal, yaw included, within which the path to it is straight [m]."""
 
 ON_PLAN = wp.constant(0.02)
-"""Distance from a plan's poses, turning counted, within which a path counts as on the plan [m]."""
+"""Distance from a plan's poses, yaw included, within which a path counts as on the plan [m]."""
 
 HEADWAY = wp.constant(0.7)
 """Decrease of the cost-to-go per metre of a step along the gradient, below which the gradient is not trusted. It is 1
 where the field is smooth, and less at kinks and beside obstacles."""
 
 DETOUR = wp.constant(0.4)
-"""Cost of a metre to a node when the best node around a pose is chosen. It is below the 0.5 that a metre along a plan
-costs, so that a node further down the plan always wins over the nearest."""
+"""Cost per metre to a node when the best node around a pose is chosen. It is below the 0.5 per metre along a plan, so
+that a node further along the plan is always preferred to the nearest."""
 
 
 @wp.struct
 class TravelCost:
-    """Cost of a metre of the object's path.
+    """Cost per metre of the object's path.
 
     Attributes:
-        yaw_length: Length that turning by one radian counts as [m].
-        comfort: Clearance below which a metre costs more [m].
-        crowded: Its additional cost at zero clearance.
-        blocked: Its cost inside an obstacle: finite, so that there is a path out from every pose.
+        yaw_length: Length equivalent to a rotation by one radian [m].
+        comfort: Clearance below which the cost increases [m].
+        crowded: Additional cost at zero clearance.
+        blocked: Cost inside an obstacle; finite, so that there is a path out from every pose.
         ring_inner, ring_outer: Distances from the base's axis between which the arm can push well [m].
-        far: Cost of a metre outside of them.
+        far: Cost outside these distances.
     """
 
     yaw_length: float
@@ -46,7 +46,7 @@ class TravelCost:
 
 @wp.func
 def cost_per_metre(travel: TravelCost, clearance: float, distance: float) -> float:
-    """Returns the cost of a metre at a clearance and a distance from the base's axis."""
+    """Returns the cost per metre at a clearance and a distance from the base's axis."""
     lack = wp.clamp((travel.comfort - clearance) / travel.comfort, 0.0, 1.0)
     cost = 1.0 + travel.crowded * lack * lack
     if distance < travel.ring_inner or distance > travel.ring_outer:
@@ -147,7 +147,7 @@ def sweep_to_go(
 
 @wp.func
 def turned_distance(a: wp.vec3, b: wp.vec3, yaw_length: float) -> float:
-    """Returns the distance of two poses, turning counted [m]."""
+    """Returns the distance between two poses, yaw included [m]."""
     d = b - a
     return wp.length(wp.vec3(d[0], d[1], yaw_length * wrap_angle(d[2])))
 
@@ -156,9 +156,10 @@ def turned_distance(a: wp.vec3, b: wp.vec3, yaw_length: float) -> float:
 def downhill(to_go: PoseField, pose: wp.vec3, yaw_length: float, step: float) -> wp.vec3:
     """Returns the pose one step further down the cost-to-go.
 
-    The step follows the gradient where that makes headway. Where it does not (at kinks of the field, and in passages as
-    narrow as the grid, where the obstacles beside them spoil the values between nodes), it goes towards the surrounding
-    node with the least remaining cost, the distance to it included; by construction one of them always leads on.
+    The step follows the gradient where this decreases the cost-to-go. Where it does not (at kinks of the field, and in
+    passages as narrow as the grid, where the obstacles beside them spoil the values between nodes), it goes towards the
+    surrounding node with the least remaining cost, including the distance to it. By construction, one of these nodes
+    always makes progress.
     """
     field = pose_field(to_go, pose)
     scale = wp.vec3(1.0, 1.0, 1.0 / yaw_length)

@@ -1,1 +1,1 @@
-"""Rollouts: control sequences in, costs out."""
+"""Rollouts, which compute the costs of control sequences."""

@@ -30,56 +30,56 @@ AsInSuite = "(default: the suite's)"
 
 @dataclass(frozen=True)
 class Bench:
-    """Run a suite of trials, and report what came out.
+    """Run a benchmark suite and write a report of its results.
 
-    A suite that was stopped goes on where it was when it is run again. Exit status: 0 every trial was run, 1 some
-    raised an error, 2 bad input, 130 stopped by Ctrl-C.
+    To resume a suite that was stopped, run the same command again. Exit status: 0 all trials were run, 1 some trials
+    raised an error, 2 bad input, 130 stopped with Ctrl-C.
     """
 
-    suite: Annotated[Positional[str], arg(metavar="SUITE", help_behavior_hint="(default: list the shipped ones)")] = ""
+    suite: Annotated[Positional[str], arg(metavar="SUITE", help_behavior_hint="(default: list all suites)")] = ""
     """Name of a shipped suite, or a TOML file."""
 
     out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/SUITE)")] = None
-    """Where records, results and report go."""
+    """Folder for records, results and report."""
 
     trials: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """Number of trials of each task and method."""
+    """Number of trials per task and method."""
 
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """Number of the first trial. From 10 on, no start is one that a shipped scene lists: all are drawn by the seed."""
+    """Number of the first trial. Shipped scenes list starts for trials 0 to 9; all others are drawn by the seed."""
 
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """From which the seeds of all trials come, a 32-bit number."""
+    """Seed from which the seeds of all trials are derived: a 32-bit number."""
 
     tasks: Annotated[tuple[str, ...], arg(metavar="TASK", help_behavior_hint="(default: all)")] = ()
-    """Run these tasks of the suite only."""
+    """Run only these tasks of the suite."""
 
     methods: Annotated[tuple[str, ...], arg(metavar="METHOD", help_behavior_hint="(default: all)")] = ()
-    """Run these methods of the suite only."""
+    """Run only these methods of the suite."""
 
     assignments: Assignments = ()
-    """Change settings of all trials, after those of the suite."""
+    """Change settings of all trials; applied after the suite's own changes."""
 
     max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint=AsInSuite)] = None
     """Time limit of an episode in simulated seconds."""
 
-    jobs: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: every core; 1 in real time)")] = None
-    """Trials at the same time, each in a process of its own; a single one runs in this process."""
+    jobs: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core; 1 in real time)")] = None
+    """Number of trials to run in parallel, each in a separate process; with 1, trials run in this process."""
 
     backend: Backend = "loky"
-    """What runs them: processes here, or a cluster."""
+    """Execution of the trials: in processes on this machine (loky) or on a cluster (dask)."""
 
-    cluster: Annotated[str, arg(metavar="ADDRESS", help_behavior_hint="(default: a local one)")] = ""
-    """Address of a running cluster, for dask."""
+    cluster: Annotated[str, arg(metavar="ADDRESS", help_behavior_hint="(default: a local cluster)")] = ""
+    """Address of a running Dask cluster."""
 
     retry: FlagCreatePairsOff[bool] = False
-    """Run trials again that raised an error."""
+    """Rerun the trials that raised an error."""
 
     no_report: FlagCreatePairsOff[bool] = False
-    """Write results only."""
+    """Write the results without a report."""
 
     def execute(self) -> int:
-        """Run the suite; returns the exit status."""
+        """Runs the suite and returns the exit status."""
         if not self.suite:
             return _list_suites()
         from oimppi_warp.bench.runner import SuiteRun, prepare
@@ -93,7 +93,9 @@ class Bench:
         if self.jobs is not None and self.jobs < 1:
             raise ConfigError(f"--jobs {self.jobs}: cannot be used\n  allowed: 1 or more")
         if self.cluster and self.backend == "loky":
-            raise ConfigError(f"--cluster {self.cluster}: loky has no cluster\n  to do:   --backend dask")
+            raise ConfigError(
+                f"--cluster {self.cluster}: the backend loky does not use a cluster\n  to do:   add --backend dask"
+            )
         assignments = tuple(assignment for group in self.assignments for assignment in group)
         suite = suite.changed(**changes).assigned(assignments)
 
@@ -105,9 +107,9 @@ class Bench:
             run = SuiteRun(suite, folder, retry=self.retry)
         kept, pending = len(run.finished), run.pending
         if kept:
-            console.print(f"{kept} of {len(run.trials)} trials are finished already", soft_wrap=True)
+            console.print(f"{kept} of {len(run.trials)} trials are already finished", soft_wrap=True)
         if pending:
-            with console.status("loading kernels; compiling them takes about a minute and is done once"):
+            with console.status("loading kernels; compiling them the first time takes about a minute"):
                 prepare(pending)
         stopped = False
         with _progress(run, console) as on_result:
@@ -117,34 +119,34 @@ class Bench:
                 stopped = True
         results = run.results()
         if results.results and not self.no_report:
-            with console.status("drawing"):
+            with console.status("writing the report"):
                 from oimppi_warp.bench.report.write import write_report
 
                 write_report(results, folder)
         _summary(results, folder)
         if stopped:
-            console.print("stopped; the same command goes on from here", soft_wrap=True)
+            console.print("stopped; run the same command again to resume", soft_wrap=True)
             return 130
         return 1 if any(result.error for result in results.results) else 0
 
 
 @dataclass(frozen=True)
 class Report:
-    """Write the report of a suite's results: one HTML page, and Markdown."""
+    """Write the report of a suite's results as one HTML page and as Markdown."""
 
     results: Annotated[Positional[Path], arg(metavar="RESULTS")]
-    """A folder that `oimppi bench` wrote, or its results.json."""
+    """Folder written by `oimppi bench`, or its results.json."""
 
-    out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: beside the results)")] = None
-    """Where to."""
+    out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: next to the results)")] = None
+    """Folder for the report."""
 
     def execute(self) -> int:
-        """Write it; returns the exit status."""
+        """Writes the report and returns the exit status."""
         from oimppi_warp.bench.results import load_results
 
         results = load_results(self.results)
         if not results.results:
-            raise ConfigError(f"{self.results}: no trial is finished\n  to do:   oimppi bench {results.suite}")
+            raise ConfigError(f"{self.results}: no trial has finished\n  to do:   run `oimppi bench {results.suite}`")
         from oimppi_warp.bench.report.write import write_report
 
         folder = self.out or (self.results if self.results.is_dir() else self.results.parent)
@@ -155,19 +157,19 @@ class Report:
 
 @dataclass(frozen=True)
 class Compare:
-    """Compare two results in pairs of trials with the same task, method and start."""
+    """Compare two sets of results by pairing their trials with the same task, method and start."""
 
     first: Annotated[Positional[Path], arg(metavar="A")]
-    """A folder that `oimppi bench` wrote, or its results.json."""
+    """First set: a folder written by `oimppi bench`, or its results.json."""
 
     second: Annotated[Positional[Path], arg(metavar="B")]
-    """The other one."""
+    """Second set, given in the same way."""
 
-    out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: only to the terminal)")] = None
-    """Write it as Markdown, too."""
+    out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: terminal only)")] = None
+    """File to which the comparison is also written, as Markdown."""
 
     def execute(self) -> int:
-        """Compare; returns the exit status."""
+        """Prints the comparison and returns the exit status."""
         from oimppi_warp.bench.comparison import compare_sets
         from oimppi_warp.bench.report.markdown import write_comparison
         from oimppi_warp.bench.report.tables import comparison_table, differing_pairs
@@ -186,7 +188,7 @@ class Compare:
 
 
 def _list_suites() -> int:
-    """Print the shipped suites, one line each."""
+    """Prints the shipped suites, one per line, and returns the exit status."""
     from rich.console import Console
     from rich.table import Table as Grid
 
@@ -202,7 +204,7 @@ def _list_suites() -> int:
 
 @contextmanager
 def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], None]]:
-    """A bar over the trials with the success rate so far; yields what to call after each trial."""
+    """Shows a progress bar over the trials with the success rates so far; yields the callback for each result."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     began, here = time.monotonic(), 0
@@ -214,7 +216,7 @@ def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], No
             found = [result.success for result in results if result.run.method == method]
             if found:
                 rates.append(f"{method.upper()} {100 * sum(found) / len(found):.0f} %")
-        pace = f"{(time.monotonic() - began) / here:.1f} s a trial" if here else ""
+        pace = f"{(time.monotonic() - began) / here:.1f} s per trial" if here else ""
         return ", ".join([*rates, pace] if pace else rates)
 
     columns = (BarColumn(), TextColumn("{task.completed:.0f} of {task.total:.0f}  {task.fields[state]}"))
@@ -232,7 +234,7 @@ def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], No
 
 
 def _summary(results: ResultSet, folder: Path) -> None:
-    """What came out, for a person."""
+    """Prints a summary of the results."""
     from rich.console import Console
 
     from oimppi_warp.bench.report.tables import brief_table
@@ -241,14 +243,14 @@ def _summary(results: ResultSet, folder: Path) -> None:
     missing = results.planned - len(results.results)
     failed = [result for result in results.results if not result.success]
     console = Console(highlight=False)
-    left = f", {missing} still to be run" if missing else ""
-    console.print(f"{len(results.results)} trials, {len(failed)} of them failed{left}; all in {folder}", soft_wrap=True)
+    left = f", {missing} not run yet" if missing else ""
+    console.print(f"{len(results.results)} trials, {len(failed)} failed{left}; results in {folder}", soft_wrap=True)
     for name in sorted({result.cause for result in failed}):
         console.print(f"  {sum(result.cause == name for result in failed):3d}  {name}")
 
 
 def _print_table(table: Table) -> None:
-    """A table to the terminal; as wide as it is where the output is no terminal."""
+    """Prints a table, at full width if the output is not a terminal."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table as Grid

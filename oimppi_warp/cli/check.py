@@ -20,23 +20,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Check:
-    """Say all that would stop or spoil a run of a scene, and how to mend it.
+    """Check scenes for everything that would prevent or spoil a run, and suggest fixes.
 
-    Exit status: 0 nothing or only warnings, 1 mistakes (with --strict warnings too), 2 bad input, as a file that is not
-    there.
+    Exit status: 0 no errors, 1 errors (with --strict, also warnings), 2 bad input, such as a missing file.
     """
 
     files: Annotated[Positional[tuple[str, ...]], arg(metavar="FILE ...", help_behavior_hint="")]
     """USD files, or names of shipped scenes."""
 
     strict: FlagCreatePairsOff[bool] = False
-    """Take warnings for mistakes."""
+    """Treat warnings as errors."""
 
     json: FlagCreatePairsOff[bool] = False
-    """Print the problems as a list of objects with file, severity (error, warning), prim, what, allowed and fix."""
+    """Print the problems as JSON: objects with file, severity (error or warning), prim, what, allowed and fix."""
 
     def execute(self) -> int:
-        """Print what was found; returns the exit status."""
+        """Prints the problems found and returns the exit status."""
         if not self.files:
             raise ConfigError("no file to check\n  allowed: one or more USD files, or names of shipped scenes")
         from rich.console import Console
@@ -65,14 +64,14 @@ class Check:
 
 
 def _show(console: Console, file: str, problems: Sequence[Problem]) -> None:
-    """One scene's problems for a person."""
+    """Prints the problems of one scene."""
     from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
 
     errors = sum(problem.severity == "error" for problem in problems)
     counts = [_count(errors, "error"), _count(len(problems) - errors, "warning")]
-    verdict = ", ".join(count for count in counts if count) or "nothing wrong"
+    verdict = ", ".join(count for count in counts if count) or "no problems found"
     color = "red" if errors else "yellow" if problems else "green"
     console.print(Text.assemble((file, "bold"), ": ", (verdict, color)), soft_wrap=True)
     for problem in problems:

@@ -1,4 +1,4 @@
-"""Options that every command has which plans: which task, who plans, with what settings."""
+"""Options shared by the commands that plan: the task, the planner and its settings."""
 
 from __future__ import annotations
 
@@ -24,35 +24,35 @@ Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)"
 
 @dataclass(frozen=True)
 class TaskOptions:
-    """A task and who plans it."""
+    """The task, the options of the run, and the settings."""
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")]
     """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
 
     run: Annotated[RunSpec, arg(name="")] = field(default_factory=RunSpec)
-    """Who plans, and where."""
+    """Options of the run."""
 
     start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="")] = None
-    """Which of the scene's starts (from 0), or a pose: metres and radians (half a turn is 3.1416)."""
+    """Start pose in metres and radians (half a turn is 3.1416), or the number of one of the scene's starts, from 0."""
 
     goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="")] = None
-    """Another goal than the scene's: metres and radians."""
+    """Goal pose to use instead of the scene's, in metres and radians."""
 
     preset: Literal["auto", "best", "paper", "lab"] = "auto"
-    """Settings to begin with; auto takes lab with --plant lab, else best."""
+    """Preset of the settings; auto selects lab with --plant lab, and best otherwise."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512."""
 
     randomize: FlagCreatePairsOff[bool] = False
-    """Try every sample in four draws of friction, mass, perceived pose and tool; a plan takes four times as long
-    (`robot.uncertainty` has the settings)."""
+    """Evaluate every sample under four random draws of friction, mass, perceived pose and tool offset.
+    Planning takes four times as long; `robot.uncertainty` has the settings."""
 
     max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="")] = None
-    """Time limit in simulated seconds, if another than the preset's."""
+    """Time limit in simulated seconds, instead of the preset's."""
 
     def settings(self) -> Config:
-        """The preset with the options applied, validated.
+        """Returns the preset with the options applied, validated.
 
         Raises:
             ConfigError: An option is wrong.
@@ -64,12 +64,12 @@ class TaskOptions:
         return request.config(self.run.method, randomize=self.randomize)
 
     def prepare(self) -> tuple[Setup, Console]:
-        """All that makes the episode, the scene read and checked and the device there; and the console for notices.
+        """Returns the setup of the episode, with scene and device checked, and the console for notices.
 
         Raises:
-            ConfigError: An option is wrong; this is known before anything heavy is imported.
-            SceneError: The scene cannot be run so.
-            DeviceError: There is no such device.
+            ConfigError: An option is wrong; raised before anything heavy is imported.
+            SceneError: The scene cannot be run with these options.
+            DeviceError: The device does not exist.
         """
         config = self.settings()
         start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
@@ -82,12 +82,10 @@ class TaskOptions:
             scene = prepare_scene(self.scene, start=start, goal=goal, seed=self.run.seed)
             if (count := _warning_count(self.scene)) > 0:
                 warnings = f"{count} warning{'s' if count > 1 else ''}"
-                console.print(
-                    f"{self.scene}: {warnings}, which `oimppi scene check {self.scene}` tells", soft_wrap=True
-                )
+                console.print(f"{self.scene}: {warnings}, listed by `oimppi scene check {self.scene}`", soft_wrap=True)
         if not device.kernels_are_cached():
             console.print(
-                "First run on this machine: compiling kernels, which takes about a minute and is done once.",
+                "First run on this machine: compiling the kernels takes about a minute and is done once.",
                 soft_wrap=True,
             )
         with console.status("loading kernels"):
@@ -98,7 +96,7 @@ class TaskOptions:
 
 
 def notices() -> Console:
-    """The console for what is said beside a result, with a line there for each kernel that Warp compiles."""
+    """Returns a console on stderr for notices, and reports each kernel that Warp compiles on it."""
     from rich.console import Console
 
     from oimppi_warp.compute.device import tell_compilation
@@ -109,7 +107,7 @@ def notices() -> Console:
 
 
 def _warning_count(scene: str) -> int:
-    """How many things in a file of one's own may not be meant as they stand, a misspelt attribute for one."""
+    """Returns the number of warnings about a user's scene file, such as misspelt attributes; 0 for shipped scenes."""
     if not Path(scene).is_file():
         return 0
     from oimppi_warp.usd import inspect_scene

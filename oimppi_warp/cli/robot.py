@@ -18,38 +18,39 @@ _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 @dataclass(frozen=True)
 class AddRobot:
-    """Make a robot for scenes from a URDF or a USD: a serial arm of turning or sliding joints, with a stick at its end.
+    """Convert a URDF or USD file to a robot for scenes: a serial arm of turning or sliding joints with a stick as tool.
 
-    Writes robots/NAME.usda, and NAME_open.usda: a T on an open table to try it on. Exit status: 0, or 2 for bad input.
+    Writes robots/NAME.usda, and NAME_open.usda, a sample task with a T on an open table. Exit status: 0, or 2 for bad
+    input.
     """
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
-    """The URDF, or a USD file of an articulation. Its base stands at the world's origin, z up; the table's top is at
-    z = 0."""
+    """URDF file, or USD file with one articulation.
+    The robot's base is placed at the world's origin with z up; the table's top is at z = 0."""
 
     tool_length: Annotated[float, arg(metavar="M")] = 0.17
-    """Length of the stick, from the flange to its tip [m]."""
+    """Length of the stick from the flange to its tip [m]."""
 
     tool_radius: Annotated[float, arg(metavar="M")] = 0.008
     """Radius of the stick [m]."""
 
     tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"
-    """Axis of the flange that the stick points along."""
+    """Axis of the flange along which the stick points."""
 
-    flange: Annotated[str, arg(metavar="LINK", help_behavior_hint="(the last link)")] = ""
-    """Link that carries the stick; what else moves, as a gripper's fingers, is left out."""
+    flange: Annotated[str, arg(metavar="LINK", help_behavior_hint="(default: the last link)")] = ""
+    """Link that carries the stick. Other moving links, such as the fingers of a gripper, are left out."""
 
-    name: Annotated[str, arg(metavar="NAME", help_behavior_hint="(that of the file)")] = ""
-    """Name of the files that are written."""
+    name: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the file's name)")] = ""
+    """Name of the robot, used for the files that are written."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
-    """Folder of the scenes, with robots/ in it."""
+    """Folder for the sample task; the robot is written to robots/ in it."""
 
     force: FlagCreatePairsOff[bool] = False
-    """Write over a robot of that name."""
+    """Overwrite an existing robot of that name."""
 
     def execute(self) -> int:
-        """Write the robot and its task; returns the exit status."""
+        """Writes the robot and its sample task and returns the exit status."""
         name = self.name or self.file.name.partition(".")[0]
         self._check(name)
         from rich.console import Console
@@ -78,7 +79,7 @@ class AddRobot:
             )
             made = with_start(made, file=self.file)
             robot = made.robot()
-            with tempfile.TemporaryDirectory() as folder:  # what is not good is not kept
+            with tempfile.TemporaryDirectory() as folder:  # nothing is installed unless everything succeeds
                 skin = f"{name}_skin.usdc"
                 drawn = arm_usd.write_visuals(made, Path(folder) / "robots" / skin)
                 arm_usd.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
@@ -87,7 +88,7 @@ class AddRobot:
         bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
         if bare:
             links = ", ".join(link.rpartition("/")[2] for link in bare)
-            console.print(f"warning: no collision shapes on {links}: they are not drawn, and run into things unnoticed")
+            console.print(f"warning: no collision shapes on {links}: not drawn, and collisions are not detected")
         reach = reach_of(robot)
         console.print(f"{self.out / 'robots' / name}.usda: {robot.dof} joints ({robot.chain}), from {self.file.name}")
         console.print(f"  joints   {', '.join(joint.rpartition('/')[2] for joint in chain.joints)}")
@@ -97,22 +98,33 @@ class AddRobot:
         return 0
 
     def _check(self, name: str) -> None:
-        """Raise where something that was asked for cannot be."""
+        """Checks the options.
+
+        Raises:
+            ConfigError: An option cannot be used.
+            SceneError: The file is not a URDF.
+        """
         if not name.replace("-", "_").isidentifier():
-            raise ConfigError(f"--name {name}: not a name\n  allowed: letters, digits, - and _, not a digit first")
+            raise ConfigError(
+                f"--name {name}: not a valid name\n  allowed: letters, digits, - and _, with no digit first"
+            )
         for option, value, most in (("length", self.tool_length, 2.0), ("radius", self.tool_radius, 0.1)):
             if not (math.isfinite(value) and 0.0 < value <= most):
                 raise ConfigError(f"--tool-{option} {value:g}: cannot be used\n  allowed: above 0, up to {most:g} m")
         if self.tool_length <= 2.0 * self.tool_radius:
-            raise ConfigError(f"--tool-length {self.tool_length:g}: shorter than it is thick")
+            raise ConfigError(
+                f"--tool-length {self.tool_length:g}: shorter than it is thick\n  allowed: over twice --tool-radius"
+            )
         if self.file.suffix == ".xacro":
-            raise SceneError("xacro, not URDF", file=self.file, allowed="a URDF", fix="expand it with xacro first")
+            raise SceneError("a xacro file", file=self.file, allowed="a URDF file", fix="expand it with xacro first")
         for file in (self.out / "robots" / f"{name}.usda", self.out / f"{name}_open.usda"):
             if file.exists() and not self.force:
-                raise ConfigError(f"{file} is already there\n  to do:   another --name, or --force to write over it")
+                raise ConfigError(
+                    f"{file} already exists\n  to do:   choose another --name, or overwrite it with --force"
+                )
 
     def _install(self, folder: Path) -> None:
-        """Copy what was written to where it belongs."""
+        """Copies the written files to their destination."""
         for file in folder.rglob("*.usd*"):
             target = self.out / file.relative_to(folder)
             target.parent.mkdir(parents=True, exist_ok=True)

@@ -23,54 +23,56 @@ _Lay = Literal["stable", "as-is"]
 
 
 def _taken_by(option: str, default: str) -> Callable[[str], str]:
-    """Hint of an option that some shapes take: which do, and its default; read when help is asked for."""
+    """Returns the hint of an option that only some shapes take, which is made when help is shown."""
     return lambda _: f"(with {', '.join(named_shapes.shapes_taking(option, lambda name, _: name))}; default: {default})"
 
 
 def _object_hint(default: str) -> str:
-    """Hint of an option that takes an object."""
+    """Returns the hint of an option that takes an object."""
     return f"({named_shapes.objects()}; default: {default})"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectOptions:
-    """How an object is made."""
+    """Options for making an object."""
 
-    mass: Annotated[float | None, arg(metavar="KG", help_behavior_hint="(default: what wood of its volume weighs)")] = (
-        None
-    )
-    """The object's mass."""
+    mass: Annotated[
+        float | None, arg(metavar="KG", help_behavior_hint="(default: that of wood of the same volume)")
+    ] = None
+    """Mass of the object [kg]."""
 
-    friction: Annotated[float | None, arg(metavar="MU", help_behavior_hint="(default: 0.4 or the object's)")] = None
-    """Coulomb coefficient between object and table."""
+    friction: Annotated[
+        float | None, arg(metavar="MU", help_behavior_hint="(default: 0.4, or a stored object's own)")
+    ] = None
+    """Coulomb friction coefficient between object and table."""
 
     height: Annotated[float | None, arg(metavar="M", help_behavior_hint=_taken_by("height", "0.05"))] = None
-    """Thickness in metres, where the word does not say it."""
+    """Thickness [m], if the object's name does not include it."""
 
     size: Annotated[
         float | None, arg(metavar="M", help_behavior_hint=_taken_by("size", "0.103, less for long words"))
     ] = None
-    """Height of a letter as it lies, in metres."""
+    """Height of a letter, measured along the table [m]."""
 
     font: Annotated[
-        str | None, arg(metavar="FONT", help_behavior_hint=_taken_by("font", "an alphabet of our own, A to Z"))
+        str | None, arg(metavar="FONT", help_behavior_hint=_taken_by("font", "a built-in alphabet, A to Z"))
     ] = None
-    """Take letters from an installed font, or from a font's file."""
+    """Installed font, or font file, to take letters from."""
 
     scale: Annotated[_Unit | None, arg(help_behavior_hint=_taken_by("scale", "m"))] = None
-    """Unit that a mesh is in: STL and OBJ do not say."""
+    """Length unit of a mesh; STL and OBJ files do not specify it."""
 
     lay: Annotated[_Lay, arg(help_behavior_hint=_taken_by("lay", "stable"))] = "stable"
-    """How a mesh is laid on the table: in its most stable pose, or with its z axis up as it was modelled."""
+    """Pose of a mesh on the table: its most stable pose, or as modelled, with its z axis up."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
-    """Folder to write to; objects go to its objects/, the robot to its robots/."""
+    """Folder to write to; objects are written to objects/ in it, the robot to robots/."""
 
     force: FlagCreatePairsOff[bool] = False
-    """Overwrite what is there."""
+    """Overwrite existing files."""
 
     def shape_options(self) -> ShapeOptions:
-        """The options as the words take them."""
+        """Returns the options for the specs of shapes."""
         from oimppi_warp.authoring.object_spec import ShapeOptions
 
         return ShapeOptions(
@@ -86,40 +88,39 @@ class ObjectOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class New(ObjectOptions):
-    """Write a new task: a scene with what is pushed, from where to where, and what stands in the way.
+    """Write a new task: a scene with an object to push, its start and goal, and obstacles.
 
-    It is checked before it is left there: nothing overlaps, and the arm reaches start and goal. The file says at each
-    attribute what it means; edit it by hand as you like. Exit status: 0, or 2 for a task that cannot be done.
+    Before it is written, the task is checked: nothing overlaps, and the arm reaches start and goal. The file documents
+    each of its attributes, for editing by hand. Exit status: 0, or 2 for a task that cannot be done.
     Try `oimppi scene new push_s --object letter:S --goal 0.5,0.2,1.57 --obstacle box:0.1,0.1,0.1@0.5,-0.1`.
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
-    """Name of the task: NAME.usda is written."""
+    """Name of the task; NAME.usda is written."""
 
     object: Annotated[str, arg(help_behavior_hint=_object_hint)] = "t-block"
-    """What is pushed: the name of an object in DIR/objects, or one of these:"""
+    """Object to push: the name of an object in DIR/objects, or one of the following."""
 
     start: Annotated[str, arg(metavar="X,Y,YAW")] = "0.3,-0.45,0"
-    """Where the object starts: metres and radians, from the centre of the arm's base. Write --start=-0.1,... if it
-    begins with a minus."""
+    """Start pose of the object relative to the centre of the arm's base, in metres and radians.
+    Write --start=-0.1,... if it begins with a minus sign."""
 
     goal: Annotated[str, arg(metavar="X,Y,YAW")] = "0.5,0.3,3.14159"
-    """Where it should go."""
+    """Goal pose of the object, in the same form."""
 
     obstacle: Annotated[
         UseAppendAction[tuple[str, ...]], arg(metavar="OBJECT@X,Y[,YAW]", help_behavior_hint="(repeatable)")
     ] = ()
-    """What stands in the way: whatever can be pushed, standing fast, as box:0.1x0.1x0.1@0.5,0.05 or
-    letter:O@0.5,0.3,-1.57."""
+    """Obstacle: any object, fixed in place, such as box:0.1x0.1x0.1@0.5,0.05 or letter:O@0.5,0.3,-1.57."""
 
     title: Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="")] = None
-    """One line about the task."""
+    """One-line description of the task."""
 
     robot: str = "xarm6"
-    """A shipped robot, one in DIR/robots, or a USD file of one."""
+    """Name of a shipped robot or of a robot in DIR/robots, or a robot's USD file."""
 
     def execute(self) -> int:
-        """Write it; returns the exit status."""
+        """Writes the task and returns the exit status."""
         from oimppi_warp.authoring.object_spec import check_used, checked_pose, parse_object, parse_obstacles
         from oimppi_warp.authoring.project import write_task
         from oimppi_warp.authoring.task import PAPER, Task
@@ -148,7 +149,7 @@ class New(ObjectOptions):
         print(_summary(obj.doc, body))
         if can_tip(body):
             print(
-                f"a push above {1000 * tipping_height(body):.0f} mm tips it over: the planner touches it low and slowly"
+                f"a push above {1000 * tipping_height(body):.0f} mm tips it over, so the planner pushes low and slowly"
             )
         print("checked: nothing overlaps, the arm reaches start and goal")
         print("next:")
@@ -159,21 +160,21 @@ class New(ObjectOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Import(ObjectOptions):
-    """Make an object from a mesh: closed, laid on the table, cut into convex pieces, with a picture beside it.
+    """Convert a mesh to an object: close it, lay it on the table, split it into convex pieces, and render a picture.
 
-    It says how far the pieces are from the mesh. A mesh that cannot be pushed is refused with the reason. Other shapes
-    can be had as well, as letter:X or text:WORD. Exit status: 0, or 2 for one that cannot be an object.
+    The deviation of the pieces from the mesh is reported, and a mesh that cannot be pushed is rejected with the reason.
+    Other shapes, such as letter:X or text:WORD, are accepted as well. Exit status: 0, or 2 for an unusable mesh.
     Try `oimppi scene import bracket.stl --scale mm --mass 0.4`.
     """
 
     source: Annotated[Positional[str], arg(metavar="MESH")]
-    """STL, OBJ, GLB, PLY or OFF file, or any other object that `oimppi scene new --help` lists."""
+    """STL, OBJ, GLB, PLY or OFF file, or any other object listed by `oimppi scene new --help`."""
 
-    name: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: that of the file)")] = None
-    """Name of the object: DIR/objects/NAME.usda is written."""
+    name: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: the file's name)")] = None
+    """Name of the object; DIR/objects/NAME.usda is written."""
 
     def execute(self) -> int:
-        """Write it; returns the exit status."""
+        """Writes the object and its picture and returns the exit status."""
         from dataclasses import replace
 
         from oimppi_warp.authoring.meshes.solid import MeshObject, plain_name
@@ -199,20 +200,20 @@ class Import(ObjectOptions):
 
 
 def _working(on: str) -> AbstractContextManager[object]:
-    """Says on a terminal that something is being done."""
+    """Shows a status message while running, if stderr is a terminal."""
     from rich.console import Console
 
     return Console(stderr=True).status(on)
 
 
 def _summary(doc: str, body: PushedObject) -> str:
-    """A line about an object."""
+    """Returns a one-line description of an object."""
     pieces = len(body.colliders)
     of = "one convex piece" if pieces == 1 else f"{pieces} convex pieces"
     return f"{doc}: {body.mass:g} kg, friction {body.friction:g}, {of}"
 
 
 def _with_article(doc: str) -> str:
-    """What an object is, as it stands in the middle of a sentence."""
+    """Returns an object's short description with an article, for use within a sentence."""
     short = doc.partition(":")[0].partition(", ")[0]
     return f"{short[0].lower()}{short[1:]}" if short.startswith(("A ", "The ")) else f"the {short}"

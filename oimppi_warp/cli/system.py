@@ -1,4 +1,4 @@
-"""Commands that look after an installation: ``oimppi warmup`` and ``oimppi doctor``."""
+"""Commands to prepare and check an installation: ``oimppi warmup`` and ``oimppi doctor``."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ else:
 
 @dataclass(frozen=True)
 class Warmup:
-    """Compile the kernels that runs with the preset best need, and make the scene's fields.
+    """Compile the kernels for the preset best and compute the scene's fields ahead of time, so that runs start at once.
 
-    A run that finds them starts at once. With --out, they go to a folder that can be taken elsewhere: a run there uses
-    them with WARP_CACHE_PATH=FOLDER/warp and OIMPPI_CACHE=FOLDER/fields set. Kernels for this machine's CPU run on CPUs
-    of its kind only.
+    With --out, they are written to a folder that can be copied to another machine. To use them there, set
+    WARP_CACHE_PATH=FOLDER/warp and OIMPPI_CACHE=FOLDER/fields. Kernels compiled for this machine's CPU run only on CPUs
+    of the same kind.
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
-    """A USD file, or the name of a shipped scene: the Newton engine's kernels depend on its shapes."""
+    """A USD file, or the name of a shipped scene. The Newton engine's kernels depend on the scene's shapes."""
 
     engine: EngineOrAll = "all"
-    """Of which engine."""
+    """Engine whose kernels are compiled."""
 
     arch: Annotated[tuple[str, ...], arg(metavar="SM", help_behavior_hint="(default: none)")] = ()
-    """GPUs to compile for, like sm_90; no such GPU is needed. Newton's kernels take minutes."""
+    """GPU architectures to compile for, such as sm_90; no such GPU is needed here. Newton's kernels take minutes."""
 
     out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: the usual caches)")] = None
-    """Where to."""
+    """Folder to write to."""
 
     def execute(self) -> int:
-        """Compile; returns the exit status."""
+        """Compiles the kernels and returns the exit status."""
         architectures = [_architecture(name) for name in self.arch]
         if self.out is not None:
             os.environ["WARP_CACHE_PATH"] = str(self.out.absolute() / "warp")
@@ -71,26 +71,26 @@ class Warmup:
         engines = tuple(ENGINES) if self.engine == "all" else (self.engine,)
         with Progress(*columns, console=console) as progress:
             scene = load_scene(self.scene)
-            bar = progress.add_task("for the CPU", total=len(engines) * len(METHODS) + 1)
+            bar = progress.add_task("compiling for the CPU", total=len(engines) * len(METHODS) + 1)
             for engine in engines:
                 for method in METHODS:
-                    progress.update(bar, description=f"for the CPU: {engine}, {method}")
+                    progress.update(bar, description=f"compiling for the CPU: {engine}, {method}")
                     make_planner(scene, best(method), method=method, engine=engine, device="cpu").warm_up()
                     progress.advance(bar)
-            progress.update(bar, description="the simulator")
+            progress.update(bar, description="compiling the simulator and the estimator")
             SimulatedPlant(World(scene))
             Estimator(scene, best("cloi"))
             progress.advance(bar)
             for arch in architectures:
                 self._compile_for(arch, engines, progress, scene)
-        console.print(f"kernels in {wp.config.kernel_cache_dir}", soft_wrap=True)
+        console.print(f"compiled kernels are in {wp.config.kernel_cache_dir}", soft_wrap=True)
         return 0
 
     def _compile_for(self, arch: int, engines: Sequence[str], progress: Progress, scene: Scene) -> None:
-        """Compile for a GPU's architecture."""
+        """Compiles the kernels for a GPU architecture."""
         from oimppi_warp.system.precompile import compile_for, needed_on_cuda
 
-        bar = progress.add_task(f"for sm_{arch}: what is needed", total=None)
+        bar = progress.add_task(f"for sm_{arch}: finding the kernels needed", total=None)
         variants = needed_on_cuda(scene, engines)
         progress.update(bar, total=len(variants))
 
@@ -102,16 +102,16 @@ class Warmup:
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what this machine has, what will be used, and what is wrong with it.
+    """Report the hardware and software of this machine, what a run will use, and any problems.
 
-    Exit status: 0 nothing is wrong, 1 something is.
+    Exit status: 0 no problems found, 1 problems found.
     """
 
     json: FlagCreatePairsOff[bool] = False
-    """For tools: everything as JSON."""
+    """Print everything as JSON, for tools."""
 
     def execute(self) -> int:
-        """Examine; returns the exit status."""
+        """Prints the report and returns the exit status."""
         from oimppi_warp.system.doctor import diagnose, gather_facts
 
         facts = gather_facts()
@@ -124,19 +124,19 @@ class Doctor:
         from rich.table import Table
 
         gpus = [f"{gpu.alias}: {gpu.name}, sm_{gpu.arch}, {gpu.memory / 2**30:.0f} GiB" for gpu in facts.gpus]
-        driver = "" if facts.driver is None else f", driver for CUDA {'.'.join(map(str, facts.driver))}"
+        driver = "" if facts.driver is None else f"; the driver supports CUDA {'.'.join(map(str, facts.driver))}"
         rows = {
             "machine": f"{facts.cpu}, {facts.usable_cores} of {facts.cores} cores usable, "
             f"{facts.memory / 2**30:.0f} GiB; {facts.system}",
-            "GPUs": ("; ".join(gpus) or "none that Warp can use") + driver,
+            "GPUs": ("; ".join(gpus) or "none usable by Warp") + driver,
             "packages": f"Python {facts.python}, " + ", ".join(f"{k} {v or '-'}" for k, v in facts.versions.items()),
-            "will use": f"device {facts.device}, {facts.usable_cores} threads on the CPU; with --engine auto the most "
-            "successful engine that keeps up",
+            "will use": f"device {facts.device}, {facts.usable_cores} CPU threads; --engine auto selects the most "
+            "successful engine that keeps up with the control period",
             **{
-                kind.replace("_", " "): ", ".join(_with_package(entries)) or "none besides ours"
+                kind.replace("_", " "): ", ".join(_with_package(entries)) or "built-in ones only"
                 for kind, entries in facts.entries.items()
             },
-            "kernels": f"{facts.kernel_cache} ({'compiled' if facts.compiled else 'none yet: oimppi warmup'})",
+            "kernels": f"{facts.kernel_cache} ({'compiled' if facts.compiled else 'empty: run `oimppi warmup`'})",
             "fields": facts.field_cache,
             "scenes": f"{facts.scenes} shipped",
         }
@@ -146,21 +146,23 @@ class Doctor:
         console = Console(highlight=False)
         console.print(table)
         for finding in findings:
-            console.print(f"[bold red]wrong[/]  {finding.what}\n       to do: {finding.remedy}", soft_wrap=True)
+            console.print(f"[bold red]problem[/]  {finding.what}\n         to do: {finding.remedy}", soft_wrap=True)
         if not findings:
-            console.print("[bold green]nothing is wrong")
+            console.print("[bold green]no problems found")
         return 1 if findings else 0
 
 
 def _with_package(entries: dict[str, str]) -> Iterator[str]:
-    """Names, those that an installed package adds with its name."""
+    """Yields the names of entries, followed by the installed package if one adds the entry."""
     for name, package in entries.items():
         yield f"{name} (from {package})" if package else name
 
 
 def _architecture(name: str) -> int:
-    """The number of an architecture like ``sm_90``."""
+    """Returns the number of a GPU architecture, such as 90 for ``sm_90``."""
     number = name.removeprefix("sm_")
     if not number.isdecimal() or not 70 <= int(number) <= 130:
-        raise ConfigError(f"--arch {name}: no such architecture\n  allowed: like sm_80, sm_90 or sm_120")
+        raise ConfigError(
+            f"--arch {name}: not a GPU architecture\n  allowed: sm_70 to sm_130, such as sm_80, sm_90 or sm_120"
+        )
     return int(number)

@@ -18,28 +18,28 @@ from oimppi_warp.errors import ConfigError
 
 @dataclass(frozen=True)
 class View(TaskOptions):
-    """Watch it plan and push in the browser, and change things while it runs; or replay a record.
+    """Watch planning and pushing in the browser and change the task while it runs, or replay a record.
 
-    Closing the browser ends nothing, Ctrl-C ends all. Exit status: 0, or 2 for bad input.
+    Closing the browser does not stop the run; Ctrl-C does. Exit status: 0, or 2 for bad input.
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
     """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
 
     replay: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
-    """Scrub through the record in this folder, which --record of `run` or a trial of `bench` wrote."""
+    """Folder of a record to replay, as written by `oimppi run --record` or by a trial of `oimppi bench`."""
 
     host: str = "127.0.0.1"
-    """Address to listen at: 0.0.0.0 lets other machines in."""
+    """Address to listen on; 0.0.0.0 allows connections from other machines."""
 
     port: Annotated[int, arg(metavar="N")] = 8080
-    """Port to listen at; if it is taken, the next free one."""
+    """Port to listen on; if it is in use, the next free one is taken."""
 
     paused: bool = False
-    """Begin paused."""
+    """Start paused."""
 
     def execute(self) -> int:
-        """Serve until Ctrl-C; returns the exit status."""
+        """Serves the view until Ctrl-C and returns the exit status."""
         if not 1 <= self.port <= 65535:
             raise ConfigError(f"--port {self.port}: cannot be used\n  allowed: 1 to 65535")
         if self.replay is not None:
@@ -63,33 +63,36 @@ class View(TaskOptions):
 
 @dataclass(frozen=True)
 class Export:
-    """Export a record: a web page, a USD animation, a video, or a log for Foxglove."""
+    """Export a record as a web page, a USD animation, a video, or a log for Foxglove."""
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
-    """What --record of `run` or a trial of `bench` wrote."""
+    """Folder of the record, as written by `oimppi run --record` or by a trial of `oimppi bench`."""
 
     to: Literal["html", "usd", "mp4", "mcap"] = "html"
-    """A self-contained page, a USD file with time samples, a video from above, or an MCAP file."""
+    """Format: a self-contained web page, a USD file with time samples, a video from above, or an MCAP file."""
 
     output: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Where to write it, if not into the record's folder."""
+    """File to write, if not in the record's folder."""
 
     def execute(self) -> int:
-        """Write it; returns the exit status."""
+        """Writes the export and returns the exit status."""
         notices()
         from oimppi_warp.view.export import export
 
-        with redirect_stdout(io.StringIO()):  # what viewers print of ports and temporary files
+        with redirect_stdout(io.StringIO()):  # hides what viewers print about ports and temporary files
             file = export(self.folder, self.to, self.output)
         print(file)
         return 0
 
 
 def _serve(viewer: Any, port: int, run: Callable[[], None], close: Callable[[], None] | None) -> int:
-    """Say where, serve until Ctrl-C, and clean up."""
+    """Prints the address, serves until Ctrl-C, and cleans up."""
     if viewer.server.get_port() != port:
-        print(f"port {port} is taken", file=sys.stderr)
-    print(f"Open http://{viewer.server.get_host()}:{viewer.server.get_port()} in a browser; Ctrl-C ends.", flush=True)
+        print(f"port {port} is in use; using the next free one", file=sys.stderr)
+    print(
+        f"Open http://{viewer.server.get_host()}:{viewer.server.get_port()} in a browser; press Ctrl-C to stop.",
+        flush=True,
+    )
     try:
         with suppress(KeyboardInterrupt):
             run()

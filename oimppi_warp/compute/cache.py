@@ -73,7 +73,7 @@ def _feed(digest: hashlib._Hash, part: object) -> None:
         digest.update(f"{type(part).__name__} {len(words)}:".encode())
         digest.update(words)
     else:
-        raise TypeError(f"a {type(part).__name__} is no data to make a hash of")
+        raise TypeError(f"a {type(part).__name__} cannot be hashed as data")
 
 
 def cache_folder() -> Path:
@@ -83,12 +83,12 @@ def cache_folder() -> Path:
 
 
 def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.ndarray:
-    """Returns the array that ``compute`` makes, from the cache if it is there."""
+    """Returns the array that ``compute`` makes, from the cache if it is stored there."""
     file = cache_folder() / f"{name}-{content}.npy"
     try:
         return np.load(file)
     except (OSError, ValueError, EOFError):
-        pass  # missing or truncated: make it again
+        pass  # missing or truncated: compute it again
     values = compute()
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -97,5 +97,5 @@ def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.nda
             np.save(stream, values)
         partial.replace(file)
     except OSError:
-        return values  # an unwritable cache costs time, but not the run
+        return values  # with an unwritable cache the run is slower, but does not fail
     return values

@@ -1,4 +1,4 @@
-"""Selection of the compute device, and messages about kernels while they are compiled for it."""
+"""Selection of the compute device, and messages about the compilation of kernels for it."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ the size that a GPU would use; see :class:`oimppi_warp.compute.step.Compute`.
 
 @cache
 def start_warp() -> None:
-    """Initialises Warp without its banner and its line for each module; warnings and errors are still shown.
+    """Initialises Warp without its banner and its messages about loaded modules; warnings and errors are still shown.
 
-    Only the first call has an effect. To see those lines, set a logger (``wp.set_logger``) or lower
-    ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set that to ``wp.LOG_INFO`` after it. Without an NVIDIA
-    driver, Warp's native library prints one line about it on stderr, which cannot be turned off.
+    Only the first call has an effect. To see these messages, set a logger (``wp.set_logger``) or lower
+    ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set the level to ``wp.LOG_INFO`` after it. Without an
+    NVIDIA driver, Warp's native library prints one line about it on stderr, which cannot be turned off.
     """
     if wp.config.cuda_output is None:
         # `oimppi warmup --arch` compiles these; with a driver as new as its CUDA toolkit, Warp would look for PTX.
@@ -38,7 +38,7 @@ def start_warp() -> None:
 
 
 def tell_compilation(say: Callable[[str], None]) -> None:
-    """Initialises Warp, and reports each kernel compiled from now on by ``say(line)``, for the command line."""
+    """Initialises Warp and reports each module compiled from now on by ``say(line)``, for the command line."""
     wp.set_logger(CompileNotice(say))
     start_warp()
     wp.config.log_level = min(wp.config.log_level, wp.LOG_INFO)
@@ -48,7 +48,7 @@ def pick_device(name: str = "auto") -> str:
     """Returns the device to compute on; ``auto`` is the first CUDA device, or the CPU if there is none.
 
     Raises:
-        DeviceError: There is no such device; the message lists those that exist.
+        DeviceError: The device does not exist; the message lists those that do.
     """
     start_warp()
     present = [device.alias for device in wp.get_devices()]
@@ -57,7 +57,7 @@ def pick_device(name: str = "auto") -> str:
     if name == "auto":
         return "cuda:0" if "cuda:0" in present else "cpu"
     if name not in present:
-        raise DeviceError(f"--device {name}: no such device here\n  allowed: auto, {', '.join(present)}")
+        raise DeviceError(f"--device {name}: no such device on this machine\n  allowed: auto, {', '.join(present)}")
     return name
 
 
@@ -67,7 +67,7 @@ def warp_device(name: str) -> str:
 
 
 def kernels_are_cached() -> bool:
-    """Returns whether Warp's cache has compiled kernels of ours from an earlier run."""
+    """Returns whether Warp's cache contains kernels of this package, compiled in an earlier run."""
     start_warp()
     folder = wp.config.kernel_cache_dir
     return folder is not None and any(Path(folder).glob("wp_oimppi_warp.kernels.*"))

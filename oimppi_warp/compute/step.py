@@ -27,13 +27,13 @@ Launch = Callable[[], None]
 """A prepared launch: kernel and arguments are fixed, and a call runs it."""
 
 _SLICES_PER_THREAD = 4
-"""Slices of the samples per thread: enough that no thread waits long for the others."""
+"""Number of slices of the samples per thread, large enough that no thread waits long for the others."""
 BLOCK = 256
 """Threads per block on a GPU."""
 _CHUNK = 1 << 20
-"""Size of the inputs' buffer, and of the outputs', of one planner on CUDA [B]."""
+"""Size of a planner's buffer of inputs, and of its buffer of outputs, on CUDA [B]."""
 _ALIGNMENT = 64
-"""Alignment of an array in these buffers [B]."""
+"""Alignment of arrays in these buffers [B]."""
 
 # While a graph is captured, everything that any thread launches or allocates on that device is captured with it, or is
 # an error. Capturing therefore holds both locks; who holds them both takes them in this order.
@@ -49,7 +49,7 @@ class Slot:
 
     Attributes:
         array: The array on the device, for kernels.
-        host: The array on the host, for NumPy, whose shape is that of ``array`` followed by that of one entry.
+        host: The array on the host, for NumPy; its shape is that of ``array`` followed by the shape of one entry.
     """
 
     array: wp.array
@@ -250,7 +250,7 @@ class _Shared:
         begin = -(-self._used // _ALIGNMENT) * _ALIGNMENT
         self._used = begin + int(np.prod(shape)) * wp.types.type_size_in_bytes(dtype)
         if self._used > _CHUNK:
-            raise MemoryError(f"inputs or outputs of a step need more than {_CHUNK} bytes")
+            raise MemoryError(f"the inputs or outputs of a step need more than {_CHUNK} bytes")
         array, host = (
             wp.array(ptr=whole.ptr + begin, dtype=dtype, shape=shape, device=whole.device)  # pyright: ignore
             for whole in (self._chunk, self._host)

@@ -16,10 +16,10 @@ class About:
 
     Attributes:
         text: Description in one sentence.
-        unit: Unit; for a tuple, one for each entry if they differ; empty if dimensionless.
-        low: Smallest number allowed; of a tuple, of every entry.
+        unit: Unit, empty if dimensionless; for a tuple, one per entry if they differ.
+        low: Smallest number allowed; for a tuple, for every entry.
         high: Largest number allowed; infinity allows every finite number.
-        option: Whether it can be set by name; fields that cannot, such as the preset's name, only accompany settings.
+        option: Whether the field can be set by name; labels, such as the preset's name, cannot.
     """
 
     text: str
@@ -35,15 +35,15 @@ def setting(default: Any, text: str, *, unit: str = "", low: float = 0.0, high: 
     Args:
         default: Default value; the annotation gives the type: bool, int, float, a tuple of them, or a ``Literal``.
         text: Description in one sentence, shown in help, tooltips and `docs/settings.md`.
-        unit: Unit, SI and radians; for a tuple, one for each entry if they differ.
-        low: Smallest number allowed; of a tuple, of every entry.
+        unit: Unit, SI and radians; for a tuple, one per entry if they differ.
+        low: Smallest number allowed; for a tuple, for every entry.
         high: Largest number allowed; infinity allows every finite number.
     """
     return field(default=default, metadata={_KEY: About(text, unit, low, high)})
 
 
 def group(default: Any, text: str) -> Any:
-    """Makes a field that is a group of settings: a frozen dataclass of such fields."""
+    """Makes a field that is a group of settings: a frozen dataclass of fields made by :func:`setting`."""
     return field(default=default, metadata={_KEY: About(text)})
 
 

@@ -16,18 +16,18 @@ class LabConfig:
     """
 
     rate: float = setting(1.0, "Rate at which the camera detects the object.", unit="1/s", low=0.01, high=100.0)
-    delay: float = setting(0.15, "Time from taking a picture until the pose found in it is known.", unit="s")
+    delay: float = setting(0.15, "Time from taking an image until the pose detected in it is available.", unit="s")
     position_noise: float = setting(
-        0.005, "Standard deviation of a detection's position error, in x and in y each.", unit="m"
+        0.005, "Standard deviation of a detection's position error, in each of x and y.", unit="m"
     )
     yaw_noise: float = setting(0.03, "Standard deviation of a detection's yaw error.", unit="rad")
-    outlier_probability: float = setting(0.05, "Probability that a detection is wrong.", high=1.0)
+    outlier_probability: float = setting(0.05, "Probability that a detection is an outlier.", high=1.0)
     outlier_size: float = setting(
-        0.15, "Mean distance of a wrong detection from the object; its yaw is drawn from all angles.", unit="m"
+        0.15, "Mean distance of an outlier from the object; its yaw is drawn from all angles.", unit="m"
     )
     camera: tuple[float, float, float] = setting(
         (0.9, 0.0, 0.9),
-        "Position of the camera, which does not see the object where the arm hides it.",
+        "Position of the camera, which does not detect the object while the arm occludes it.",
         unit="m",
         low=-100.0,
         high=100.0,
@@ -36,7 +36,7 @@ class LabConfig:
         0.0005, "Standard deviation of each joint's measured position (m for a sliding joint).", unit="rad"
     )
     command_latency: float = setting(
-        0.02, "Time from sending a command until the arm follows it, rounded to whole reports of the joints.", unit="s"
+        0.02, "Time from sending a command until the arm follows it, rounded to whole joint report intervals.", unit="s"
     )
     acceleration_limit: float = setting(
         19.98,
@@ -63,10 +63,10 @@ class EstimatorConfig:
     )
     touch_drift: float = setting(
         0.01,
-        "Growth of the position's uncertainty while the tool is close enough to push the object unnoticed.",
+        "Growth of the position uncertainty while the tool is close enough to push the object unnoticed.",
         unit="m/sqrt(s)",
     )
-    touch: float = setting(0.01, "Distance of tool and object below which the uncertainty grows so.", unit="m")
+    touch: float = setting(0.01, "Distance between tool and object below which touch_drift applies.", unit="m")
     gate: float = setting(
         4.0,
         "Number of standard deviations from the prediction beyond which a detection is rejected as an outlier.",
@@ -74,7 +74,7 @@ class EstimatorConfig:
     )
     memory: float = setting(
         3.0,
-        "Time for which measured joint positions are kept, so that a late detection can be applied to its moment.",
+        "Time for which measured joint positions are kept, so that a late detection is applied at its own time.",
         unit="s",
         low=0.05,
         high=5.0,

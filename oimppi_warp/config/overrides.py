@@ -59,12 +59,12 @@ def options(config: Any) -> dict[str, Any]:
 
 
 def extra_weights(cost: RobotCost) -> ExtraWeights:
-    """Returns the weight of every cost term from outside the package: the one that is set, or the term's default."""
+    """Returns the weight of every cost term from outside the package: the configured one, or the term's default."""
     return ExtraWeights({name: float(term.weight) for name, term in COST_TERMS.loadable()} | dict(cost.extra))
 
 
 def effective_weights(cost: RobotCost) -> ExtraWeights:
-    """Returns the same without zero weights, except those that turn off a term with a nonzero default."""
+    """Returns :func:`extra_weights` without zero weights, except those that turn off a term with a nonzero default."""
     of_itself = {name for name, term in COST_TERMS.loadable() if term.weight != 0.0}
     return ExtraWeights({name: w for name, w in extra_weights(cost).items() if w != 0.0 or name in of_itself})
 
@@ -93,7 +93,7 @@ def set_option(config: T, assignment: str) -> T:
         try:
             return _parsed(kind, text)
         except ValueError:
-            raise ConfigError(f"--set {given}={text}: not a value for it\n  allowed: {_described(kind)}") from None
+            raise ConfigError(f"--set {given}={text}: invalid value\n  allowed: {_described(kind)}") from None
 
     return _changed(config, name.split("."), known[name], read)
 
@@ -125,7 +125,7 @@ def from_record(record: Mapping[str, Any]) -> Config:
                 return _cast(kind, values[name])
             except (TypeError, ValueError):
                 raise ConfigError(
-                    f"record: {name} = {values[name]!r}: not a value for it\n  allowed: {_described(kind)}"
+                    f"record: {name} = {values[name]!r}: invalid value\n  allowed: {_described(kind)}"
                 ) from None
 
         config = _changed(config, name.split("."), known[name], read)
@@ -187,7 +187,7 @@ def _walk(config: Any, prefix: str) -> Iterator[Setting]:
 
 def _extra(term: str, weight: float, name: str) -> Setting:
     """Returns the setting for the weight of a cost term from outside the package."""
-    text = COST_TERMS[term].about if term in COST_TERMS else "Weight of a cost term that is not registered here."
+    text = COST_TERMS[term].about if term in COST_TERMS else "Weight of a cost term that is not registered."
     return Setting(name, weight, float, About(text))
 
 
@@ -225,8 +225,8 @@ def _of_kind(kind: str, before: Sampling, name: str) -> Sampling:
         raise ConfigError(f"{name}={kind}: {error}") from None
     if not issubclass(settings, Sampling):
         raise ConfigError(
-            f"{name}={kind}: its Settings, {settings.__name__}, are no sampling-based optimizer's\n"
-            "  to do:   derive them from oimppi_warp.config.settings.Sampling"
+            f"{name}={kind}: its Settings class {settings.__name__} is not derived from Sampling\n"
+            "  to do:   derive it from oimppi_warp.config.settings.Sampling"
         )
     common: dict[str, Any] = {item.name: getattr(before, item.name) for item in fields(Sampling)}
     return settings(**{**common, "kind": kind})
@@ -259,24 +259,24 @@ def _flat(record: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _unknown(name: str, config: Any, known: list[str]) -> str:
-    """Returns the message about an unknown setting: the nearest names, by the whole name and by its last part."""
+    """Returns the message for an unknown setting, with the closest names by the whole name and by its last part."""
     present = present_name(name)
     for group in _OPTIMIZERS:
         if present.startswith(f"{group}.") and group in known:
             present_kind = options(config)[group]
             own = ", ".join(other for other in known if other.startswith(f"{group}."))
             near = difflib.get_close_matches(present, known, n=1, cutoff=0.75)
-            hint = f"did you mean {near[0]}? " if near else ""
+            hint = f"did you mean {near[0]}? Otherwise, " if near else ""
             return (
                 f"--set {name}: no such setting of the optimizer {present_kind}\n  allowed: {own}\n"
-                f"  to do:   {hint}another optimizer is chosen before its settings, with {group}=NAME"
+                f"  to do:   {hint}first select the optimizer that has this setting, with {group}=NAME"
             )
     leaf = name.rpartition(".")[2]
     same_leaf = [other for other in known if other.rpartition(".")[2] == leaf]
     near_leaf = difflib.get_close_matches(leaf, {other.rpartition(".")[2] for other in known}, n=1)
     near = same_leaf or difflib.get_close_matches(name, known, n=3, cutoff=0.75)
     near = near or [other for other in known if other.rpartition(".")[2] in near_leaf]
-    hint = f"did you mean {' or '.join(near)}?" if near else f"one of {', '.join(known)}"
+    hint = f"did you mean {' or '.join(near)}?" if near else f"use one of {', '.join(known)}"
     return f"--set {name}: no such setting\n  to do:   {hint}"
 
 
@@ -315,5 +315,5 @@ def _described(kind: Any) -> str:
     if get_origin(kind) is Literal:
         return " or ".join(get_args(kind))
     if get_origin(kind) is tuple:
-        return f"{len(get_args(kind))} numbers with commas between them"
+        return f"{len(get_args(kind))} comma-separated numbers"
     return {bool: "true or false", int: "a whole number", float: "a number", str: "a name"}[kind]

@@ -1,7 +1,7 @@
 """Presets of the settings.
 
 :func:`best` (the default) has the best settings that we found, :func:`paper` the paper's values and options, and
-:func:`lab` those for an object that is seen once a second and a planner that shares two cores with the plant.
+:func:`lab` settings for an object that is detected once a second and a planner that shares two cores with the plant.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from oimppi_warp.config.settings import (
 def best(method: str = "cloi") -> Config:
     """The preset ``best``: the best settings that we found for a method (`docs/results.md` has the ablation).
 
-    In every preset, a method from outside the package starts from the settings of ``cloi``.
+    In every preset, methods from outside the package use the settings of ``cloi``.
     """
     base = Config()
-    if method == "mppi":  # there is nothing to track but the goal, along the shortest free path
+    if method == "mppi":  # tracks only the goal, along the shortest free path
         return replace(base, cost=replace(base.cost, w_d=0.0, w_to_go=60.0, w_reference=0.0))
     if method == "soi":
         return replace(base, object=replace(base.object, optimizer=replace(base.object.optimizer, horizon=90)))
@@ -36,12 +36,12 @@ def best(method: str = "cloi") -> Config:
 def paper(method: str = "cloi") -> Config:
     """The preset ``paper``: its algorithms and equations as printed, with its K and horizons (`docs/paper.md`).
 
-    The paper gives K, both horizons, white noise in joint space, one update per step and a reference read by time.
-    Values that it does not give are those of the baseline that its authors built on (tud-airlab/mppi-isaac) and of
+    The paper gives K, both horizons, white noise in joint space, one update per step and a reference indexed by time.
+    Values that it does not give are taken from the baseline that its authors built on (tud-airlab/mppi-isaac) and from
     their scenes for it: control period 0.05 s, joint velocities within 0.2 rad/s, noise variance 0.1, a temperature
     that keeps 5 to 10 effective samples, weights 100 and 8 for the goal's position and yaw, 5 for the tool's distance,
-    45 for align, 20 for the tip's height. The coupling cost l_c is given without a weight; it has the weight of the
-    goal, since both use d^2. Given nowhere and hence ours: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise. The
+    45 for align, 20 for the tip's height. The coupling cost l_c is given without a weight and has the weight of the
+    goal, since both use d^2. Chosen by us: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise, given nowhere. The
     terms that replace the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_arm_clearance``) and the table's edge
     (``w_edge``) are kept; our other additions are off. There is no terminal cost l_f
     (equations 8, 10, 13 and 14), which the paper leaves open, and SOI's plan ends in the exact goal.
@@ -87,9 +87,9 @@ def lab(method: str = "cloi") -> Config:
     """The preset ``lab``: ``best`` with lower demands on perception and on the processor.
 
     Joint velocities stay within 0.4 rad/s (the baseline's authors use 0.2 and later 0.5 on their arm): an object that
-    moves less between two detections is better known, and one that is hit more slowly does not tip. Such a slow arm is
-    given more time before it repositions. Both levels have K = 512, so that a plan takes a fraction of the control
-    period on one core.
+    moves less between two detections is located better, and one that is hit more slowly does not tip over. Such a slow
+    arm is given more time before it repositions. Both levels have K = 512, so that a plan takes a fraction of the
+    control period on one core.
     """
     base = best(method)
     return replace(

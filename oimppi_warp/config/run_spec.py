@@ -1,4 +1,4 @@
-"""The options of a run: method, engine, device, seed, plant and mode."""
+"""Options of a run: method, engine, device, seed, plant and mode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Mode = Literal["lockstep", "realtime"]
 MODES: tuple[Mode, ...] = ("lockstep", "realtime")
 
 LARGEST_SEED = 2**32 - 1
-"""Seeds are 32-bit numbers."""
+"""Largest seed; seeds are 32-bit numbers."""
 
 
 if TYPE_CHECKING:
@@ -25,39 +25,39 @@ else:  # the command line and its help list the choices
 
 @dataclass(frozen=True)
 class RunSpec:
-    """The options of a run, besides its scene and its settings. Trials, records and metrics carry it as it is."""
+    """Options of a run, apart from its scene and settings. Trials, records and metrics contain it unchanged."""
 
     method: MethodName = "cloi"
-    """Who plans: mppi is plain MPPI, soi plans the object's whole way once ahead, cloi plans it again at every step."""
+    """Method: plain MPPI (mppi), or MPPI that follows an object plan made once (soi) or at every step (cloi)."""
 
     engine: EngineName = "auto"
-    """What rolls the samples out: the paper's quasi-static model or full physics (newton); auto takes the most
-    successful engine that keeps up with the control period on this machine."""
+    """Rollout engine: the paper's quasi-static model (quasistatic) or full physics (newton).
+    With auto, it is the most successful engine that keeps up with the control period on this machine."""
 
     device: str = "auto"
-    """Where the planner computes: cpu, cuda:0, ..., or auto for the first GPU, or else the CPU."""
+    """Device of the planner: cpu, cuda:0, ..., or auto for the first GPU, or the CPU if there is none."""
 
     threads: Annotated[
-        int | None, arg(metavar="N", help_behavior_hint="(default: every core; in real time all but one)")
+        int | None, arg(metavar="N", help_behavior_hint="(default: all cores; in real time all but one)")
     ] = None
-    """Threads of the planner on the CPU."""
+    """Number of CPU threads of the planner."""
 
     seed: Annotated[int, arg(metavar="N")] = 0
-    """Seed of the planner's noise and, unless a start is given, of the start: 0 to 4294967295."""
+    """Seed of the planner's noise and, unless --start is given, of the start pose: 0 to 4294967295."""
 
     plant: PlantName = "ideal"
-    """What is moved: the simulation without imperfection (ideal), or as a laboratory sees and moves it (lab), set by
-    lab.*: the object once a second, delayed, with noise, occasional outliers and occlusion by the arm; commands
-    delayed, accelerations limited."""
+    """Plant to control: an ideal simulation (ideal), or a simulated laboratory (lab) with the settings lab.*.
+    In lab, the object is seen once a second, delayed, with noise, occasional outliers and occlusion by the arm.
+    Commands are delayed and accelerations limited."""
 
     mode: Mode = "lockstep"
-    """Whether the plant waits for each plan, or both run side by side on the wall clock."""
+    """Timing: the plant waits for each plan (lockstep), or both run in parallel on the wall clock (realtime)."""
 
     def changed(self, **options: Any) -> RunSpec:
         """Returns a copy with some options changed, checked.
 
         Raises:
-            ConfigError: There is no such option, or it cannot have that value.
+            ConfigError: An option does not exist, or a value is not allowed.
         """
         known = [field.name for field in fields(self)]
         for name in options:
@@ -69,7 +69,7 @@ class RunSpec:
         """Validates the options and returns them.
 
         Raises:
-            ConfigError: A name is unknown, or a number out of bounds.
+            ConfigError: A name is unknown, or a number is out of bounds.
         """
         METHODS.check(self.method)
         ENGINES.check(self.engine, "auto")

@@ -1,7 +1,7 @@
-"""Every setting, in frozen dataclasses; the command line, the viewer's panel and `docs/settings.md` are made from them.
+"""All settings, as frozen dataclasses that define ``--set``, the viewer's settings panel and `docs/settings.md`.
 
-Fields carry the paper's symbols; where the paper has no such term, the help says so. The defaults are those of the
-preset ``best``. Weights multiply stage costs, which are summed over the horizon.
+Fields are named after the paper's symbols; the help marks terms that are not in the paper. The defaults are those of
+the preset ``best``. Weights multiply stage costs, which are summed over the horizon.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from oimppi_warp.errors import ConfigError
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings of every sampling-based optimizer: K control sequences of H steps around a nominal one (equation 9).
+    """Settings common to all sampling-based optimizers: K control sequences of H steps around a nominal (equation 9).
 
     An optimizer defines its settings as a subclass of this, with ``kind`` set to its name in
     :data:`oimppi_warp.registries.OPTIMIZERS`.
@@ -26,18 +26,18 @@ class Sampling:
     kind: str = label("", "Name of the optimizer.")
     samples: int = setting(1200, "Number of samples, K.", low=2, high=1_000_000)
     horizon: int = setting(25, "Length of the horizon in control steps, H.", low=1, high=10_000)
-    iterations: int = setting(1, "Updates of the nominal in each control step.", low=1, high=1_000)
+    iterations: int = setting(1, "Number of updates of the nominal controls per control step.", low=1, high=1_000)
     knots: int = setting(
         6,
-        "Number of knots of the cubic splines over the horizon that the noise is drawn as; 0 draws every step "
+        "Number of knots of the cubic splines over the horizon that shape the noise; 0 draws the noise of every step "
         "independently, as the paper does.",
     )
     special_samples: bool = setting(
-        True, "Whether the first two samples are the nominal itself and zero control; not in the paper."
+        True, "Use the nominal control sequence and zero control as the first two samples; not in the paper."
     )
 
     def check(self, where: str) -> None:
-        """Checks settings against each other; subclasses extend it.
+        """Checks that the settings are consistent with each other; subclasses extend the check.
 
         Args:
             where: Dotted name of these settings, such as ``"robot.optimizer"``, for the message.
@@ -47,8 +47,8 @@ class Sampling:
         """
         if self.knots == 1 or self.knots > self.horizon:
             raise ConfigError(
-                f"{where}.knots = {self.knots}: no such spline over a horizon of {self.horizon} steps\n"
-                f"  allowed: 0 (noise drawn for every step) or 2 to {self.horizon}"
+                f"{where}.knots = {self.knots}: not possible for a horizon of {self.horizon} steps\n"
+                f"  allowed: 0 (independent noise at every step), or 2 to {self.horizon} knots"
             )
 
 
@@ -59,102 +59,102 @@ class Mppi(Sampling):
     kind: str = label("mppi", "Name of the optimizer.")
     temperature: float = setting(
         2.0,
-        "Temperature lambda of equation 12, in units of cost: the lower, the more the cheapest samples decide.",
+        "Temperature lambda of equation 12, in units of cost; lower values give the cheapest samples more weight.",
         low=1e-6,
     )
     effective_samples: tuple[float, float] = setting(
         (0.0, 0.0),
-        "Bounds of the effective sample size, as fractions of K, within which the temperature is adapted; 0,0 keeps "
-        "the temperature fixed, as the paper does.",
+        "Lower and upper bound of the effective sample size, as fractions of K, enforced by adapting the temperature; "
+        "0,0 keeps the temperature fixed, as the paper does.",
         high=1.0,
     )
 
     def check(self, where: str) -> None:
-        """Checks settings against each other; see :meth:`Sampling.check`."""
+        """Checks that the settings are consistent with each other; see :meth:`Sampling.check`."""
         super().check(where)
         check_order(f"{where}.effective_samples", self.effective_samples)
 
 
 @dataclass(frozen=True)
 class Cem(Sampling):
-    """The cross-entropy method: refits mean and standard deviation of the samples to the cheapest; not in the paper."""
+    """Cross-entropy method: fits mean and standard deviation of the next samples to the elites; not in the paper."""
 
     kind: str = label("cem", "Name of the optimizer.")
-    elites: float = setting(0.05, "Fraction of the samples, the cheapest, that the next are fitted to.", high=1.0)
-    smoothing: float = setting(0.2, "Fraction of the old mean and standard deviation that an update keeps.", high=1.0)
+    elites: float = setting(0.05, "Fraction of the samples, the cheapest, to which the next ones are fitted.", high=1.0)
+    smoothing: float = setting(0.2, "Fraction of the old mean and standard deviation that an update retains.", high=1.0)
     least_deviation: float = setting(
-        0.5, "Smallest standard deviation, as a fraction of the level's noise, so that sampling never ends.", high=1.0
+        0.5, "Smallest standard deviation, as a fraction of the level's noise; prevents its collapse.", high=1.0
     )
     recovery: float = setting(
         0.5,
-        "Fraction by which standard deviations return to the level's noise in each control step; 1 starts every plan "
-        "with all of it.",
+        "Fraction by which standard deviations return to the level's noise in each control step; with 1, every plan "
+        "starts with the full noise.",
         high=1.0,
     )
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Draws of the world in which the robot level tries each control sequence; the paper's future work.
+    """Random draws of the world in which the robot level evaluates each control sequence; future work in the paper.
 
-    The time of a plan is proportional to the number of draws.
+    Planning time is proportional to the number of draws.
     """
 
-    draws: int = setting(0, "Number of draws that each control sequence is tried in; 0 plans without.", high=1_000)
-    shared: bool = setting(True, "Whether all sequences are tried in the same draws, or each in draws of its own.")
+    draws: int = setting(0, "Number of draws in which each control sequence is evaluated; 0 for none.", high=1_000)
+    shared: bool = setting(True, "Evaluate all sequences in the same draws instead of separate draws for each.")
     friction: float = setting(0.2, "Standard deviation of the logarithm of the friction coefficients.")
     mass: float = setting(0.1, "Standard deviation of the logarithm of the object's mass.")
     pose: tuple[float, float, float] = setting(
         (0.005, 0.005, 0.03),
-        "Standard deviations of the error of the object's perceived pose: x, y, yaw.",
+        "Standard deviations of the error in the object's perceived pose: x, y, yaw.",
         unit="m, m, rad",
     )
     tool: float = setting(
-        0.002, "Standard deviation of the tool's offset, in either direction across its axis.", unit="m"
+        0.002, "Standard deviation of the tool's offset in each of the two directions across its axis.", unit="m"
     )
     measure: Literal["mean", "worst", "cvar"] = setting(
         "mean",
-        "How a sequence's costs in all draws become one: their mean, the worst, or the mean of the worst (CVaR).",
+        "Combination of a sequence's costs over all draws: mean, worst, or mean of the worst (CVaR).",
     )
-    tail: float = setting(0.5, "Fraction of the draws that counts as the worst, for cvar.", high=1.0)
+    tail: float = setting(0.5, "Fraction of the draws that counts as the worst, for measure=cvar.", high=1.0)
 
 
 @dataclass(frozen=True)
 class RobotLevel:
-    """The robot level: joint velocities that make the object follow its plan (equation 14)."""
+    """The robot level, which plans joint velocities that make the object follow its plan (equation 14)."""
 
     optimizer: Sampling = group(Mppi(), "Optimizer of the robot level.")
     noise_space: Literal["joint", "tool"] = setting(
         "tool",
-        "Where the noise's covariance Sigma_u is given: in joint space (the paper), or in the tool's frame, mapped to "
-        "the joints by the damped pseudo-inverse of the Jacobian.",
+        "Space in which the noise covariance Sigma_u is defined: joint space, as in the paper, or the tool's frame, "
+        "mapped to the joints by the damped pseudo-inverse of the Jacobian.",
     )
     joint_noise: float = setting(
         0.3,
-        "Standard deviation of the noise of each joint's velocity, for noise_space=joint (m/s for a sliding joint).",
+        "Standard deviation of the velocity noise of each joint, for noise_space=joint (m/s for a sliding joint).",
         unit="rad/s",
     )
     tool_noise: tuple[float, float, float, float, float, float] = setting(
         (0.2, 0.2, 0.06, 0.2, 0.2, 0.5),
-        "Standard deviations of the noise of the tip's velocity along and about x, y, z, for noise_space=tool.",
+        "Standard deviations of the tip's velocity noise along and about x, y and z, for noise_space=tool.",
         unit="m/s, m/s, m/s, rad/s, rad/s, rad/s",
     )
     joint_velocity_limit: float = setting(
         0.6,
-        "Largest velocity planned for each joint, where the robot's own limit is not lower (m/s for a sliding joint).",
+        "Largest velocity planned for each joint, unless the robot's own limit is lower (m/s for a sliding joint).",
         unit="rad/s",
         low=1e-3,
     )
     contact_steps: int = setting(
-        2, "Steps of the contact model in each control step, in the quasi-static engine.", low=1, high=1_000
+        2, "Number of contact model steps per control step, in the quasi-static engine.", low=1, high=1_000
     )
-    substeps: int = setting(4, "Physics steps in each control step, in the Newton engine.", low=1, high=1_000)
-    uncertainty: Uncertainty = group(Uncertainty(), "What the prediction may be wrong about.")
+    substeps: int = setting(4, "Number of physics steps per control step, in the Newton engine.", low=1, high=1_000)
+    uncertainty: Uncertainty = group(Uncertainty(), "Uncertainty of the prediction, as random draws of the world.")
 
 
 @dataclass(frozen=True)
 class ObjectLevel:
-    """The object level: a wrench that moves the object to its goal by itself (equation 13)."""
+    """The object level, which plans a wrench that moves the object to its goal without the robot (equation 13)."""
 
     optimizer: Sampling = group(Mppi(horizon=60, temperature=0.5, knots=5), "Optimizer of the object level.")
     speed_limit: tuple[float, float, float] = setting(
@@ -163,29 +163,31 @@ class ObjectLevel:
         unit="m/s, m/s, rad/s",
         low=1e-3,
     )
-    noise: float = setting(0.6, "Standard deviation of the wrench, as a fraction of the wrench that gives speed_limit.")
+    noise: float = setting(
+        0.6, "Standard deviation of the wrench noise, as a fraction of the wrench that gives speed_limit."
+    )
     noise_range: float = setting(
         0.15,
-        "Distance from the goal (turning counted) below which the noise shrinks in proportion, to a tenth at the "
-        "least; 0 keeps it as it is; not in the paper.",
+        "Distance from the goal, yaw error included, below which the noise shrinks in proportion, down to a tenth; 0 "
+        "keeps the noise constant; not in the paper.",
         unit="m",
     )
     plan_steps: int = setting(
-        600, "Control steps that SOI's object plan may take before it is given up.", low=1, high=100_000
+        600, "Number of control steps after which SOI stops extending an object plan.", low=1, high=100_000
     )
     turn: bool = setting(
-        True, "Whether the object's yaw counts; turned off for tasks whose tolerance allows every yaw."
+        True, "Take the object's yaw into account; turned off for tasks whose tolerance allows every yaw."
     )
 
     @property
     def yaw_length(self) -> float:
-        """Length that a radian of yaw counts as: the distance that the object could move in the same time [m]."""
+        """Returns the length equivalent to a radian of yaw: the distance that the object can move in that time [m]."""
         return self.speed_limit[0] / self.speed_limit[2] if self.turn else 1e-4
 
 
 _RING = (
     "Inner and outer radius of the ring around the base in which the arm pushes well, for the xArm6's reach of 0.72 m; "
-    "scaled to a robot's own reach, and without bounds for a robot that does not turn about its base."
+    "scaled to the reach of other robots, and unbounded for a robot that does not turn about its base."
 )
 
 
@@ -194,63 +196,69 @@ class ObjectCost:
     """Weights of the object's stage cost l_o at the object level (equation 15)."""
 
     w_d: float = setting(1.0, "Weight of the squared distance to the goal (equation 16).", unit="1/m^2")
-    w_theta: float = setting(0.03, "Square of the length that a yaw error of 1 rad counts as in it.", unit="m^2/rad^2")
+    w_theta: float = setting(
+        0.03, "Square of the length equivalent to a yaw error of 1 rad, in the distance of w_d.", unit="m^2/rad^2"
+    )
     w_f: float = setting(
         0.05, "Weight of the squared contact force with obstacles above f_0 (equation 15).", unit="1/N^2"
     )
-    f_0: float = setting(0.5, "Contact force with obstacles that costs nothing (equation 15).", unit="N")
-    w_to_go: float = setting(4.0, "Weight of the shortest free path to the goal; not in the paper.", unit="1/m")
+    f_0: float = setting(0.5, "Contact force with obstacles up to which there is no cost (equation 15).", unit="N")
+    w_to_go: float = setting(
+        4.0, "Weight of the length of the shortest free path to the goal; not in the paper.", unit="1/m"
+    )
     w_margin: float = setting(
         2000.0, "Weight of the squared shortfall of clearance below margin; not in the paper.", unit="1/m^2"
     )
     margin: float = setting(0.015, "Clearance between object and obstacles below which w_margin acts.", unit="m")
-    w_push_ring: float = setting(20.0, "Weight of the object's distance to push_ring; not in the paper.", unit="1/m")
+    w_push_ring: float = setting(20.0, "Weight of the object's distance from push_ring; not in the paper.", unit="1/m")
     push_ring: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
 
 
 @dataclass(frozen=True)
 class RobotCost:
-    """Weights of the robot level's stage cost ``l_o + l_r + l_c`` (equation 14); help marks those not in the paper."""
+    """Weights of the robot level's stage cost ``l_o + l_r + l_c`` (equation 14); help marks terms not in the paper."""
 
     w_d: float = setting(5.0, "Weight of the object's squared distance to the goal (equation 16).", unit="1/m^2")
     w_theta: float = setting(
-        0.1, "Square of the length that a yaw error of 1 rad counts as, in w_d and in w_reference.", unit="m^2/rad^2"
+        0.1, "Square of the length equivalent to a yaw error of 1 rad, in w_d and in w_reference.", unit="m^2/rad^2"
     )
     w_f: float = setting(
         0.05, "Weight of the object's squared contact force with obstacles above f_0 (equation 15).", unit="1/N^2"
     )
-    f_0: float = setting(0.5, "Contact force that costs nothing (equation 15).", unit="N")
+    f_0: float = setting(0.5, "Contact force up to which there is no cost (equation 15).", unit="N")
     w_to_go: float = setting(
         0.0,
-        "Weight of the object's shortest free path to the goal, which gives plain MPPI what the others have from the "
-        "object level; computed with object_cost.push_ring and object.speed_limit; not in the paper.",
+        "Weight of the length of the object's shortest free path to the goal, which replaces the object level's "
+        "guidance in plain MPPI; computed with object_cost.push_ring and object.speed_limit; not in the paper.",
         unit="1/m",
     )
     w_reference: float = setting(
         300.0, "Weight of the object's squared distance to its plan, the coupling cost l_c.", unit="1/m^2"
     )
     w_ee: float = setting(
-        5.0, "Weight of the squared distance of tool and object beyond r_0 (equation 17).", unit="1/m^2"
+        5.0, "Weight of the squared distance between tool and object beyond r_0 (equation 17).", unit="1/m^2"
     )
-    r_0: float = setting(0.12, "Distance of tool and object that costs nothing (equation 17).", unit="m")
+    r_0: float = setting(0.12, "Distance between tool and object up to which there is no cost (equation 17).", unit="m")
     w_align: float = setting(
-        2.0, "Weight of the tool not being behind the object, seen in the direction it should move (equation 18)."
+        2.0,
+        "Weight of the tool not being behind the object, as seen in the object's desired direction of motion "
+        "(equation 18).",
     )
     gamma_0: float = setting(
         0.7, "Cosine of the angle up to which the tool counts as behind the object (equation 18).", low=-1.0, high=1.0
     )
     align_ahead: int = setting(
-        10, "Control steps ahead on the object plan from which the direction for w_align is taken; not in the paper."
+        10, "Number of control steps to look ahead on the object plan for the direction of w_align; not in the paper."
     )
     align_fade: float = setting(
         0.02,
-        "Distance to its target below which the object's direction loses its meaning and w_align fades out; 0 never "
-        "fades it; not in the paper.",
+        "Distance from object to target below which w_align fades out, since the direction becomes meaningless; 0 "
+        "turns fading off; not in the paper.",
         unit="m",
     )
     w_tilt: float = setting(3.0, "Weight of the tool's tilt from vertical (equation 19).", unit="1/rad")
     w_height: float = setting(1000.0, "Weight of the squared deviation of the tip from height.", unit="1/m^2")
-    height: float = setting(0.012, "Height above the table at which the tip should push.", unit="m")
+    height: float = setting(0.012, "Desired height of the tip above the table while pushing.", unit="m")
     w_arm_clearance: float = setting(
         1e4, "Weight of the squared shortfall of the arm's clearance phi_3 below arm_clearance.", unit="1/m^2"
     )
@@ -258,53 +266,54 @@ class RobotCost:
         0.01, "Clearance between the arm and obstacles or table below which w_arm_clearance acts.", unit="m"
     )
     w_above: float = setting(20.0, "Cost of each control step with the tip above the object; not in the paper.")
-    w_push_ring: float = setting(40.0, "Weight of the object's distance to push_ring; not in the paper.", unit="1/m")
+    w_push_ring: float = setting(40.0, "Weight of the object's distance from push_ring; not in the paper.", unit="1/m")
     push_ring: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
     w_edge: float = setting(
         40.0,
-        "Weight of the object's distance to the rectangle in which all of it is on the table; not in the paper.",
+        "Weight of the distance of the object's centre from the rectangle in which all of the object is on the table; "
+        "not in the paper.",
         unit="1/m",
     )
     w_press: float = setting(
         1e6,
-        "Weight of the squared depth by which the tool presses into an object that cannot yield (phi_1), in the "
+        "Weight of the squared depth to which the tool presses into an object that cannot yield (phi_1), in the "
         "quasi-static engine.",
         unit="1/m^2",
     )
     w_margin: float = setting(
         2e4,
-        "Weight of the squared shortfall of clearance below margin of an object being pushed, in the quasi-static "
+        "Weight of the squared shortfall of clearance below margin while the object is pushed, in the quasi-static "
         "engine; not in the paper.",
         unit="1/m^2",
     )
     margin: float = setting(0.006, "Clearance between object and obstacles below which w_margin acts.", unit="m")
     w_lift: float = setting(
         50.0,
-        "Weight of the squared speed at which the tip rises while it pushes, which would tip the object, in the "
+        "Weight of the squared speed at which the tip rises while pushing, which could tip the object over, in the "
         "quasi-static engine; not in the paper.",
         unit="s^2/m^2",
     )
     w_control: float = setting(0.0, "Weight of the squared joint velocities; not in the paper.", unit="s^2/rad^2")
     w_collision: float = setting(
         0.0,
-        "Weight of the contact force of arm and tool with obstacles and table above f_0, in engines that compute it; "
+        "Weight of the contact force above f_0 between arm or tool and obstacles or table, in engines that compute it; "
         "not in the paper.",
         unit="1/N",
     )
     w_overhang: float = setting(
         3e4,
-        "Weight of the squared length by which a leaning stick is nearer to the object's rim than its tip is, for "
-        "objects that a push can tip; not in the paper.",
+        "Weight of the squared length by which a tilted stick is closer to the object at its rim's height than at the "
+        "tip, for objects that a push can tip over; not in the paper.",
         unit="1/m^2",
     )
     w_rush: float = setting(
         100.0,
-        "Weight of the squared speed of the tool towards the object above rush, for objects that a push can tip; not "
-        "in the paper.",
+        "Weight of the squared excess of the approach speed over that set by rush, for objects that a push can tip "
+        "over; not in the paper.",
         unit="s^2/m^2",
     )
     rush: float = setting(
-        0.4, "Fraction of the object's tipping speed at which the tool may come at it without cost; not in the paper."
+        0.4, "Fraction of the object's tipping speed up to which an approach has no cost; not in the paper."
     )
     topple_near: float = setting(
         0.1, "Distance to the object within which w_overhang and w_rush act; not in the paper.", unit="m", low=1e-3
@@ -318,20 +327,21 @@ class RobotCost:
 
 @dataclass(frozen=True)
 class Reposition:
-    """Repositioning: an object that makes no headway is pushed from another side; not in the paper."""
+    """Repositioning of the tool to push an object that makes no headway from another side; not in the paper."""
 
     stall_seconds: float = setting(
-        3.0, "Time without headway after which the tool is repositioned; 0 turns repositioning off.", unit="s"
+        3.0, "Time without headway after which the tool is repositioned; 0 disables repositioning.", unit="s"
     )
     headway: float = setting(
         0.01,
-        "Decrease of the way left to the goal that counts as headway, below the least since the arm began to push.",
+        "Amount by which the remaining path to the goal must fall below its minimum since pushing began to count as "
+        "headway.",
         unit="m",
     )
     w_waypoint: float = setting(
-        400.0, "Weight of the tip's squared distance to its waypoint while it is repositioned.", unit="1/m^2"
+        400.0, "Weight of the tip's squared distance to its waypoint during repositioning.", unit="1/m^2"
     )
-    longest_seconds: float = setting(4.0, "Longest time that a repositioning may take.", unit="s")
+    longest_seconds: float = setting(4.0, "Longest duration of a repositioning.", unit="s")
 
 
 @dataclass(frozen=True)
@@ -342,11 +352,13 @@ class EpisodeConfig:
     hold_seconds: float = setting(0.5, "Time for which the object must stay within tolerance for success.", unit="s")
     tight: bool = setting(
         True,
-        "Whether an episode that succeeded goes on until the tight tolerance is held as well; both results are "
-        "reported in either case.",
+        "Continue a successful episode until the tight tolerance is held as well; both results are reported in either "
+        "case.",
     )
     plan_expires: float = setting(
-        0.15, "In real time: how long a command is kept when the next plan is late, before the arm stops.", unit="s"
+        0.15,
+        "Time for which a command is held when the next plan is late in real time, before the arm stops.",
+        unit="s",
     )
 
 
@@ -354,36 +366,34 @@ class EpisodeConfig:
 class Config:
     """All settings of a run: the two levels, their costs, the episode, the laboratory and the estimator."""
 
-    preset: str = label("best", "Name of the preset that the settings began as.")
+    preset: str = label("best", "Name of the preset that the settings are based on.")
     resolved_for: str = label("", "The task that the settings were resolved for; see oimppi_warp.planning.resolve.")
     control_period: float = setting(
         0.05, "Control period: time from one plan to the next.", unit="s", low=0.001, high=1.0
     )
     reference: Literal["time", "progress"] = setting(
         "progress",
-        "How SOI's robot level reads the object plan: by the time since it was made (the paper), or by progress, from "
-        "where the object is on.",
+        "Index into the object plan that SOI's robot level tracks: the time since planning, as in the paper, or the "
+        "progress of the object along it.",
     )
-    reposition: Reposition = group(Reposition(), "When the tool is repositioned, to push from another side.")
+    reposition: Reposition = group(Reposition(), "Repositioning of the tool to push from another side.")
     robot: RobotLevel = group(RobotLevel(), "The robot level.")
     object: ObjectLevel = group(ObjectLevel(), "The object level.")
-    cost: RobotCost = group(RobotCost(), "Weights of the robot level.")
-    object_cost: ObjectCost = group(ObjectCost(), "Weights of the object level.")
-    episode: EpisodeConfig = group(EpisodeConfig(), "When an episode ends.")
+    cost: RobotCost = group(RobotCost(), "Cost weights of the robot level.")
+    object_cost: ObjectCost = group(ObjectCost(), "Cost weights of the object level.")
+    episode: EpisodeConfig = group(EpisodeConfig(), "End of an episode, and late plans.")
     lab: LabConfig = group(LabConfig(), "The simulated laboratory.")
     estimator: EstimatorConfig = group(
-        EstimatorConfig(), "What the estimator assumes, in the laboratory and in real time."
+        EstimatorConfig(), "Assumptions of the estimator, used in the laboratory and in real time."
     )
 
 
 def check_order(name: str, bounds: tuple[float, float]) -> None:
-    """Checks that a lower bound is not above the upper one.
+    """Checks that a lower bound does not exceed the upper one.
 
     Raises:
         ConfigError: The lower bound is above the upper one.
     """
     low, high = bounds
     if low > high:
-        raise ConfigError(
-            f"{name} = {low:g},{high:g}: the lower bound is above the upper one\n  to do:   exchange the two"
-        )
+        raise ConfigError(f"{name} = {low:g},{high:g}: the lower bound is above the upper one\n  to do:   swap the two")

@@ -1,9 +1,9 @@
-"""The control loop of planner, estimator and plant: in lock step, or in real time on the wall clock.
+"""Control loop of planner, estimator and plant: in lock step, or in real time on the wall clock.
 
-In both modes each control period gives one :class:`ControlStep`. In lock step the world is paused while the planner
+In both modes each control period yields one :class:`ControlStep`. In lock step the world is paused while the planner
 runs. In real time the planner runs in parallel with the plant and computes the command that is due at the next step,
-from the state predicted for that time. A late plan is used one step later; meanwhile the previous command is held,
-and once that has expired the arm is stopped.
+from the state predicted for that time. A late plan is used one step later. Meanwhile the previous command is held, and
+when it has expired the arm is stopped.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class ControlStep:
     """One control period that has passed.
 
     Attributes:
-        command: Joint velocities that were sent, shape [dof] [rad/s].
-        plan: The plan that took effect in it, if there was a new one.
+        command: Joint velocities sent to the plant, shape [dof] [rad/s].
+        plan: The plan that took effect in this period, if there was a new one.
         plan_seconds: Wall time of that plan [s].
-        preplan_seconds: Wall time of planning before the first plan [s]; 0 in all steps but that plan's.
-        observed: The plant's observation at its end.
-        estimate: The object's estimated pose at its end, shape [3]; NaN if there is none.
-        event: Result of processing a detection in it.
+        preplan_seconds: Wall time of planning before the first plan [s]; 0 except in the step of that plan.
+        observed: The plant's observation at the end of the period.
+        estimate: The object's estimated pose at the end of the period, shape [3]; NaN if there is none.
+        event: Result of processing a detection in this period.
         missed: Whether a plan was due but not ready.
         stopped: Whether the arm was stopped: the last plan had expired, or nothing could be planned.
         lag: Delay of the loop behind the clock [s].
@@ -74,7 +74,7 @@ class ControlStep:
 
 @dataclass(frozen=True, eq=False)
 class _TimedPlan:
-    """A plan, with its wall time and that of the planning before the first plan [s]."""
+    """A plan with its wall time and, for the first plan, the wall time of the planning before it [s]."""
 
     plan: Plan
     seconds: float
@@ -99,7 +99,7 @@ class _TimedPlanner:
 def lock_step(
     plant: Plant, planner: SupportsPlanning, estimator: Estimator | None, *, dof: int
 ) -> Generator[ControlStep]:
-    """Yields control steps without end in which the world waits for the planner.
+    """Yields an endless sequence of control steps in which the world waits for the planner.
 
     Each step applies ``u`` and observes ``x_{t+1}``: Algorithm 2, lines 7 and 8, and Algorithm 3, lines 13 and 14.
 
@@ -142,7 +142,7 @@ def real_time(
     sleep: Callable[[float], None] = time.sleep,
     executor: PlanExecutor | None = None,
 ) -> Generator[ControlStep]:
-    """Yields control steps without end, on the wall clock.
+    """Yields an endless sequence of control steps on the wall clock.
 
     Args:
         plant: The plant to move; sending it a command takes less than a control period.
@@ -175,7 +175,7 @@ def real_time(
                 if age * period > expires + 1e-9:
                     command, stopped = still, True
             if job is None and known is not None:
-                # Commands decided by now are executed before the plan that is requested now.
+                # Commands that are already decided are executed before those of the plan requested here.
                 pending = [(latency, before), (period, command)]
                 job = pool.submit(timed_planner.plan, estimator.predict(known, pending))
             plant.apply(command)
@@ -183,7 +183,7 @@ def real_time(
             left = due - clock()
             if left > 0.0:
                 sleep(left)
-            else:  # the world was paused meanwhile, unlike a real one: restart the clock
+            else:  # late: unlike a real world, the simulated one was paused, so restart the clock
                 due -= left
             observation = _observed(plant, dof)
             known = estimator.update(observation)

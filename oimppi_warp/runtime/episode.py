@@ -1,4 +1,4 @@
-"""The closed loop of a planner and a plant, which exchange observations and commands, and its record."""
+"""Episodes: the closed loop of planner and plant, from start to success or time limit, and its record."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.scene import Scene
 
 _REFERENCE_EVERY = 10
-"""Interval, in steps, at which object plans that change in every step are logged."""
+"""Interval at which object plans that change in every step are logged, in steps."""
 _LONGEST_LATENCY = 1.0
 """Longest latency of a plant that can be planned for [s]."""
 _FALLEN = 0.05
-"""Depth of the object's frame below the table's top at which it has fallen off [m]."""
+"""Depth of the object's frame below the table's top beyond which the object has fallen off [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Episode:
         scene: The task, with the start and the goal to use.
         config: All settings.
         spec: The options of the run.
-        plant: A plant, or a name, to use instead of the one in ``spec``. Its control period becomes the planner's.
+        plant: A plant, or the name of one, to use instead of that in ``spec``. The planner adopts its control period.
         **options: Fields of ``spec`` to change, for example ``method="soi"`` or ``seed=3``.
 
     Attributes:
@@ -113,7 +113,7 @@ class Episode:
         self.config = config = validate(resolved.config)
         if not 0.0 <= latency_of(self.plant) <= _LONGEST_LATENCY:
             raise ConfigError(
-                f"a plant with a latency of {latency_of(self.plant):g} s\n  allowed: 0 to {_LONGEST_LATENCY:g} s"
+                f"the plant has a latency of {latency_of(self.plant):g} s\n  allowed: 0 to {_LONGEST_LATENCY:g} s"
             )
         self.planner = make_planner(scene, config, spec)
         self.planner.warm_up()
@@ -154,7 +154,7 @@ class Episode:
         """Runs until the object has stayed within tolerance for the hold time, or the time is up.
 
         It ends early when the object tips over or falls off the table, on Ctrl-C, and when the plant diverges; the log
-        is complete all the same.
+        is complete in these cases too.
 
         Args:
             on_step: Called after every control step with the log so far.
@@ -174,7 +174,7 @@ class Episode:
         return self.log
 
     def steps(self) -> Generator[ControlStep]:
-        """Runs the episode step by step: yields each control period as it has passed, until the episode ends.
+        """Runs the episode step by step: yields each control period once it has passed, until the episode ends.
 
         This is ``while not converged`` of Algorithm 2, line 1, and of Algorithm 3, line 10.
 
@@ -183,7 +183,7 @@ class Episode:
             FloatingPointError: The plant diverged.
         """
         if len(self.log):
-            raise RuntimeError("an episode runs once; make another one")
+            raise RuntimeError("this episode has already run; make a new one to run again")
         settings = self.config.episode
         wanted = self.scene.tight_tolerance if settings.tight else self.scene.tolerance
         wanted_steps = hold_steps(settings.hold_seconds, self.config.control_period)
@@ -203,7 +203,7 @@ class Episode:
             else:
                 self.log.header["ended"] = "time limit"
         finally:
-            with suppress(Exception):  # however it ended, the arm is stopped first
+            with suppress(Exception):  # stop the arm first, however the episode ended
                 self.plant.apply(np.zeros(self.scene.robot.dof))
             self._control_steps.close()
 

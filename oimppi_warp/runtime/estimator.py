@@ -1,6 +1,6 @@
 """Estimation of the object's pose from detections and, between them, from the arm's measured motion.
 
-Predictions use the planner's model, a quasi-static push along the tool's measured path. A detection belongs to a past
+Predictions use the planner's model, a quasi-static push along the tool's measured path. A detection refers to a past
 time: it corrects the prediction at that time, and the corrected pose is rolled forward along the recorded joint
 positions to the present. A detection that contradicts the prediction is rejected, unless the next one confirms it.
 """
@@ -35,13 +35,13 @@ from oimppi_warp.scene import Scene
 _CAPACITY = 1024
 """Number of joint positions that are kept."""
 _AHEAD = 256
-"""Steps of a prediction of the future: two of the longest control periods."""
+"""Number of steps of a prediction of the future: enough for two of the longest control periods."""
 _STEP = 0.0125
 """Length of these steps [s]."""
 
 Event = Literal["none", "first", "accepted", "rejected", "recovered"]
 """Result of processing a detection: there was none, it awaits confirmation by another, it corrected the prediction, it
-was rejected, or it overruled the prediction together with the one before."""
+was rejected, or it replaced the prediction together with the detection before."""
 
 
 @dataclass(eq=False)
@@ -70,7 +70,7 @@ class Estimator:
         config: All settings.
 
     Attributes:
-        event: Result of processing the newest detection, if one came with the latest observation.
+        event: Result of processing the newest detection, if the latest observation contained one.
     """
 
     def __init__(self, scene: Scene, config: Config) -> None:
@@ -94,7 +94,7 @@ class Estimator:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything."""
+        """Discards the estimate and all recorded data."""
         self.event: Event = "none"
         self._times = np.zeros(_CAPACITY)
         self._count = 0
@@ -106,12 +106,12 @@ class Estimator:
         """Updates the estimate with an observation.
 
         Args:
-            observation: The plant's report; one whose ``object_time`` is ``None`` has the exact pose of the object,
-                which is taken over.
+            observation: The plant's report; if its ``object_time`` is ``None``, it has the exact pose of the object,
+                which becomes the estimate.
 
         Returns:
             The observation with the estimated pose in place of the reported one, or ``None`` while there is no
-            estimate: the object was not seen, no two detections agreed yet, or joint positions are implausible.
+            estimate: the object has not been seen, no two detections have agreed, or joint positions are implausible.
 
         Raises:
             ObservationError: An array has the wrong length.
@@ -119,7 +119,7 @@ class Estimator:
         check_shapes(observation, self._scene.robot.dof)
         self.event = "none"
         if not self._plausible(observation.joint_position):
-            return None  # a sensor error: the arm's effect on the object is unknown
+            return None  # sensor error: the arm's effect on the object is unknown
         self._record(observation)
         if not self._count:
             return None
@@ -138,7 +138,7 @@ class Estimator:
         return self._with_pose(observation, self._believed.poses.numpy()[self._count - 1])
 
     def predict(self, observation: Observation, pending: Sequence[tuple[float, np.ndarray]]) -> Observation:
-        """Predicts the observation after commands that are already decided have been executed.
+        """Predicts the observation after the execution of commands that are already decided.
 
         Args:
             observation: The current estimate, from :meth:`update`.
@@ -221,7 +221,7 @@ class Estimator:
         """Processes a detection: ``pose`` [3] of the friction centre at the time ``seen``."""
         at = int(np.argmin(np.abs(self._times[: self._count] - seen)))
         if seen < self._times[0] - 1e-6:
-            at = 0 if self._believed is None else -1  # older than all stored entries: of use only as a first detection
+            at = 0 if self._believed is None else -1  # older than all entries: only usable as the first detection
         if at < 0:
             return
         if self._believed is not None and self._agrees(self._believed, at, pose):

@@ -1,7 +1,7 @@
 """Parsing of run requests: a preset with changes becomes a config, a scene with a start becomes a task.
 
-The commands ``run`` and ``bench`` share it, so that a trial of a benchmark is exactly the run that its command gives.
-All other options of a run are in :class:`oimppi_warp.config.run_spec.RunSpec`.
+The commands ``run`` and ``bench`` share this module, so that a benchmark trial is identical to the ``run`` command that
+is reported for it. All other options of a run are in :class:`oimppi_warp.config.run_spec.RunSpec`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class SettingsRequest:
 
     Attributes:
         preset: Name of the preset.
-        assignments: Settings as ``NAME=VALUE``, in the order of application.
+        assignments: Changes of settings as ``NAME=VALUE``, applied in order.
         max_sim_seconds: Time limit of an episode [simulated s], if it differs from the preset's.
     """
 
@@ -73,7 +73,7 @@ def prepare_scene(
 
     Raises:
         SceneError: The task cannot be done.
-        ConfigError: The scene has fewer starts.
+        ConfigError: The scene has no start of that number.
     """
     from oimppi_warp.geometry.feasibility import check_task, sample_start
     from oimppi_warp.usd import load_scene
@@ -101,7 +101,7 @@ def parse_pose(option: str, text: str) -> PlanarPose:
     except ValueError:
         x = y = yaw = math.nan
     if not all(map(math.isfinite, (x, y, yaw))):
-        raise ConfigError(f"{option} {text}: not a pose\n  allowed: x,y,yaw in metres and radians, like 0.3,-0.45,3.14")
+        raise ConfigError(f"{option} {text}: not a pose\n  allowed: x,y,yaw in metres and radians, e.g. 0.3,-0.45,3.14")
     return x, y, yaw
 
 
@@ -109,7 +109,7 @@ def parse_start(text: str | None) -> PlanarPose | int | None:
     """Parses the number of a start, or a pose.
 
     Raises:
-        ConfigError: It is neither.
+        ConfigError: The text is neither.
     """
     if text is None:
         return None

@@ -1,4 +1,4 @@
-"""System information and diagnosis: facts about this machine, and a function of these alone that finds problems."""
+"""System information and diagnosis: facts about this machine, and problems found from these facts alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
 }
 """Registries whose entries are reported, in order."""
 _LEAST_MEMORY = 4e9
-"""Memory that a run needs, with room to spare [B]."""
+"""Memory required for a run, with a margin [B]."""
 _OLDEST_DRIVER = (12, 4)
 """Lowest CUDA version of the driver that supports loops in graphs, which the Newton engine's solver needs."""
 
@@ -60,7 +60,7 @@ class Facts:
     Attributes:
         python, system, cpu: Names of the Python version, the operating system and the processor.
         cores: Number of cores.
-        usable_cores: Number of cores that this process may use, and of the planner's threads.
+        usable_cores: Number of cores that this process may use, which is the planner's number of threads.
         memory: Memory [B]; 0 if unknown.
         gpus: CUDA devices that Warp can use.
         gpu_hardware: Whether there is any NVIDIA device.
@@ -72,8 +72,8 @@ class Facts:
         scenes: Number of shipped scenes.
         device: Device that the planner will use.
         blas_threads: Setting that limits NumPy's threads; empty if there is none.
-        entries: For each of :data:`REGISTRIES`, its names, each with the installed package that adds it;
-            empty for our own.
+        entries: For each of :data:`REGISTRIES`, its names, each with the installed package that adds it; empty for
+            built-in entries.
         broken: Entries of installed packages that cannot be imported, each with the reason.
     """
 
@@ -150,30 +150,32 @@ def diagnose(facts: Facts) -> list[Finding]:
             found.append(Finding(f"{name} is not installed", "pip install -r requirements.lock"))
     newton, batched = (facts.versions[name].split(".")[:2] for name in ("mujoco", "mujoco-warp"))
     if newton != batched:
-        of = f"mujoco {facts.versions['mujoco']} and mujoco-warp {facts.versions['mujoco-warp']} do not go together"
+        of = f"mujoco {facts.versions['mujoco']} and mujoco-warp {facts.versions['mujoco-warp']} are incompatible"
         found.append(Finding(of, "pip install -r requirements.lock"))
     for entry, reason in facts.broken.items():
-        found.append(Finding(f"{entry} cannot be imported: {reason}", "mend the package that adds it, or remove it"))
+        found.append(Finding(f"{entry} cannot be imported: {reason}", "fix the package that adds it, or remove it"))
     if not facts.scenes:
-        found.append(Finding("no scene was shipped with this installation", "install the package anew"))
+        found.append(Finding("this installation contains no shipped scenes", "reinstall the package"))
     if facts.gpu_hardware and not facts.gpus:
         remedy = "install NVIDIA's driver, or make the device visible to this process (CUDA_VISIBLE_DEVICES, container)"
-        found.append(Finding("there is an NVIDIA device, but Warp cannot use it", remedy))
+        found.append(Finding("an NVIDIA device is present, but Warp cannot use it", remedy))
     if facts.gpus and facts.driver is not None and facts.driver < _OLDEST_DRIVER:
         wanted = ".".join(map(str, _OLDEST_DRIVER))
         has = ".".join(map(str, facts.driver))
-        found.append(Finding(f"the driver's CUDA is {has}: the Newton engine needs {wanted}", "update NVIDIA's driver"))
+        found.append(
+            Finding(f"the driver supports CUDA {has}, the Newton engine needs {wanted}", "update NVIDIA's driver")
+        )
     for folder, writable, variable in zip(
         (facts.kernel_cache, facts.field_cache), facts.writable, ("WARP_CACHE_PATH", "OIMPPI_CACHE"), strict=True
     ):
         if not writable:
-            remedy = f"set {variable} to a folder that can be: otherwise every run starts slowly"
-            found.append(Finding(f"{folder} cannot be written", remedy))
+            remedy = f"set {variable} to a writable folder, or every run will start slowly"
+            found.append(Finding(f"{folder} is not writable", remedy))
     if 0 < facts.memory < _LEAST_MEMORY:
-        found.append(Finding(f"{facts.memory / 1e9:.1f} GB of memory are little", "plan with fewer samples"))
+        found.append(Finding(f"only {facts.memory / 1e9:.1f} GB of memory", "plan with fewer samples"))
     if facts.usable_cores < facts.cores:
-        of = f"only {facts.usable_cores} of {facts.cores} cores may be used by this process"
-        found.append(Finding(of, "lift the limit (taskset, container), or take it as it is"))
+        of = f"this process may use only {facts.usable_cores} of {facts.cores} cores"
+        found.append(Finding(of, "lift the limit (taskset, container), unless it is intended"))
     return found
 
 

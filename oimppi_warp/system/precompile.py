@@ -29,9 +29,9 @@ def needed_on_cuda(scene: Scene, engines: Iterable[str], settings: Callable[[str
     """Lists the modules that planning on a GPU needs, found by planning on an emulated one.
 
     MuJoCo Warp chooses its kernels by the model and by the number of worlds, so each plan has as many samples as on the
-    GPU, but few steps. It depends on the device only for the number of threads, not for the choice of kernels, as long
-    as the model is small enough for dense matrices (60 degrees of freedom); our kernels do not depend on it. This has
-    not been verified on a GPU.
+    GPU, but few steps. Its choice does not depend on the device, apart from the number of threads, as long as the model
+    is small enough for dense matrices (60 degrees of freedom); neither do our kernels. This has not been verified on a
+    GPU.
 
     Args:
         scene: The task.
@@ -75,9 +75,9 @@ def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Modu
 def record_modules() -> Iterator[list[Variant]]:
     """Records the modules that Warp loads for the CPU in its context, with the block sizes that a GPU would use.
 
-    The list is filled at the end. Loaded modules are first unloaded, so that exactly those that the rehearsal needs are
-    loaded again (from the kernel cache). With ``enable_cpu_blocks`` the CPU uses the block sizes of the launches. A
-    launch of zero threads loads nothing, here as on a GPU; kernels for the tendons of a model without any, for example.
+    The list is filled at the end. Loaded modules are first unloaded, so that exactly those that the recorded code needs
+    are loaded again (from the kernel cache). With ``enable_cpu_blocks`` the CPU uses the block sizes of the launches. A
+    launch of zero threads loads nothing, here as on a GPU: for example, the tendon kernels of a model without tendons.
     """
     start_warp()
     variants: list[Variant] = []
@@ -99,7 +99,7 @@ def record_modules() -> Iterator[list[Variant]]:
         (module, block if block > 1 else _USUAL_BLOCK): None
         for module in _modules()
         for context, block in module.execs
-        if context is None  # the CPU's
+        if context is None  # modules for the CPU
     }
     variants += found | asked
 

@@ -49,7 +49,7 @@ def test_help_names_every_shape(capsys):
 
 def test_help_says_which_shapes_take_an_option(capsys):
     told = help_of("scene", "new", capsys=capsys)
-    assert "where the word does not say it. (with letter, text; default: 0.05)" in told
+    assert "if the object's name does not include it. (with letter, text; default: 0.05)" in told
     assert "(with mesh; default: m)" in told
 
 
@@ -111,7 +111,7 @@ def test_a_prism_is_written_checked_and_read_back(tmp_path, capsys):
     options = ["--mass", "0.3", "--goal", "0.5,0.2,1.57", "--obstacle", "prism:3x0.05x0.1@0.4,-0.1,0.5"]
     assert main(["scene", "new", "mine", "--out", str(tmp_path), "--object", "prism:6,0.05,0.04", *options]) == 0
     assert main(["scene", "check", "--strict", str(tmp_path / "mine.usda")]) == 0
-    assert "nothing wrong" in capsys.readouterr().out
+    assert "no problems found" in capsys.readouterr().out
     scene = load_scene(tmp_path / "mine.usda")
     assert (scene.object.mass, scene.object.rest_height) == (0.3, 0.02)
     outline = object_outline(scene, (0.0, 0.0, 0.0))

@@ -141,7 +141,7 @@ def test_people_read_what_where_what_is_allowed_and_what_to_do(tmp_path, capsys)
     main(["scene", "check", "task02", bad])
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     assert lines == [
-        "task02: nothing wrong",
+        "task02: no problems found",
         f"{bad}: 1 error",
         f"error <{OBJECT}>",
         "found a mass of -1 kg",
@@ -346,6 +346,6 @@ def test_a_run_says_that_something_in_its_file_may_not_be_meant(tmp_path, capsys
         "object.optimizer.samples=16",
     ]
     assert main(["run", str(file), *options]) == 1
-    assert f"1 warning, which `oimppi scene check {file}` tells" in capsys.readouterr().err
+    assert f"1 warning, listed by `oimppi scene check {file}`" in capsys.readouterr().err
     assert main(["run", "task02", *options]) == 1
     assert "warning" not in capsys.readouterr().err

@@ -413,7 +413,7 @@ def test_the_command_makes_a_robot_and_a_task_that_can_be_run(tmp_path, capsys):
         np.testing.assert_allclose(tip_frame(scene.robot, joints)[1], tip_frame(arm.robot(), joints)[1], atol=1e-5)
 
     assert main(asked) == 2
-    assert "already there" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert main([*asked, "--force"]) == 0
 
 

@@ -218,7 +218,7 @@ BAD = {
     "unknown mode": (SMALL + 'mode = "fast"', '"lockstep" or "realtime"'),
     "unknown preset": (SMALL + 'preset = "bset"', '"best" or "paper"'),
     "unknown setting": (SMALL + 'set = ["cost.w_aling=2"]', "did you mean cost.w_align"),
-    "bad setting of one method": (SMALL + 'set = ["robot.optimizer.horizon=3"]', "no such spline"),
+    "bad setting of one method": (SMALL + 'set = ["robot.optimizer.horizon=3"]', "not possible for a horizon"),
     "time that is none": (SMALL + "max_sim_seconds = 0", "above zero"),
     "entry that is a table": (SMALL + "[entry]\nseed = 1", "[[entry]]"),
     "bad key in an entry": (SMALL + "[[entry]]\n[[entry]]\nseed = -1", "entry 2: seed = -1"),

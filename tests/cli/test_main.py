@@ -174,8 +174,8 @@ BAD_INPUT = {
     "start that the scene has not": (["run", "t", "--start", "10"], "0 to 1"),
     "start off the table": (["run", "t", "--start", "2,0,0"], "off the table"),
     "device that is not there": (["run", "t", "--device", "cuda:99"], "auto, cpu"),
-    "folder that cannot be made": (["run", "t", "--json", "/dev/null/m.json"], "/dev/null is no folder"),
-    "record into a file": (["run", "t", "--record", __file__], "no folder"),
+    "folder that cannot be made": (["run", "t", "--json", "/dev/null/m.json"], "/dev/null is not a writable folder"),
+    "record into a file": (["run", "t", "--record", __file__], "not a writable folder"),
 }
 
 

@@ -96,7 +96,7 @@ def test_an_unknown_name_suggests_the_nearest(assignment: str, suggestion: str):
         ("cost.w_align=nan", "finite"),
         ("cost.w_align=inf", "finite"),
         ("cost.w_align=-1", "0 or more"),
-        ("cost.push_ring=0.2", "2 numbers"),
+        ("cost.push_ring=0.2", "2 comma-separated numbers"),
         ("reference=clock", "time or progress"),
         ("episode.tight=perhaps", "true or false"),
         ("control_period=0", "0.001 to 1"),

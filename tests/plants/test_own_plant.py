@@ -128,10 +128,10 @@ def test_an_array_of_another_length_is_an_error_that_names_it(planner: Planner, 
 
 
 NONSENSE = {
-    "joint_position": (np.array([0.0, np.nan, 0, 0, 0, 0]), "joint positions not finite"),
-    "joint_velocity": (np.full(6, np.inf), "joint velocities not finite"),
+    "joint_position": (np.array([0.0, np.nan, 0, 0, 0, 0]), "non-finite values in the joint positions"),
+    "joint_velocity": (np.full(6, np.inf), "non-finite values in the joint velocities"),
     "object_pose": (np.array([1e6, 0.0, 0.0]), "1e.06 m away"),
-    "object_transform": (np.array([0, 0, 0, 0, 0, 0, np.nan]), "transform not finite"),
+    "object_transform": (np.array([0, 0, 0, 0, 0, 0, np.nan]), "non-finite values in the object.s transform"),
 }
 
 
@@ -170,7 +170,7 @@ def test_an_episode_goes_on_after_a_report_that_cannot_be_true_and_its_record_sa
     log = Episode(scene, small(), plant=Flickering(scene), method="mppi", engine="quasistatic", device=device).run()
     assert len(log) == 20
     ((step, reason),) = log.header["problems"]
-    assert step == 3 and "the object's pose not finite" in reason
+    assert step == 3 and "non-finite values in the object's pose" in reason
     np.testing.assert_array_equal(log["stopped"], [0, 0, 0, 1, 1] + [0] * 15)
     np.testing.assert_array_equal(log["command"][3:5], np.zeros((2, 6)))
     assert np.abs(log["command"][5:]).max() > 0.0

@@ -40,4 +40,6 @@ def test_a_planner_that_plans_nothing_does_not_count(monkeypatch, device):
     loop = PlannerLoop(load_scene("task01"), config, method="mppi", engine="quasistatic", device=device, threads=1)
     assert race({"sane": loop}, 2)["sane"].problems == []
     loop.seen.joint_position[:] = float("nan")
-    assert any("joint positions not finite" in problem for problem in race({"mad": loop}, 2)["mad"].problems)
+    assert any(
+        "non-finite values in the joint positions" in problem for problem in race({"mad": loop}, 2)["mad"].problems
+    )

@@ -75,7 +75,7 @@ def test_a_control_changes_its_setting_and_a_value_that_cannot_be_used_is_put_ba
     choose(0)
     assert told[-1].object.optimizer.knots == 0
     choose(1)
-    assert control.value == 0 and "no such spline" in warnings[0][1]
+    assert control.value == 0 and "not possible for a horizon" in warnings[0][1]
     assert len(told) == 1
 
 
