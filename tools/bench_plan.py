@@ -124,7 +124,7 @@ class Benchmark:
             "ratio": round(ratio, 3),
         }
 
-    def sweeps(self) -> dict[str, list[dict[str, float]]]:
+    def sweeps(self, device: str = "cpu") -> dict[str, list[dict[str, float]]]:
         """Time plans over a range of K, H and substeps."""
         few = self.quick
         sizes = (128, 256) if few else (128, 256, 512, 1024, 2048, 4096, 8192, 16384)
@@ -138,10 +138,10 @@ class Benchmark:
         plan += [("newton over substeps", "newton", {"samples": 128, "substeps": s}) for s in (3, 4, 5, 10, 20)]
         found: dict[str, list[dict[str, float]]] = {}
         for title, engine, setting in plan:
-            loop = self.loop(with_mppi(self.config, **setting), engine, self.cores)
+            loop = self.loop(with_mppi(self.config, **setting), engine, self.cores, device)
             cost = setting["samples"] * setting.get("horizon", 25) * setting.get("substeps", 4)
             repeats = 2 if few else max(3, min(20, 2_000_000 // cost))
-            timing = self.race(title, {"plan": loop}, repeats)["plan"]
+            timing = self.race(f"{device}, {title}", {"plan": loop}, repeats)["plan"]
             found.setdefault(title, []).append({**setting, "median_ms": round(timing.median, 2)})
         return found
 
@@ -178,29 +178,30 @@ class Benchmark:
     def memory(self) -> dict[str, float]:
         """Return the memory used per rollout or per world [bytes]."""
         from oimppi_warp.compute.step import Compute
-        from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
+        from oimppi_warp.planning.engines.newton_worlds import SCRATCH_PER_CONTACT, NewtonWorlds
 
         threads = self.loop(with_mppi(self.config, samples=64), "newton", 1).planner.dynamics
         arrays = sum(value.nbytes for value in vars(threads).values() if hasattr(value, "nbytes"))
         worlds = NewtonWorlds(replace(threads.task, compute=Compute("cpu")))
         data, model = worlds.solver.mjw_data, worlds.solver.mjw_model
+        scratch = SCRATCH_PER_CONTACT * data.naconmax
         return {
             "newton, C threads [B/rollout]": round(arrays / 64),
             "newton, batched worlds: data [B/world]": round(_array_bytes(data) / 64),
             "newton, batched worlds: model [B/world]": round(_array_bytes(model) / 64),
+            "newton, batched worlds: temporary arrays of a step [B/world]": round(scratch / 64),
         }
 
-    def devices(self) -> dict[str, Any]:
-        """Time every engine on every available CUDA device."""
-        import warp as wp
+    def gpu(self, device: str, *, sweeps: bool) -> dict[str, Any]:
+        """Time plans of every method and engine on a GPU, and on request over a range of K, H and substeps."""
+        from oimppi_warp.registries import METHODS
 
         found: dict[str, Any] = {}
-        for device in wp.get_cuda_devices():
-            for engine, method in (("quasistatic", "mppi"), ("quasistatic", "cloi"), ("newton", "mppi")):
-                loop = self.loop(with_mppi(self.config, samples=self.samples), engine, 1, device.alias, method)
-                timing = self.race(f"{device.alias} {engine}", {"plan": loop})["plan"]
-                found[f"{device.alias}, {engine}, {method}"] = timing.figures()
-        return found
+        for engine, method in (*(("quasistatic", method) for method in METHODS), ("newton", "mppi")):
+            loop = self.loop(with_mppi(self.config, samples=self.samples), engine, 1, device, method)
+            timing = self.race(f"{device}, {engine}, {method}", {"plan": loop})["plan"]
+            found[f"{engine}, {method}"] = timing.figures()
+        return {"plans": found, "sweeps": self.sweeps(device) if sweeps else {}}
 
     def solved(self) -> dict[str, bool]:
         """Return which engines solve a short task."""
@@ -283,21 +284,24 @@ def main() -> int:
     parser.add_argument(
         "--brief", action="store_true", help="Skip the sweeps and start-up times, which take most of the time."
     )
+    parser.add_argument("--gpu", metavar="DEVICE", help="GPU to measure, such as cuda:0. (default: all of them)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="Write the measurements to this file.")
     arguments = parser.parse_args()
     if arguments.repeats < 2:
         parser.error("--repeats: must be at least 2")
 
+    import warp as wp
     from bench_start import start_seconds
     from bench_tables import print_tables
 
-    from oimppi_warp.compute.device import tell_compilation
+    from oimppi_warp.compute.device import pick_device, tell_compilation
     from oimppi_warp.record.log import versions
     from oimppi_warp.usd import load_scene
 
     tell_compilation(lambda line: print(line, file=sys.stderr))
     scene = load_scene(arguments.scene)
-    brief = arguments.quick or arguments.brief
+    sweeps = arguments.quick or not arguments.brief
+    gpus = [each.alias for each in wp.get_cuda_devices()] if arguments.gpu is None else [pick_device(arguments.gpu)]
     bench = Benchmark(scene, repeats=4 if arguments.quick else arguments.repeats, quick=arguments.quick)
     record: dict[str, Any] = {
         "command": f"python tools/bench_plan.py {' '.join(sys.argv[1:])}".strip(),
@@ -310,8 +314,8 @@ def main() -> int:
         "newton": bench.newton(),
         "randomized": bench.randomized(),
         "memory": bench.memory(),
-        "sweeps": {} if brief and not arguments.quick else bench.sweeps(),
-        "cuda": bench.devices(),
+        "sweeps": bench.sweeps() if sweeps else {},
+        "gpus": {name: bench.gpu(name, sweeps=sweeps) for name in gpus},
         "start": {}
         if arguments.quick or arguments.brief
         else {engine: start_seconds(engine) for engine in ("quasistatic", "newton")},

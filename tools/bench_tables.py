@@ -47,11 +47,7 @@ def tables(record: dict[str, Any]) -> list[Table]:
          ["", "median [ms]", "p95 [ms]"], rows)
     )  # fmt: skip
 
-    for title, entries in record["sweeps"].items():
-        heads = list(entries[0])
-        found.append(
-            (f"{title[0].upper()}{title[1:]}", heads, [[f"{entry[head]:g}" for head in heads] for entry in entries])
-        )
+    found += sweep_tables(record["sweeps"])
 
     draws = record["randomized"]
     rows = [[name, _ms(draws[name]["median_ms"])] for name in ("off", "4 draws")] + [["ratio", f"{draws['ratio']:.2f}"]]
@@ -67,9 +63,28 @@ def tables(record: dict[str, Any]) -> list[Table]:
             [engine, f"{times['cold_s']:.1f}", f"{times['warm_s']:.1f}"] for engine, times in record["start"].items()
         ]
         found.append(("Start to end of a run of one control step", ["", "cold caches [s]", "warm caches [s]"], rows))
-    if record["cuda"]:
-        rows = [[name, _ms(entry["median_ms"]), _ms(entry["p95_ms"])] for name, entry in record["cuda"].items()]
-        found.append((f"CUDA, K {samples}, H 25", ["", "median [ms]", "p95 [ms]"], rows))
+    for name, gpu in record.get("gpus", {}).items():
+        found += gpu_tables(name, gpu, samples)
+    return found
+
+
+def gpu_tables(device: str, gpu: dict[str, Any], samples: int) -> list[Table]:
+    """Return the tables of a GPU: plan times with their stages, and sweeps."""
+    rows = []
+    for plan, entry in gpu["plans"].items():
+        stages = ", ".join(f"{stage} {_ms(ms)}" for stage, ms in entry["stage_ms"].items())
+        rows.append([plan, _ms(entry["median_ms"]), _ms(entry["p95_ms"]), stages])
+    found: list[Table] = [(f"{device}, K {samples}, H 25", ["", "median [ms]", "p95 [ms]", "stages [ms]"], rows)]
+    return found + sweep_tables(gpu["sweeps"], f"{device}: ")
+
+
+def sweep_tables(sweeps: dict[str, list[dict[str, float]]], prefix: str = "") -> list[Table]:
+    """Return a table for each sweep."""
+    found: list[Table] = []
+    for title, entries in sweeps.items():
+        heads = list(entries[0])
+        title = f"{prefix}{title}" if prefix else f"{title[0].upper()}{title[1:]}"
+        found.append((title, heads, [[f"{entry[head]:g}" for head in heads] for entry in entries]))
     return found
 
 

@@ -78,6 +78,8 @@ class TaskOptions:
         from oimppi_warp.compute import device
 
         where = device.pick_device(self.run.device)
+        if self.run.device == "auto" and (unused := device.unused_gpu()):
+            console.print(f"planning on the CPU: {unused}", soft_wrap=True)
         with console.status("reading the scene"):
             scene = prepare_scene(self.scene, start=start, goal=goal, seed=self.run.seed)
             if (count := _warning_count(self.scene)) > 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from collections.abc import Callable
@@ -57,8 +58,43 @@ def pick_device(name: str = "auto") -> str:
     if name == "auto":
         return "cuda:0" if "cuda:0" in present else "cpu"
     if name not in present:
-        raise DeviceError(f"--device {name}: no such device on this machine\n  allowed: auto, {', '.join(present)}")
+        reason = f"\n  reason:  {unused}" if (unused := unused_gpu()) else ""
+        raise DeviceError(
+            f"--device {name}: no such device on this machine\n  allowed: auto, {', '.join(present)}{reason}"
+        )
     return name
+
+
+def has_nvidia_device() -> bool:
+    """Returns whether the machine has an NVIDIA device, usable or not."""
+    return Path("/dev/nvidiactl").exists() or Path("/proc/driver/nvidia").exists()
+
+
+def unused_gpu() -> str:
+    """Returns the reason why Warp uses no GPU although the machine has an NVIDIA device; empty if that is not so."""
+    start_warp()
+    if wp.get_cuda_devices() or not has_nvidia_device():
+        return ""
+    old = old_driver(wp.get_cuda_driver_version(), wp.get_cuda_toolkit_version())
+    return old or "an NVIDIA device is present, but Warp cannot use it"
+
+
+def old_driver(driver: tuple[int, int] | None, toolkit: tuple[int, int] | None) -> str:
+    """Returns a sentence if a driver is too old for Warp, which then lists no GPU; empty otherwise.
+
+    Args:
+        driver: CUDA version that the driver supports; ``None`` without a driver.
+        toolkit: CUDA version that Warp was built with; it needs a driver of at least the same major version.
+    """
+    if driver is None or toolkit is None or driver >= (toolkit[0], 0):
+        return ""
+    return f"the NVIDIA driver supports CUDA {driver[0]}.{driver[1]}, and Warp {wp.config.version} needs {toolkit[0]}.0"
+
+
+def free_memory(device: str) -> int:
+    """Returns the free memory of a Warp device [B]."""
+    found = wp.get_device(device)
+    return found.free_memory if found.is_cuda else os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES")
 
 
 def warp_device(name: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from oimppi_warp.compute.cache import cache_folder
-from oimppi_warp.compute.device import kernels_are_cached, start_warp
+from oimppi_warp.compute.device import has_nvidia_device, kernels_are_cached, old_driver, start_warp
 from oimppi_warp.compute.step import core_count
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
@@ -32,8 +32,6 @@ REGISTRIES: dict[str, Registry[Any]] = {
 """Registries whose entries are reported, in order."""
 _LEAST_MEMORY = 4e9
 """Memory required for a run, with a margin [B]."""
-_OLDEST_DRIVER = (12, 4)
-"""Lowest CUDA version of the driver that supports loops in graphs, which the Newton engine's solver needs."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,8 @@ class Facts:
         memory: Memory [B]; 0 if unknown.
         gpus: CUDA devices that Warp can use.
         gpu_hardware: Whether there is any NVIDIA device.
-        driver: CUDA version of the driver; ``None`` without one.
+        driver: CUDA version that the driver supports; ``None`` without one.
+        toolkit: CUDA version that Warp was built with; ``None`` if it was built without.
         versions: Versions of :data:`PACKAGES`; empty for one that is not installed.
         kernel_cache, field_cache: Folders of compiled kernels and computed fields.
         writable: Whether each of the two folders is writable.
@@ -86,6 +85,7 @@ class Facts:
     gpus: tuple[Gpu, ...]
     gpu_hardware: bool
     driver: tuple[int, int] | None
+    toolkit: tuple[int, int] | None
     versions: dict[str, str]
     kernel_cache: str
     field_cache: str
@@ -127,8 +127,9 @@ def gather_facts() -> Facts:
         usable_cores=core_count(),
         memory=_memory(),
         gpus=tuple(Gpu(device.alias, device.name, device.arch, device.total_memory) for device in devices),
-        gpu_hardware=Path("/dev/nvidiactl").exists() or Path("/proc/driver/nvidia").exists(),
-        driver=wp.get_cuda_driver_version() if wp.is_cuda_available() else None,
+        gpu_hardware=has_nvidia_device(),
+        driver=wp.get_cuda_driver_version(),
+        toolkit=wp.get_cuda_toolkit_version(),
         versions={name: _version(name) for name in PACKAGES},
         kernel_cache=str(kernel_cache),
         field_cache=str(fields),
@@ -156,15 +157,11 @@ def diagnose(facts: Facts) -> list[Finding]:
         found.append(Finding(f"{entry} cannot be imported: {reason}", "fix the package that adds it, or remove it"))
     if not facts.scenes:
         found.append(Finding("this installation contains no shipped scenes", "reinstall the package"))
-    if facts.gpu_hardware and not facts.gpus:
+    if old := old_driver(facts.driver, facts.toolkit):
+        found.append(Finding(f"{old}: it lists no GPU, and plans run on the CPU", "update NVIDIA's driver"))
+    elif facts.gpu_hardware and not facts.gpus:
         remedy = "install NVIDIA's driver, or make the device visible to this process (CUDA_VISIBLE_DEVICES, container)"
         found.append(Finding("an NVIDIA device is present, but Warp cannot use it", remedy))
-    if facts.gpus and facts.driver is not None and facts.driver < _OLDEST_DRIVER:
-        wanted = ".".join(map(str, _OLDEST_DRIVER))
-        has = ".".join(map(str, facts.driver))
-        found.append(
-            Finding(f"the driver supports CUDA {has}, the Newton engine needs {wanted}", "update NVIDIA's driver")
-        )
     for folder, writable, variable in zip(
         (facts.kernel_cache, facts.field_cache), facts.writable, ("WARP_CACHE_PATH", "OIMPPI_CACHE"), strict=True
     ):

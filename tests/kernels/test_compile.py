@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import pkgutil
+import re
+import subprocess
 from collections.abc import Iterator
 from importlib import import_module
+from importlib.metadata import distribution
+from pathlib import Path
 
 import pytest
 import warp as wp
 
 import oimppi_warp.kernels
+from oimppi_warp.compute.step import BLOCK
 from oimppi_warp.kernels.costs.stage_costs import TERMS
 
 ARCHITECTURES = (80, 90, 120)
@@ -25,6 +30,8 @@ ARGUMENTS = {
     "make_stage_costs": [(chain, precision, ()) for chain in CHAINS for precision in (wp.float32, wp.float64)],
 }
 """What a factory is asked for; controls of 2, 3, 6 and 7 numbers where nothing is said."""
+MOST_REGISTERS, MOST_STACK = 255, 64
+"""Most registers per thread, and bytes of local memory per thread, where registers that do not fit are spilled."""
 
 
 def kernel_modules() -> Iterator[wp.Module]:
@@ -52,13 +59,28 @@ def test_all_kernel_files_are_found():
     assert wanted <= stems
 
 
+def resources(cubin: Path) -> dict[str, dict[str, int]]:
+    """What each function of a compiled file takes of a GPU, as CUDA's own tool reads it: REG, STACK, SHARED, LOCAL."""
+    (tool,) = [file for file in distribution("nvidia-cuda-cuobjdump").files or () if file.name == "cuobjdump"]
+    command = [str(tool.locate()), "--dump-resource-usage", str(cubin)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found = re.findall(r"Function (\S+):\s*\n\s*(REG:.*)", said)
+    return {name: {key: int(value) for key, value in re.findall(r"(\w+):(\d+)", line)} for name, line in found}
+
+
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name.rpartition(".")[2])
-def test_a_kernel_module_compiles_without_a_gpu(module, tmp_path):
+def test_a_kernel_module_compiles_without_a_gpu_and_spills_no_registers(module, tmp_path, monkeypatch):
+    monkeypatch.setitem(module.options, "block_dim", BLOCK)
     files = wp.compile_aot_module(module, arch=ARCHITECTURES, module_dir=tmp_path, use_ptx=False)
     assert len(files) == len(ARCHITECTURES)
     for arch, file in zip(ARCHITECTURES, files, strict=True):
         assert f"sm{arch}" in file.name
         assert file.read_bytes()[:4] == b"\x7fELF"
+        found = resources(file)
+        assert any("_cuda_kernel_forward" in name for name in found)
+        for name, taken in found.items():
+            assert taken["REG"] <= MOST_REGISTERS and taken["LOCAL"] == 0, name
+            assert taken["STACK"] <= MOST_STACK, name
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name.rpartition(".")[2])

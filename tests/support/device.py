@@ -1,7 +1,8 @@
 """The device that tests compute on: one place for fixtures and helpers.
 
-It is the CPU, or what the environment variable ``OIMPPI_TEST_DEVICE`` names (``cuda:0``). Tests about the CPU itself
-(threads, MuJoCo's C engine, bits of a CPU plan, other processes) say ``"cpu"`` and stay there.
+It is the CPU, or what the environment variable ``OIMPPI_TEST_DEVICE`` names: ``cuda:0``, or ``emulated-gpu`` to run
+them as on a GPU, slowly, without one. Tests about the CPU itself (threads, MuJoCo's C engine, bits of a CPU plan, other
+processes) name ``"cpu"`` and stay there.
 """
 
 from __future__ import annotations
@@ -10,16 +11,22 @@ import os
 
 import numpy as np
 import pytest
+import warp as wp
+from warp._src.context import runtime
 
-from oimppi_warp.compute.device import pick_device
+from oimppi_warp.compute.device import EMULATED_GPU, pick_device
+from oimppi_warp.compute.step import BLOCK as GPU_BLOCK
 from oimppi_warp.compute.step import Compute, Launch
 
 _ASKED = os.environ.get("OIMPPI_TEST_DEVICE", "")
 DEVICE = pick_device(_ASKED) if _ASKED else "cpu"
 """Warp's name of the device."""
 ON_CPU = DEVICE == "cpu"
-BLOCK = 1 if ON_CPU else 256
+BLOCK = 1 if ON_CPU else GPU_BLOCK
 """Threads of a block, as a planner launches them on that device."""
+if DEVICE == EMULATED_GPU:  # tests name one device for arrays and planners, so Warp has to know this name too
+    runtime.device_map[EMULATED_GPU] = wp.get_device("cpu")
+    wp.config.enable_cpu_blocks = True
 
 to_the_bit = pytest.mark.skipif(not ON_CPU, reason="the same seed gives the same bits on the CPU only")
 

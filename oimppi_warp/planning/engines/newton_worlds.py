@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from oimppi_warp.compute.device import free_memory
 from oimppi_warp.compute.step import Launch
+from oimppi_warp.errors import DeviceError
 from oimppi_warp.geometry.footprint import rotation_matrix
 from oimppi_warp.kernels.rollouts.worlds import (
     Places,
@@ -34,6 +36,8 @@ _POINTS = 8
 """Largest number of contact points of two convex shapes."""
 _LIMIT_ROWS = 24
 """Constraint rows beside those of contacts: joint limits, and some headroom."""
+SCRATCH_PER_CONTACT = 6640
+"""Temporary memory of MuJoCo Warp's convex collisions per contact that a world has room for [B]; measured."""
 
 
 class NewtonWorlds(NewtonDynamics):
@@ -50,6 +54,7 @@ class NewtonWorlds(NewtonDynamics):
         solver: Newton's solver.
 
     Raises:
+        DeviceError: The device has too little free memory for so many worlds.
         RuntimeError: In :meth:`traced`, if the buffers of contacts or constraints overflowed.
     """
 
@@ -68,6 +73,7 @@ class NewtonWorlds(NewtonDynamics):
         self.solver = SolverMuJoCo(
             built.model, nconmax=contacts, njmax=3 * contacts + _LIMIT_ROWS, separate_worlds=True, **SOLVER_OPTIONS
         )
+        _check_memory(worlds * contacts, worlds, device)
         self._map = map_model(self.solver, built)
         model = self.solver.mjw_model
         model.jnt_actfrclimited.assign(self._map.model.jnt_actfrclimited.astype(bool))
@@ -167,6 +173,16 @@ def contact_room(roles: np.ndarray) -> int:
     pushed = counts["object"] * (1 + min(still, 3) + counts["tool"])
     arm = (counts["arm"] + counts["tool"]) * 2
     return _POINTS * pushed + arm
+
+
+def _check_memory(contacts: int, worlds: int, device: str) -> None:
+    """Raises DeviceError if there is too little memory for the temporary arrays of a step, nearly all that it takes."""
+    needed, free = contacts * SCRATCH_PER_CONTACT, free_memory(device)
+    if needed > free:
+        raise DeviceError(
+            f"robot.optimizer.samples={worlds}: the Newton engine needs {needed / 1e9:.1f} GB more on {device}, where "
+            f"{free / 1e9:.1f} GB are free\n  allowed: at most {worlds * free // needed} samples"
+        )
 
 
 def _change(built: NewtonModel, scene: Scene, draws: Draws, worlds: int) -> None:

@@ -13,16 +13,18 @@ from support.engines import STEPS, device_of, ends, make, plant_at, roll
 from support.pushes import SPEED, tip_before
 
 from oimppi_warp.config.settings import RobotLevel, Uncertainty
+from oimppi_warp.errors import DeviceError
 from oimppi_warp.geometry.fields import build_geometry, from_center, to_center
 from oimppi_warp.geometry.footprint import wrap_angle
 from oimppi_warp.kernels.costs.stage_costs import TERMS
 from oimppi_warp.observation import Observation
 from oimppi_warp.physics.mujoco_model import SENSED
 from oimppi_warp.physics.world import World
+from oimppi_warp.planning.engines import newton_worlds
 from oimppi_warp.planning.engines.dynamics import control_type
 from oimppi_warp.planning.engines.newton import NewtonDynamics, contact_softness
 from oimppi_warp.planning.engines.newton_threads import NewtonThreads
-from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
+from oimppi_warp.planning.engines.newton_worlds import SCRATCH_PER_CONTACT, NewtonWorlds
 from oimppi_warp.planning.engines.quasistatic import QuasistaticDynamics
 from oimppi_warp.planning.engines.uncertainty import CERTAIN, Draws, draw
 
@@ -229,6 +231,28 @@ def test_too_small_a_contact_buffer_is_an_error(pushes, capfd):
     with pytest.raises(RuntimeError, match="contact buffers of the Newton engine overflowed"):
         dynamics.traced()
     capfd.readouterr()
+
+
+@pytest.mark.parametrize("name", ["task01", "task02", "lab01"])
+def test_the_memory_that_a_step_of_worlds_takes_is_known(name, monkeypatch):
+    dynamics = make(NewtonWorlds, small_tasks.shipped(name), 4, steps=3)
+    data = dynamics.solver.mjw_data
+    taken, allocate = [], wp.array.__init__
+
+    def count(array, *arguments, **options):
+        allocate(array, *arguments, **options)
+        taken.append(array.capacity if array.ptr and options.get("ptr") is None else 0)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(wp.array, "__init__", count)
+        dynamics._mujoco_warp.step(dynamics.solver.mjw_model, data)
+    assert sum(taken) == pytest.approx(SCRATCH_PER_CONTACT * data.naconmax, rel=0.05)
+
+
+def test_more_worlds_than_memory_are_refused_with_how_many_fit(monkeypatch):
+    monkeypatch.setattr(newton_worlds, "free_memory", lambda device: 3_000_000)
+    with pytest.raises(DeviceError, match=r"samples=64: .* needs 0\.\d GB more on .* at most \d samples"):
+        make(NewtonWorlds, small_tasks.shipped("task01"), 64, steps=3)
 
 
 def test_a_whole_rollout_of_worlds_is_one_graph(pushes, device):

@@ -1,0 +1,524 @@
+"""The steps of ``tools/gpu_check.py``, each a process that writes what it finds as JSON while it goes on.
+
+Usage: ``python tools/gpu_steps.py STEP --out FILE [--device cuda:0] [--reference FILE] [--limit SECONDS] [--small]``
+
+The steps ``reference`` and ``kernels`` run on the machine that packs (``tools/gpu_pack.py``), ``one_plan`` under a
+profiler; ``gpu_check.py`` runs the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from oimppi_warp.config.settings import Config
+    from oimppi_warp.planning.planner import Planner
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENE = "task02"
+COMMAND_TOLERANCE = 0.01
+"""Largest difference of a command from the CPU's [rad/s]; rounding differs, and SOI follows a plan of many updates."""
+POSE_TOLERANCE = (0.0005, 0.005)
+"""Largest median difference of Newton worlds from C rollouts [m, rad]: single against double precision."""
+BLOCKS = (32, 64, 128, 256)
+"""Numbers of threads per block to compare."""
+TESTS = re.compile(r"\bdevice\b[,)]|support\.(device|engines)")
+"""Found in test files that compute on the device under test."""
+
+
+class Check:
+    """A step: its sizes, and the findings that it writes.
+
+    Args:
+        out: JSON file, written anew after each finding.
+        device: Device to check.
+        reference: File with the CPU's plans.
+        limit: Time that the step may take [s].
+        small: Whether to use small problems.
+    """
+
+    def __init__(self, out: Path, device: str, reference: Path | None, limit: float, small: bool) -> None:
+        self.out, self.device, self.reference, self.small = out, device, reference, small
+        self.samples, self.horizon = (64, 5) if small else (1200, 25)
+        self.found: dict[str, Any] = {"problems": []}
+        self._end = time.monotonic() + limit
+
+    @property
+    def left(self) -> float:
+        """Time left for this step [s]."""
+        return self._end - time.monotonic()
+
+    def note(self, name: str, value: Any) -> None:
+        """Adds a finding."""
+        self.found[name] = value
+        self._write()
+
+    def problem(self, text: str) -> None:
+        """Adds a problem."""
+        self.found["problems"].append(text)
+        self._write()
+
+    def expected(self) -> dict[str, Any]:
+        """Returns the CPU's plans."""
+        if self.reference is None or not self.reference.exists():
+            raise FileNotFoundError("no reference.json: tools/gpu_pack.py makes it")
+        return json.loads(self.reference.read_text())
+
+    def settings(self, method: str, *, samples: int | None = None, horizon: int | None = None, **level: Any) -> Config:
+        """Returns the settings of a method with the step's sizes, or others."""
+        from oimppi_warp.config.presets import best
+
+        config = best(method)
+        horizon = horizon or self.horizon
+        optimizer = config.robot.optimizer
+        optimizer = replace(optimizer, samples=samples or self.samples, horizon=horizon)
+        optimizer = replace(optimizer, knots=min(optimizer.knots, horizon))
+        return replace(config, robot=replace(config.robot, optimizer=optimizer, **level))
+
+    def planner(self, method: str, engine: str, device: str | None = None, **sizes: Any) -> Planner:
+        """Makes a planner."""
+        from oimppi_warp.planning.factory import make_planner
+        from oimppi_warp.usd import load_scene
+
+        config = self.settings(method, **sizes)
+        device = device or self.device
+        return make_planner(load_scene(SCENE), config, method=method, engine=engine, device=device, seed=5)
+
+    def _write(self) -> None:
+        partial = self.out.with_suffix(".part")
+        partial.write_text(json.dumps(self.found, indent=1) + "\n")
+        partial.replace(self.out)
+
+
+def facts(check: Check) -> None:
+    """Reports the machine, and every module that is compiled although the pack should have it."""
+    from oimppi_warp.compute.device import tell_compilation
+
+    compiled: list[str] = []
+    tell_compilation(compiled.append)
+    from oimppi_warp.record.log import versions
+    from oimppi_warp.registries import METHODS
+    from oimppi_warp.system.doctor import diagnose, gather_facts
+
+    found = gather_facts()
+    check.note("facts", {k: v for k, v in asdict(found).items() if k not in ("entries", "broken")})
+    check.note("doctor", [finding.what for finding in diagnose(found)])
+    check.note("versions", versions())
+    if shutil.which("nvidia-smi"):
+        check.note(
+            "nvidia-smi", _output(["nvidia-smi", "--query-gpu=name,driver_version,memory.total", "--format=csv"])
+        )
+    for engine, methods in (("quasistatic", tuple(METHODS)), ("newton", ("mppi",))):
+        for method in methods:
+            began = time.perf_counter()
+            planner = check.planner(method, engine)
+            made = time.perf_counter()
+            planner.warm_up()
+            warm = time.perf_counter()
+            check.note(f"{engine}, {method}", {"made_s": round(made - began, 2), "warm_up_s": round(warm - made, 2)})
+    wrong = [line for line in compiled if f" for {check.device}" in line or check.small]
+    check.note("compiled", compiled)
+    if wrong:
+        check.problem(f"{len(wrong)} modules were compiled here, not in the pack: {'; '.join(wrong[:5])}")
+
+
+def plans(check: Check) -> None:
+    """Compares plans with the CPU's, and replayed graphs with launches one by one."""
+    import numpy as np
+
+    expected = check.expected()["plans"]
+    for method, plan in expected.items():
+        found = _two_plans(check.planner(method, "quasistatic"))
+        off = np.abs(np.array(found["commands"]) - np.array(plan["commands"])).max()
+        poses = np.abs(np.array(found["poses"]) - np.array(plan["poses"])).max()
+        eager = check.planner(method, "quasistatic")
+        _launch_one_by_one(eager)
+        apart = np.abs(np.array(_two_plans(eager)["commands"]) - np.array(found["commands"])).max()
+        figures = {"command_off": float(off), "poses_off": float(poses), "graph_off_eager": float(apart)}
+        check.note(method, figures | {"costs": found["costs"], "costs_cpu": plan["costs"]})
+        if not off <= COMMAND_TOLERANCE:
+            check.problem(f"{method}: the command differs by {off:.2g} rad/s from the CPU's")
+        if not apart <= 1e-5:
+            check.problem(f"{method}: the graph's command differs by {apart:.2g} rad/s from that of single launches")
+
+
+def newton(check: Check) -> None:
+    """Compares Newton worlds with MuJoCo's C rollouts; reports the time of a capture, and solver iterations."""
+    import numpy as np
+
+    from oimppi_warp.geometry.footprint import wrap_angle
+    from oimppi_warp.planning.engines.newton_worlds import NewtonWorlds
+
+    planner = check.planner("mppi", "newton")
+    began = time.perf_counter()
+    planner.warm_up()
+    check.note("first_plan_s", round(time.perf_counter() - began, 2))
+    expected = check.expected()["rollouts"]
+    ends = _newton_ends(check, expected, check.device)
+    off = np.abs(ends - np.array(expected["ends"]))
+    off = np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.abs(wrap_angle(off[:, 2]))])
+    median, worst = np.median(off, axis=0), off.max(axis=0)
+    check.note("off_c_threads", {"median_m_rad": median.tolist(), "max_m_rad": worst.tolist(), "rollouts": len(off)})
+    if not (median <= POSE_TOLERANCE).all():
+        check.problem(f"worlds end {median[0]:.2g} m, {median[1]:.2g} rad off the C rollouts")
+    dynamics = planner.dynamics
+    assert isinstance(dynamics, NewtonWorlds)
+    iterations = dynamics.solver.mjw_data.solver_niter.numpy()
+    check.note("solver_iterations", {"mean": float(iterations.mean()), "max": int(iterations.max())})
+
+
+def times(check: Check) -> None:
+    """Times plans: methods and engines, block sizes, K and H."""
+    from bench_loops import race
+
+    from oimppi_warp.compute import step
+    from oimppi_warp.registries import METHODS
+
+    loop = _loops(check)
+    repeats = 2 if check.small else 60
+    for engine, method in (*(("quasistatic", method) for method in METHODS), ("newton", "mppi")):
+        timing = race({"plan": loop(method, engine)}, repeats if engine == "quasistatic" else max(repeats // 3, 2))[
+            "plan"
+        ]
+        check.note(f"{engine}, {method}", timing.figures())
+        for problem in timing.problems[:3]:
+            check.problem(f"{engine}, {method}: {problem}")
+    usual = step.BLOCK
+    for block in BLOCKS[:2] if check.small else BLOCKS:
+        step.BLOCK = block
+        figures = race({"plan": loop("cloi", "quasistatic")}, repeats)["plan"].figures()
+        check.note(f"blocks of {block}, quasistatic, cloi", figures)
+    step.BLOCK = usual
+    for samples in (64,) if check.small else (128, 256, 512, 1024, 2048, 4096, 8192, 16384):
+        timing = race({"plan": loop("mppi", "quasistatic", samples=samples)}, max(repeats // 3, 2))["plan"]
+        check.note(f"quasistatic, mppi, K {samples}", timing.figures())
+    for horizon in (10,) if check.small else (10, 50, 100):
+        timing = race({"plan": loop("mppi", "quasistatic", horizon=horizon)}, max(repeats // 3, 2))["plan"]
+        check.note(f"quasistatic, mppi, H {horizon}", timing.figures())
+
+
+def newton_times(check: Check) -> None:
+    """Times the Newton engine over K and substeps, with the memory that it takes."""
+    from bench_loops import race
+
+    from oimppi_warp.compute.device import free_memory, warp_device
+    from oimppi_warp.errors import DeviceError
+
+    loop = _loops(check)
+    for substeps in (3,) if check.small else (3, 4, 5):
+        timing = race({"plan": loop("mppi", "newton", substeps=substeps)}, 2 if check.small else 10)["plan"]
+        check.note(f"substeps {substeps}", timing.figures())
+    for samples in (16, 32) if check.small else (128, 256, 512, 1024, 2048, 4096, 8192, 16384):
+        before = free_memory(warp_device(check.device))
+        try:
+            runner = loop("mppi", "newton", samples=samples)
+        except DeviceError as error:
+            check.note(f"K {samples}", {"refused": str(error)})
+            continue
+        taken = before - free_memory(warp_device(check.device))
+        figures = race({"plan": runner}, 2 if check.small else 6)["plan"].figures()
+        check.note(f"K {samples}", figures | {"taken_MB": round(taken / 1e6)})
+        del runner
+
+
+def episodes(check: Check) -> None:
+    """Runs a whole episode of every method with every engine."""
+    from oimppi_warp.record.metrics import summarize
+    from oimppi_warp.registries import METHODS
+    from oimppi_warp.runtime.episode import Episode
+    from oimppi_warp.usd import load_scene
+
+    scene = load_scene(SCENE)
+    for engine in ("quasistatic", "newton"):
+        for method in METHODS:
+            config = check.settings(method)
+            seconds = 0.1 if check.small else 20.0
+            config = replace(config, episode=replace(config.episode, max_sim_seconds=seconds))
+            began = time.perf_counter()
+            log = Episode(scene, config, method=method, engine=engine, device=check.device, seed=1).run()
+            metrics = summarize(log)
+            found = {"success": metrics.success, "steps": len(log), "wall_s": round(time.perf_counter() - began, 2)}
+            plan_ms = metrics.plan_ms if hasattr(metrics, "plan_ms") else None
+            check.note(f"{engine}, {method}", found | ({"plan_ms": plan_ms} if plan_ms is not None else {}))
+
+
+def tests(check: Check) -> None:
+    """Runs the fast tests that compute on the device, as many as fit into the time."""
+    files = sorted(file for file in (ROOT / "tests").rglob("test_*.py") if TESTS.search(file.read_text()))
+    first = ("test_emulated_gpu", "test_parity", "test_methods", "test_newton", "test_kernels_against_twins")
+    files.sort(key=lambda file: next((i for i, name in enumerate(first) if file.stem == name), len(first)))
+    if check.small:
+        files = files[1:2]
+    command = [sys.executable, "-m", "pytest", "-v", "-m", "not slow", "-p", "no:cacheprovider", "--tb=short", "-rf"]
+    command += ["--numprocesses", str(max(min((os.cpu_count() or 1) // 2, 6), 1))]
+    environment = os.environ | {"OIMPPI_TEST_DEVICE": check.device}
+    process = subprocess.Popen(
+        [*command, *map(str, files)],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert process.stdout is not None
+    counts = {"PASSED": 0, "FAILED": 0, "ERROR": 0, "SKIPPED": 0}
+    failed: list[str] = []
+    for line in process.stdout:
+        print(line, end="")
+        if found := re.search(r"\] (PASSED|FAILED|ERROR|SKIPPED) (\S+)", line):
+            counts[found[1]] += 1
+            if found[1] in ("FAILED", "ERROR"):
+                failed.append(found[2])
+                check.problem(f"{found[1].lower()}: {found[2]}")
+            check.note("counts", counts)
+    check.note("status", process.wait())
+    if not counts["PASSED"]:
+        check.problem("no test passed")
+
+
+def profile(check: Check) -> None:
+    """Profiles the slowest kernels with Nsight Compute, and looks for memory errors with Compute Sanitizer."""
+    plan = [
+        sys.executable,
+        str(Path(__file__)),
+        "one_plan",
+        "--device",
+        check.device,
+        "--out",
+        str(check.out) + ".plan",
+    ]
+    metrics = "gpu__time_duration.sum,sm__throughput.avg.pct_of_peak_sustained_elapsed,launch__registers_per_thread,"
+    metrics += "sm__warps_active.avg.pct_of_peak_sustained_active,dram__throughput.avg.pct_of_peak_sustained_elapsed,"
+    metrics += "smsp__inst_executed.sum,launch__block_size,launch__grid_size"
+    for engine, kernels in (("quasistatic", "rollout|sample_controls"), ("newton", "ccd|JTDAJ|linesearch|nxn")):
+        size = ["--engine", engine, *(["--small"] if check.small else [])]
+        command = ["ncu", "--csv", "--page", "raw", "--metrics", metrics, "-k", f"regex:{kernels}", "-c", "8"]
+        if shutil.which("ncu"):
+            check.note(f"ncu, {engine}", _profiled(_output([*command, *plan, *size], check.left / 2)))
+        if shutil.which("compute-sanitizer"):
+            few = [*plan, "--engine", engine, "--small"]
+            said = _output(["compute-sanitizer", "--tool", "memcheck", *few], check.left / 2)
+            errors = re.findall(r"ERROR SUMMARY: (\d+) error", said)
+            check.note(f"compute-sanitizer, {engine}", errors[-1] if errors else said[-300:])
+            if errors and errors[-1] != "0":
+                check.problem(f"compute-sanitizer, {engine}: {errors[-1]} errors")
+    for tool in ("ncu", "compute-sanitizer"):
+        if not shutil.which(tool):
+            check.problem(f"{tool} is not installed")
+
+
+def one_plan(check: Check, engine: str = "quasistatic") -> None:
+    """Makes one plan, launch by launch, for a profiler."""
+    planner = check.planner("cloi" if engine == "quasistatic" else "mppi", engine, horizon=3 if check.small else 10)
+    _launch_one_by_one(planner)
+    planner.rehearse()
+    check.note("done", True)
+
+
+def reference(check: Check) -> None:
+    """Plans on this machine's CPU, for comparison."""
+    from bench_loops import PlannerLoop
+
+    from oimppi_warp.registries import METHODS
+    from oimppi_warp.usd import load_scene
+
+    check.note("plans", {method: _two_plans(check.planner(method, "quasistatic", "cpu")) for method in METHODS})
+    config = check.settings("mppi")
+    loop = PlannerLoop(load_scene(SCENE), config, method="mppi", engine="quasistatic", device="cpu")
+    for _ in range(30):  # until there is contact
+        loop()
+    controls = loop.optimizer.controls.numpy()[: 8 if check.small else 128]
+    seen = loop.seen
+    rollouts = {
+        "joints": seen.joint_position.tolist(),
+        "pose": seen.object_pose.tolist(),
+        "transform": seen.object_transform.tolist(),
+        "controls": controls.tolist(),
+    }
+    check.note("rollouts", rollouts | {"ends": _newton_ends(check, rollouts, "cpu").tolist()})
+
+
+def kernels(check: Check, arch: int | None = None) -> None:
+    """Puts the kernels that the check needs into ``kernels`` beside the file: for a GPU, or for an emulated one."""
+    import warp as wp
+
+    from oimppi_warp.compute import step
+    from oimppi_warp.system import precompile
+    from oimppi_warp.usd import load_scene
+
+    folder = check.out.parent / "kernels" / wp.config.version
+    usual = step.BLOCK
+    if arch is None:
+        with precompile.record_modules():
+            for block in BLOCKS[:2]:
+                step.BLOCK = block
+                check.planner("cloi", "quasistatic", "emulated-gpu").warm_up()
+            step.BLOCK = usual
+            for method in ("mppi", "soi", "cloi"):
+                planner = check.planner(method, "quasistatic", "emulated-gpu")
+                planner.warm_up()
+                _two_plans(planner)
+            check.planner("mppi", "newton", "emulated-gpu").warm_up()
+            loaded = [(module, block) for module in precompile._modules() for _, block in module.execs]
+        for module, block in loaded:
+            name = module.get_module_identifier(block)
+            shutil.copytree(Path(wp.config.kernel_cache_dir or "") / name, folder / name, dirs_exist_ok=True)
+        check.note("modules", len(loaded))
+        return
+    scene = load_scene(SCENE)
+    variants = precompile.needed_on_cuda(scene, ("quasistatic", "newton"), check.settings)
+    ours = [module for module, _ in precompile.needed_on_cuda(scene, ("quasistatic",), check.settings)]
+    variants += [(module, block) for module in ours for block in BLOCKS if (module, block) not in variants]
+    wp.config.kernel_cache_dir = str(folder)
+    missing = [
+        (module, block)
+        for module, block in variants
+        if not any((folder / module.get_module_identifier(block)).glob(f"*.sm{arch}.cubin"))
+    ]
+    print(f"{len(missing)} of {len(variants)} to compile", flush=True)
+    precompile.compile_for(missing, arch, lambda module: print(module.name, flush=True))
+    for file in [*folder.rglob("*.cu"), *folder.rglob("*.cpp"), *folder.rglob("*.o")]:
+        file.unlink()
+    check.note("modules", len(variants))
+
+
+def _two_plans(planner: Planner) -> dict[str, Any]:
+    """Starts an episode and plans twice from its start."""
+    import numpy as np
+
+    from oimppi_warp.observation import Observation, planar_transform
+
+    scene = planner.scene
+    transform = planar_transform(scene.start, scene.object.rest_height)
+    joints = np.array(scene.robot.start)
+    seen = Observation(0.0, joints, np.zeros_like(joints), np.array(scene.start), transform)
+    planner.start(seen)
+    found = [planner.plan(seen) for _ in range(2)]
+    return {
+        "commands": [plan.command.tolist() for plan in found],
+        "poses": [plan.object_poses.tolist() for plan in found],
+        "costs": [plan.update.min_cost for plan in found],
+    }
+
+
+def _launch_one_by_one(planner: Planner) -> None:
+    """Makes a planner run its steps without a graph."""
+    launches = [*planner.object_launches, *planner._robot_launches]
+    planner.__dict__["_step"] = planner.compute.step(launches, one_graph=False)
+
+
+def _newton_ends(check: Check, rollouts: dict[str, Any], device: str) -> np.ndarray:
+    """Returns the object's final poses [rollout, 3] with the Newton engine, from the reference's state and controls."""
+    import numpy as np
+    import warp as wp
+
+    from oimppi_warp.geometry.fields import from_center
+    from oimppi_warp.observation import Observation
+    from oimppi_warp.planning.engines.dynamics import control_type
+    from oimppi_warp.planning.engines.newton import NewtonDynamics
+
+    controls = np.array(rollouts["controls"], dtype=np.float32)
+    planner = check.planner("mppi", "newton", device, samples=len(controls), horizon=controls.shape[1])
+    engine = planner.dynamics
+    assert isinstance(engine, NewtonDynamics)
+    place = planner.compute.device
+    costs = wp.zeros(len(controls), dtype=float, device=place)
+    packed = wp.array(controls, dtype=control_type(controls.shape[2]), device=place)
+    joints = np.array(rollouts["joints"])
+    pose, transform = np.array(rollouts["pose"]), np.array(rollouts["transform"])
+    rollout = engine.rollout(packed, costs)
+    engine.set_state(Observation(0.0, joints, np.zeros_like(joints), pose, transform), planner.goal)
+    engine.reference.host[:] = planner.goal
+    planner.compute.step([rollout], one_graph=False)()
+    return from_center(engine.task.geometry.surface, engine.poses.numpy()[:, -1].astype(float))
+
+
+def _loops(check: Check) -> Callable[..., Any]:
+    """Returns a function that makes a planner in closed loop with itself."""
+    from bench_loops import PlannerLoop
+
+    from oimppi_warp.usd import load_scene
+
+    scene = load_scene(SCENE)
+
+    def make(method: str, engine: str, **sizes: Any) -> Any:
+        config = check.settings(method, **sizes)
+        return PlannerLoop(scene, config, method=method, engine=engine, device=check.device, threads=1)
+
+    return make
+
+
+def _output(command: list[str], limit: float = 60.0) -> str:
+    """Runs a command, and returns what it printed, also if it was ended by the time limit."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=max(limit, 1.0))
+    except subprocess.TimeoutExpired as error:
+        return f"{(error.stdout or b'').decode(errors='replace')}\nended after {limit:.0f} s"
+    print(done.stdout, done.stderr, sep="\n")
+    return done.stdout + done.stderr
+
+
+def _profiled(text: str) -> dict[str, dict[str, str]] | str:
+    """Returns the metrics of each kernel in Nsight Compute's table."""
+    import csv
+
+    lines = [line for line in text.splitlines() if line.startswith('"')]
+    if len(lines) < 3:
+        return text[-300:]
+    names, units, *entries = csv.reader(lines)
+    found = {}
+    for entry in entries:
+        cells = dict(zip(names, entry, strict=False))
+        kernel = cells.get("Kernel Name", "?")
+        unit = dict(zip(names, units, strict=False))
+        found[kernel] = {k: f"{v} {unit.get(k, '')}".strip() for k, v in cells.items() if "__" in k}
+    return found
+
+
+@contextmanager
+def _reported(check: Check) -> Iterator[None]:
+    """Turns an error into a problem of the step."""
+    try:
+        yield
+    except Exception as error:
+        check.problem(f"{type(error).__name__}: {str(error)[:500]}")
+        raise
+
+
+def main() -> int:
+    """Run a step."""
+    steps = (facts, plans, newton, times, newton_times, episodes, tests, profile, one_plan, reference, kernels)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("step", choices=[step.__name__ for step in steps], help="Step to run.")
+    parser.add_argument("--out", type=Path, required=True, help="JSON file for the findings.")
+    parser.add_argument("--device", default="cuda:0", help="Warp device.")
+    parser.add_argument("--reference", type=Path, help="File with the CPU's plans.")
+    parser.add_argument("--limit", type=float, default=1e6, help="Time that the step may take [s].")
+    parser.add_argument("--small", action="store_true", help="Use small problems.")
+    parser.add_argument("--engine", default="quasistatic", help="Engine, for the step one_plan.")
+    parser.add_argument("--arch", type=int, help="GPU architecture, for the step kernels. (default: an emulated GPU)")
+    arguments = parser.parse_args()
+    check = Check(arguments.out, arguments.device, arguments.reference, arguments.limit, arguments.small)
+    step = next(step for step in steps if step.__name__ == arguments.step)
+    options = {"one_plan": {"engine": arguments.engine}, "kernels": {"arch": arguments.arch}}
+    with _reported(check):
+        step(check, **options.get(arguments.step, {}))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
