@@ -1,6 +1,7 @@
 # All tasks from a bare checkout, with Python 3.11 or newer and make: `make demo`, `make test`.
 
 PYTHON ?= python3
+PYTHON312 ?= python3.12
 VENV ?= .venv
 PYTEST_FLAGS ?= --numprocesses auto --dist worksteal
 LOCK_ENV := $(VENV)/.installed
@@ -13,10 +14,10 @@ COMPILE := uv pip compile --no-config --universal --python-version 3.11 --genera
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install demo view test nightly lint format types bench scenes wheel ci lock clean
+.PHONY: help install demo view test nightly lint format types bench gpu-pack gpu-rehearsal scenes wheel ci lock clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
 
 install: $(LOCK_ENV) ## create the environment in .venv with everything needed to run, without development tools
 
@@ -59,6 +60,12 @@ types: $(EXTRAS_ENV) ## check types with pyright
 
 bench: $(LOCK_ENV) ## measure planning time by stage
 	$(BIN)/python tools/bench_plan.py
+
+gpu-pack: $(LOCK_ENV) ## pack what tools/gpu_check.py needs on a GPU machine without a package registry (takes 15 minutes)
+	$(BIN)/python tools/gpu_pack.py
+
+gpu-rehearsal: $(LOCK_ENV) ## rehearse that check on an emulated GPU, with a fresh Python 3.12 (PYTHON312=...)
+	$(BIN)/python tools/gpu_rehearsal.py --python $(PYTHON312)
 
 scenes: $(LOCK_ENV) ## regenerate the shipped scenes
 	$(BIN)/python tools/make_scenes.py

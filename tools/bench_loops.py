@@ -169,11 +169,12 @@ def time_of(launch: Callable[[], None], repeats: int, compute: Compute) -> float
         return statistics.median(found)
     with wp.ScopedCapture(device=compute.device) as capture:
         launch()
-    wp.capture_launch(capture.graph)
+    graph: Any = capture.graph
+    wp.capture_launch(graph)
     wp.synchronize_device(compute.device)
     began = time.perf_counter()
     for _ in range(repeats):
-        wp.capture_launch(capture.graph)
+        wp.capture_launch(graph)
     wp.synchronize_device(compute.device)
     return 1e3 * (time.perf_counter() - began) / repeats
 
