@@ -372,43 +372,46 @@ def kernels(check: Check, arch: int | None = None) -> None:
     import warp as wp
 
     from oimppi_warp.compute import step
+    from oimppi_warp.registries import METHODS
     from oimppi_warp.system import precompile
     from oimppi_warp.usd import load_scene
 
     folder = check.out.parent / "kernels" / wp.config.version
     usual = step.BLOCK
     if arch is None:
-        with precompile.record_modules():
+        with precompile.record_modules() as variants:
             for block in BLOCKS[:2]:
                 step.BLOCK = block
                 check.planner("cloi", "quasistatic", "emulated-gpu").warm_up()
             step.BLOCK = usual
-            for method in ("mppi", "soi", "cloi"):
-                planner = check.planner(method, "quasistatic", "emulated-gpu")
-                planner.warm_up()
-                _two_plans(planner)
+            for method in METHODS:
+                _two_plans(check.planner(method, "quasistatic", "emulated-gpu"))
             check.planner("mppi", "newton", "emulated-gpu").warm_up()
-            loaded = [(module, block) for module in precompile._modules() for _, block in module.execs]
-        for module, block in loaded:
-            name = module.get_module_identifier(block)
-            shutil.copytree(Path(wp.config.kernel_cache_dir or "") / name, folder / name, dirs_exist_ok=True)
-        check.note("modules", len(loaded))
+        for variant in variants:
+            for block in (1, variant.block):  # on the CPU, blocks have one thread where nothing is said
+                with precompile.as_launched(variant._replace(block=block)):
+                    name = variant.module.get_module_identifier(block)
+                source = Path(wp.config.kernel_cache_dir or "") / name
+                if source.exists():
+                    shutil.copytree(source, folder / name, dirs_exist_ok=True)
+        check.note("modules", len(variants))
         return
     scene = load_scene(SCENE)
     variants = precompile.needed_on_cuda(scene, ("quasistatic", "newton"), check.settings)
-    ours = [module for module, _ in precompile.needed_on_cuda(scene, ("quasistatic",), check.settings)]
-    variants += [(module, block) for module in ours for block in BLOCKS if (module, block) not in variants]
+    ours = precompile.needed_on_cuda(scene, ("quasistatic",), check.settings)
+    wanted = dict.fromkeys([*variants, *(each._replace(block=block) for each in ours for block in BLOCKS)])
     wp.config.kernel_cache_dir = str(folder)
-    missing = [
-        (module, block)
-        for module, block in variants
-        if not any((folder / module.get_module_identifier(block)).glob(f"*.sm{arch}.cubin"))
-    ]
-    print(f"{len(missing)} of {len(variants)} to compile", flush=True)
+    missing = []
+    for variant in wanted:
+        with precompile.as_launched(variant):
+            place = folder / variant.module.get_module_identifier(variant.block)
+        if not any(place.glob(f"*.sm{arch}.cubin")):
+            missing.append(variant)
+    print(f"{len(missing)} of {len(wanted)} to compile", flush=True)
     precompile.compile_for(missing, arch, lambda module: print(module.name, flush=True))
     for file in [*folder.rglob("*.cu"), *folder.rglob("*.cpp"), *folder.rglob("*.o")]:
         file.unlink()
-    check.note("modules", len(variants))
+    check.note("modules", len(wanted))
 
 
 def _two_plans(planner: Planner) -> dict[str, Any]:

@@ -158,7 +158,7 @@ def diagnose(facts: Facts) -> list[Finding]:
     if not facts.scenes:
         found.append(Finding("this installation contains no shipped scenes", "reinstall the package"))
     if old := old_driver(facts.driver, facts.toolkit):
-        found.append(Finding(f"{old}: it lists no GPU, and plans run on the CPU", "update NVIDIA's driver"))
+        found.append(Finding(f"{old}; Warp lists no GPU, and plans run on the CPU", "update NVIDIA's driver"))
     elif facts.gpu_hardware and not facts.gpus:
         remedy = "install NVIDIA's driver, or make the device visible to this process (CUDA_VISIBLE_DEVICES, container)"
         found.append(Finding("an NVIDIA device is present, but Warp cannot use it", remedy))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import warp as wp
 from warp._src.context import user_modules
@@ -16,8 +17,21 @@ from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene
 
-Variant = tuple[wp.Module, int]
-"""A module and the number of threads per block that it is compiled for."""
+
+class Variant(NamedTuple):
+    """A module as it is compiled for a launch.
+
+    Attributes:
+        module: The module.
+        block: Number of threads per block.
+        overloads: For each generic kernel of the module, its name and the signatures known at the time: Warp compiles
+            the module again whenever one is added.
+    """
+
+    module: wp.Module
+    block: int
+    overloads: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
 
 _USUAL_BLOCK = 256
 """Default number of threads per block of a launch; on the CPU it is one."""
@@ -45,7 +59,7 @@ def needed_on_cuda(scene: Scene, engines: Iterable[str], settings: Callable[[str
                 short = replace(config.robot.optimizer, horizon=2, knots=0, iterations=1)
                 config = replace(config, robot=replace(config.robot, optimizer=short, substeps=1))
                 make_planner(scene, config, method=method, engine=engine, device=EMULATED_GPU).warm_up()
-    return [(module, block) for module, block in found if module.name != _ON_HOST]
+    return [variant for variant in found if variant.module.name != _ON_HOST]
 
 
 def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Module], None]) -> int:
@@ -60,15 +74,29 @@ def compile_for(variants: list[Variant], arch: int, on_module: Callable[[wp.Modu
         Number of files.
     """
     files = 0
-    for module, block in variants:
-        on_module(module)
-        usual = module.options["block_dim"]
-        module.options["block_dim"] = block
-        try:
-            files += len(wp.compile_aot_module(module, arch=arch))
-        finally:
-            module.options["block_dim"] = usual
+    for variant in variants:
+        on_module(variant.module)
+        with as_launched(variant):
+            files += len(wp.compile_aot_module(variant.module, arch=arch))
     return files
+
+
+@contextmanager
+def as_launched(variant: Variant) -> Iterator[None]:
+    """Puts a module into the state in which it was when the variant was recorded."""
+    module = variant.module
+    block, kept = module.options["block_dim"], {name: module.kernels[name].overloads for name, _ in variant.overloads}
+    module.options["block_dim"] = variant.block
+    for name, signatures in variant.overloads:
+        module.kernels[name].overloads = {signature: kept[name][signature] for signature in signatures}
+    module.mark_modified()
+    try:
+        yield
+    finally:
+        module.options["block_dim"] = block
+        for name, overloads in kept.items():
+            module.kernels[name].overloads = overloads
+        module.mark_modified()
 
 
 @contextmanager
@@ -81,27 +109,41 @@ def record_modules() -> Iterator[list[Variant]]:
     """
     start_warp()
     variants: list[Variant] = []
-    usual = wp.config.enable_cpu_blocks, wp.get_suggested_block_size
+    usual = wp.config.enable_cpu_blocks, wp.get_suggested_block_size, wp.Module.load
     asked: dict[Variant, None] = {}
+    generic: dict[Variant, None] = {}
 
     def suggest(kernel: wp.Kernel, device: wp.DeviceLike = None) -> tuple[int, int]:
-        asked[kernel.module, _USUAL_BLOCK] = None  # a GPU loads the kernel to answer
+        asked[Variant(kernel.module, _USUAL_BLOCK)] = None  # a GPU loads the kernel to answer
         return usual[1](kernel, device)
+
+    def load(self: wp.Module, device: Any, block_dim: int | None = None, *files: Any, **options: Any) -> Any:
+        kernels = self.kernels.items()
+        overloads = tuple((name, tuple(kernel.overloads)) for name, kernel in kernels if kernel.is_generic)
+        if overloads:
+            generic[Variant(self, _on_gpu(block_dim or self.options["block_dim"]), overloads)] = None
+        return usual[2](self, device, block_dim, *files, **options)
 
     for module in _modules():
         module.unload()
-    wp.config.enable_cpu_blocks, wp.get_suggested_block_size = True, suggest
+    wp.config.enable_cpu_blocks, wp.get_suggested_block_size, wp.Module.load = True, suggest, load
     try:
         yield variants
     finally:
-        wp.config.enable_cpu_blocks, wp.get_suggested_block_size = usual
+        wp.config.enable_cpu_blocks, wp.get_suggested_block_size, wp.Module.load = usual
     found = {
-        (module, block if block > 1 else _USUAL_BLOCK): None
+        Variant(module, _on_gpu(block)): None
         for module in _modules()
         for context, block in module.execs
         if context is None  # modules for the CPU
     }
-    variants += found | asked
+    several = {(variant.module, variant.block) for variant in generic}
+    variants += {each: None for each in found if (each.module, each.block) not in several} | generic | asked
+
+
+def _on_gpu(block: int) -> int:
+    """Returns the number of threads per block on a GPU of a launch that has ``block`` of them on the CPU."""
+    return block if block > 1 else _USUAL_BLOCK
 
 
 def _modules() -> list[wp.Module]:

@@ -12,7 +12,7 @@ import os
 import numpy as np
 import pytest
 import warp as wp
-from warp._src.context import runtime
+from warp._src import context
 
 from oimppi_warp.compute.device import EMULATED_GPU, pick_device
 from oimppi_warp.compute.step import BLOCK as GPU_BLOCK
@@ -25,7 +25,7 @@ ON_CPU = DEVICE == "cpu"
 BLOCK = 1 if ON_CPU else GPU_BLOCK
 """Threads of a block, as a planner launches them on that device."""
 if DEVICE == EMULATED_GPU:  # tests name one device for arrays and planners, so Warp has to know this name too
-    runtime.device_map[EMULATED_GPU] = wp.get_device("cpu")
+    context.runtime.device_map[EMULATED_GPU] = wp.get_device("cpu")
     wp.config.enable_cpu_blocks = True
 
 to_the_bit = pytest.mark.skipif(not ON_CPU, reason="the same seed gives the same bits on the CPU only")

@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import warp as wp
@@ -21,7 +22,7 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.registries import METHODS
 from oimppi_warp.system import precompile
 from oimppi_warp.system.doctor import PACKAGES, Facts, Gpu, diagnose, gather_facts
-from oimppi_warp.system.precompile import compile_for, needed_on_cuda, record_modules
+from oimppi_warp.system.precompile import Variant, compile_for, needed_on_cuda, record_modules
 from oimppi_warp.usd import shipped_scenes
 
 WELL = Facts(
@@ -61,7 +62,7 @@ def test_nothing_is_wrong_with_a_machine_that_is_well():
         ({"scenes": 0}, "no shipped scenes"),
         ({"gpus": (), "driver": None}, "Warp cannot use it"),
         ({"gpus": (), "driver": (13, 0)}, "Warp cannot use it"),
-        ({"driver": (12, 2)}, "the driver supports CUDA 12.2"),
+        ({"driver": (12, 2)}, "CUDA 12.2, and Warp"),
         ({"writable": (False, True)}, "/caches/warp is not writable"),
         ({"writable": (True, False)}, "/caches/fields is not writable"),
         ({"memory": 2_000_000_000}, "2.0 GB of memory"),
@@ -143,7 +144,7 @@ def test_after_a_warmup_a_run_compiles_nothing(tmp_path):
 
 
 def test_what_a_gpu_needs_of_ours_is_found():
-    names = {module.name for module, _ in needed_on_cuda(small_tasks.shipped("task01"), ["quasistatic"])}
+    names = {each.module.name for each in needed_on_cuda(small_tasks.shipped("task01"), ["quasistatic"])}
     kernels = ("robot_rollout_RRRRRR", "rollouts.object", "sample_controls_3", "optimizers.update", "update_nominal_6")
     assert {f"oimppi_warp.kernels.{name}" for name in kernels} <= names
     assert "oimppi_warp.kernels.fields.cost_to_go" in names, "SOI follows its cost-to-go there"
@@ -185,14 +186,32 @@ def test_a_rehearsal_lists_what_is_launched_in_it_with_the_blocks_that_are_asked
     for block, dim in ((64, 64), (None, 64), (None, 0)):
         with record_modules() as found:
             wp.launch(count_up, dim=dim, inputs=[numbers], device="cpu", block_dim=block)
-        assert found == ([(count_up.module, block or 256)] if dim else [])
+        assert found == ([Variant(count_up.module, block or 256)] if dim else [])
     assert not wp.config.enable_cpu_blocks
     with record_modules() as found:
         wp.launch(count_up, dim=64, inputs=[wp.zeros(64, dtype=int, device="cpu")], device="cpu", block_dim=64)
         wp.get_suggested_block_size(count_up)  # a GPU loads the variant with the usual block to answer
-    assert sorted(block for _, block in found) == [64, 256]
+    assert sorted(variant.block for variant in found) == [64, 256]
     wp.launch(count_up, dim=64, inputs=[numbers], device="cpu", block_dim=64)
     assert set(numbers.numpy()) == {4}
+
+
+@wp.kernel(module="unique")
+def copy_any(source: wp.array[Any], target: wp.array[Any]):
+    target[wp.tid()] = source[wp.tid()]
+
+
+def test_a_generic_kernel_is_compiled_in_every_state_that_is_loaded(tmp_path, monkeypatch):
+    start_warp()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    with record_modules() as found:
+        for dtype in (float, wp.vec3, float):
+            numbers = [wp.zeros(4, dtype=dtype, device="cpu") for _ in range(2)]
+            wp.launch(copy_any, dim=4, inputs=[numbers[0]], outputs=[numbers[1]], device="cpu", block_dim=256)
+    assert [len(each.overloads[0][1]) for each in found] == [1, 2]
+    assert compile_for(found, 90, lambda module: None) == 2
+    states = {file.parent.name for file in tmp_path.rglob("*.cubin")}
+    assert states == {file.parent.name for file in tmp_path.rglob("*.o")}, "what the launches loaded, under one name"
 
 
 @pytest.mark.slow
@@ -201,9 +220,9 @@ def test_all_that_a_newton_plan_needs_compiles_for_a_hopper_gpu(tmp_path, monkey
     start_warp()  # it fills in the folder that is put back in the end
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     variants = needed_on_cuda(small_tasks.shipped("task02"), ["newton"])
-    names = {module.name for module, _ in variants}
-    assert {block for _, block in variants} >= {32, 64, 128, 256}, "as MuJoCo Warp asks for them"
-    broad = {block for module, block in variants if module.name.startswith("_nxn_broadphase")}
+    names = {each.module.name for each in variants}
+    assert {each.block for each in variants} >= {32, 64, 128, 256}, "as MuJoCo Warp asks for them"
+    broad = {each.block for each in variants if each.module.name.startswith("_nxn_broadphase")}
     assert len(broad) == 2 and 256 in broad, "the kernel is launched with one size, and its occupancy asked with 256"
     assert {"mujoco_warp._src.solver", "mujoco_warp._src.smooth", "oimppi_warp.kernels.rollouts.worlds"} <= names
     assert len(variants) > 60
