@@ -32,6 +32,8 @@ ARGUMENTS = {
 """What a factory is asked for; controls of 2, 3, 6 and 7 numbers where nothing is said."""
 MOST_REGISTERS, MOST_STACK = 255, 64
 """Most registers per thread, and bytes of local memory per thread, where registers that do not fit are spilled."""
+STACK = {"oimppi_warp.kernels.fields.distance": 512}
+"""Modules with a larger stack: that of a mesh query, which runs on the CPU only."""
 
 
 def kernel_modules() -> Iterator[wp.Module]:
@@ -80,7 +82,7 @@ def test_a_kernel_module_compiles_without_a_gpu_and_spills_no_registers(module, 
         assert any("_cuda_kernel_forward" in name for name in found)
         for name, taken in found.items():
             assert taken["REG"] <= MOST_REGISTERS and taken["LOCAL"] == 0, name
-            assert taken["STACK"] <= MOST_STACK, name
+            assert taken["STACK"] <= STACK.get(module.name, MOST_STACK), name
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name.rpartition(".")[2])
