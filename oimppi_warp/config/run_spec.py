@@ -32,8 +32,8 @@ class RunSpec:
 
     engine: EngineName = "auto"
     """Rollout engine: the paper's quasi-static model (quasistatic) or full physics (newton).
-    auto selects, among the engines that keep up with the control period on this machine, the one with the highest
-    known success rate, or the fastest engine if none keeps up."""
+    auto selects the engine with the highest known success rate among those that keep up with the control period.
+    If none keeps up on this machine, the fastest engine is selected."""
 
     device: Annotated[str, arg(metavar="NAME")] = "auto"
     """Device of the planner: cpu, cuda:0, cuda:1, ...; auto selects the first GPU, or the CPU if there is no GPU."""
@@ -48,12 +48,11 @@ class RunSpec:
 
     plant: PlantName = "ideal"
     """Plant to control: an ideal simulation (ideal), or a simulated laboratory (lab), configured by the settings lab.*.
-    In the laboratory, the object is detected once a second, with delay, noise, occasional outliers and occlusion by the
-    arm. Commands are delayed and joint accelerations are limited."""
+    In lab, the object is detected once a second, with delay, noise, occasional outliers and occlusion by the arm.
+    Commands are delayed and joint accelerations are limited."""
 
     mode: Mode = "lockstep"
-    """Timing: the plant waits for each plan (lockstep), or planner and plant run in parallel on the wall clock
-    (realtime)."""
+    """Timing: the plant waits for each plan (lockstep) or runs in parallel with the planner in real time (realtime)."""
 
     def changed(self, **options: Any) -> RunSpec:
         """Returns a copy with some options changed, after validation.
