@@ -502,7 +502,7 @@ class Config:
     object: ObjectLevel = group(
         ObjectLevel(), "The object level, which plans how the object moves to its goal without the robot (equation 13)."
     )
-    cost: RobotCost = group(RobotCost(), "Cost weights of the robot level (equations 14 to 19).")
+    cost: RobotCost = group(RobotCost(), "Cost weights of the robot level (equations 14, 15 and 17).")
     object_cost: ObjectCost = group(ObjectCost(), "Cost weights of the object level (equation 15).")
     episode: EpisodeConfig = group(EpisodeConfig(), "End of an episode, and commands while a plan is late.")
     lab: LabConfig = group(LabConfig(), "The simulated laboratory (`--plant lab`).")
