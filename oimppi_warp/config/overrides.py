@@ -270,7 +270,7 @@ def _check(setting: Setting, value: Any) -> None:
     numbers = value if isinstance(value, tuple) else (value,)
     for number in numbers:
         if isinstance(number, float | int) and not (low <= number <= high and math.isfinite(number)):
-            finite = "" if math.isfinite(number) else ", finite"
+            finite = "" if math.isfinite(number) or math.isfinite(high) else ", finite"
             raise ConfigError(
                 f"{setting.name} = {number:g} cannot be used\n  allowed: {setting.allowed_with_unit}{finite}"
             )

@@ -50,7 +50,7 @@ class Sampling:
         """
         if self.knots == 1 or self.knots > self.horizon:
             raise ConfigError(
-                f"{where}.knots = {self.knots} is not possible for a horizon of {self.horizon} steps\n"
+                f"{where}.knots = {self.knots} is not possible for a horizon of {self.horizon} step{'s' * (self.horizon != 1)}\n"
                 f"  allowed: 0 (independent noise at every step)"
                 + (f", or 2 to {self.horizon}" if self.horizon > 1 else "")
             )
