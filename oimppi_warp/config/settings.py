@@ -49,10 +49,11 @@ class Sampling:
             ConfigError: Two settings contradict each other, such as one knot, or more knots than steps in the horizon.
         """
         if self.knots == 1 or self.knots > self.horizon:
+            steps = "1 step" if self.horizon == 1 else f"{self.horizon} steps"
+            splines = f", or 2 to {self.horizon}" if self.horizon > 1 else ""
             raise ConfigError(
-                f"{where}.knots = {self.knots} is not possible for a horizon of {self.horizon} step{'s' * (self.horizon != 1)}\n"
-                f"  allowed: 0 (independent noise at every step)"
-                + (f", or 2 to {self.horizon}" if self.horizon > 1 else "")
+                f"{where}.knots = {self.knots} is not possible for a horizon of {steps}\n"
+                f"  allowed: 0 (independent noise at every step){splines}"
             )
 
 
