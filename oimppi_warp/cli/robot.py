@@ -110,7 +110,7 @@ class AddRobot:
         """
         if not name.replace("-", "_").isidentifier():
             raise ConfigError(
-                f"--name {name} is not a valid name\n  allowed: letters, digits, - and _, with no digit or - first"
+                f"--name {name} is not a valid name\n  allowed: letters, digits, - and _, with no digit first"
             )
         for option, value, most in (("length", self.tool_length, 2.0), ("radius", self.tool_radius, 0.1)):
             if not (math.isfinite(value) and 0.0 < value <= most):

@@ -130,7 +130,7 @@ def test_an_array_of_another_length_is_an_error_that_names_it(planner: Planner, 
 NONSENSE = {
     "joint_position": (np.array([0.0, np.nan, 0, 0, 0, 0]), "non-finite values in the joint positions"),
     "joint_velocity": (np.full(6, np.inf), "non-finite values in the joint velocities"),
-    "object_pose": (np.array([1e6, 0.0, 0.0]), "1e.06 m away"),
+    "object_pose": (np.array([1e6, 0.0, 0.0]), "1e.06 m from the origin"),
     "object_transform": (np.array([0, 0, 0, 0, 0, 0, np.nan]), "non-finite values in the object.s transform"),
 }
 
