@@ -19,7 +19,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
 
-install: $(LOCK_ENV) ## create the environment in .venv with everything needed to run, without development tools
+install: $(LOCK_ENV) ## install the package and its dependencies into .venv, without development tools
 
 $(LOCK_ENV): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is required, but $(PYTHON) is older; use make PYTHON=python3.x")'
@@ -37,16 +37,16 @@ $(EXTRAS_ENV): $(LOCK_ENV) requirements-extras.lock
 demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
 	$(BIN)/oimppi run task02 --start 1 --record runs/demo
 
-view: $(LOCK_ENV) ## watch the same task in the browser, and change it while it runs
+view: $(LOCK_ENV) ## watch the task of `make demo` in a browser, and change the task while it runs
 	$(BIN)/oimppi view task02 --start 1
 
 test: $(EXTRAS_ENV) ## run the tests on all cores
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
 
-nightly: $(EXTRAS_ENV) ## run the slow tests: whole episodes over many seeds, and kernels compiled for a GPU that is not present
+nightly: $(EXTRAS_ENV) ## run the slow tests: whole episodes with many seeds, and compilation of the kernels for GPUs
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
 
-lint: $(EXTRAS_ENV) ## run ruff, and check which packages may import which
+lint: $(EXTRAS_ENV) ## run ruff, and check the import rules between the packages
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
@@ -58,22 +58,22 @@ format: $(EXTRAS_ENV) ## format and fix the code with ruff
 types: $(EXTRAS_ENV) ## check types with pyright
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-bench: $(LOCK_ENV) ## measure planning time by stage
+bench: $(LOCK_ENV) ## measure the planning time of each stage
 	$(BIN)/python tools/bench_plan.py
 
-gpu-pack: $(LOCK_ENV) ## pack what tools/gpu_check.py needs on a GPU machine without a package registry (takes 15 minutes)
+gpu-pack: $(LOCK_ENV) ## pack the files that tools/gpu_check.py needs on a GPU machine without a package registry (15 minutes)
 	$(BIN)/python tools/gpu_pack.py
 
-gpu-rehearsal: $(LOCK_ENV) ## rehearse that check on an emulated GPU, with a fresh Python 3.12 (PYTHON312=...)
+gpu-rehearsal: $(LOCK_ENV) ## rehearse tools/gpu_check.py with an emulated GPU and a fresh Python 3.12 (PYTHON312=...)
 	$(BIN)/python tools/gpu_rehearsal.py --python $(PYTHON312)
 
-scenes: $(LOCK_ENV) ## regenerate the shipped scenes
+scenes: $(LOCK_ENV) ## write the shipped scenes again
 	$(BIN)/python tools/make_scenes.py
 
 wheel: $(EXTRAS_ENV) ## build a wheel from the source distribution and test it in a separate environment
 	$(BIN)/python tools/check_wheel.py
 
-ci: ## run the continuous integration locally
+ci: ## run all steps of the continuous integration locally
 	.ci/run
 
 lock: ## update the dependency locks (needs uv)
@@ -81,6 +81,6 @@ lock: ## update the dependency locks (needs uv)
 	$(COMPILE) --all-extras -c requirements.lock pyproject.toml -o requirements-extras.lock \
 		$$(sed -n 's/^\([a-z0-9-]*\)==.*/--no-emit-package \1/p' requirements.lock)
 
-clean: ## remove build products and caches, but not .venv
+clean: ## remove build products and caches, except .venv
 	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find oimppi_warp kernels tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,6 +1,6 @@
-"""Object-informed MPPI: an xArm6 pushes an object to its goal, planned on a CPU or a GPU.
+"""Object-informed MPPI: plans, on a CPU or a GPU, how an arm pushes an object to its goal.
 
-Public names are imported on first use to keep ``import oimppi_warp`` fast.
+Public names are imported when they are first used, so that ``import oimppi_warp`` is fast.
 """
 
 from __future__ import annotations

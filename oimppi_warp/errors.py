@@ -1,4 +1,6 @@
-"""Errors caused by bad input; each message states the mistake and its place, the allowed values and a fix."""
+"""Errors caused by bad input. A message states the mistake and, where they are known, its place, the allowed
+values and a fix.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from typing import Literal
 
 
 class OimppiError(Exception):
-    """Base class of all errors from bad input; the command line shows one message and exits with status 2."""
+    """Base class of the errors caused by bad input; the command line prints the message and exits with status 2."""
 
 
 @dataclass(frozen=True)
@@ -16,11 +18,11 @@ class Problem:
 
     Attributes:
         file: The USD file with the problem.
-        severity: An error prevents a run; a warning may spoil it.
-        prim: Path of the prim with the problem; empty if there is none.
+        severity: ``"error"`` if the problem prevents a run, ``"warning"`` if it may spoil one.
+        prim: Path of the prim with the problem; empty if the problem concerns the whole file.
         what: Description of the problem, with the value found.
-        allowed: The values that would be allowed.
-        fix: How to fix it.
+        allowed: Description of the allowed values; empty if there is nothing to choose from.
+        fix: Instruction that fixes the problem; empty if ``allowed`` suffices.
     """
 
     file: str
@@ -32,15 +34,15 @@ class Problem:
 
 
 class SceneError(OimppiError):
-    """A scene that cannot be run.
+    """A scene that cannot be run, or a file of a robot or an object that cannot be used.
 
     Args:
         what: Description of the mistake, with the value found.
-        file: The USD file with the mistake.
-        prim: Path of the prim with the mistake, if there is one.
-        allowed: The values that would be allowed.
-        fix: How to fix it.
-        others: Number of other mistakes in the scene.
+        file: The file with the mistake, or its path; empty if there is none.
+        prim: The USD prim with the mistake, or its path; empty if there is none.
+        allowed: Description of the allowed values; empty if there is nothing to choose from.
+        fix: Instruction that fixes the mistake; empty if ``allowed`` suffices.
+        others: Number of further mistakes in the scene, which ``oimppi scene check`` lists.
     """
 
     def __init__(
@@ -66,21 +68,21 @@ class SceneError(OimppiError):
 
     @property
     def problem(self) -> Problem:
-        """Returns the error as data."""
+        """Returns the error as a problem with the severity ``"error"``."""
         return Problem(self.file, "error", self.prim, self.what, self.allowed, self.fix)
 
     def among(self, others: int) -> SceneError:
-        """Returns the same error with a note that the scene has ``others`` more mistakes."""
+        """Returns a copy of the error whose message adds that the scene has ``others`` further mistakes."""
         return SceneError(self.what, file=self.file, prim=self.prim, allowed=self.allowed, fix=self.fix, others=others)
 
 
 class ConfigError(OimppiError):
-    """A setting that does not exist or has a value that cannot be used."""
+    """A setting, an option or an argument that does not exist or has a value that cannot be used."""
 
 
 class DeviceError(OimppiError):
-    """A compute device that does not exist."""
+    """A compute device that does not exist, or has too little free memory."""
 
 
 class ObservationError(OimppiError):
-    """An observation that cannot be used: an array of the wrong length or, at the start, impossible values."""
+    """An observation that cannot be used: an array has the wrong shape or, at the start, implausible values."""

@@ -10,12 +10,14 @@ from typing import Any
 def names_on_first_use(
     package: str, modules: Mapping[str, str], namespace: dict[str, Any]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Returns ``__getattr__`` and ``__dir__`` for a package (PEP 562).
+    """Returns the functions ``__getattr__`` and ``__dir__`` for a package (PEP 562).
+
+    ``__getattr__`` imports a public name; for other names it raises AttributeError, with a list of the public names.
 
     Args:
-        package: Name of the package.
-        modules: The submodule of each public name.
-        namespace: Globals of the package, in which names are kept after first use.
+        package: Name of the package, such as ``"oimppi_warp"``.
+        modules: Public names, each with its module relative to the package, such as ``"config.settings"``.
+        namespace: Globals of the package, to which a name is added when it is first used.
     """
 
     def look_up(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Observations, which a plant sends to a planner, and their checks."""
+"""Observations, which a plant sends to a planner, and functions that check them."""
 
 from __future__ import annotations
 
@@ -11,25 +11,27 @@ from oimppi_warp.errors import ObservationError
 from oimppi_warp.scene import PlanarPose, Robot
 
 FARTHEST_OBJECT = 10.0
-"""Distance from the robot beyond which an object's pose is considered a perception error [m]."""
+"""Distance from the world's origin beyond which an object's pose is considered a perception error [m]."""
 BEYOND_LIMITS = 0.5
-"""Distance beyond its limits at which a reported joint position is considered a sensor error [rad; m]."""
+"""Distance outside the limits of a joint beyond which its reported position is considered a sensor error [rad; m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """The state of a plant as it is known at one instant.
+    """The state of a plant as reported at one instant, in the world frame.
 
     Attributes:
         time: Time since the start of the episode [s].
         joint_position: Joint positions, shape [dof] [rad].
         joint_velocity: Joint velocities, shape [dof] [rad/s].
-        object_pose: Planar pose of the object as last seen: (x [m], y [m], yaw [rad]), shape [3]; NaN before that.
-        object_transform: Pose of the object (position, quaternion xyzw), shape [7].
-        object_time: Time at which the object had this pose [s]; NaN before it was first seen. ``None`` if the pose is
-            always known, at ``time``.
-        trail: Times [s] and joint positions [rad] since the previous observation, which is included, shape
-            [n, 1 + dof]; empty if the plant reports only once per control period.
+        object_pose: Planar pose of the object's frame as last detected: (x [m], y [m], yaw [rad]), shape [3]; NaN
+            before the first detection.
+        object_transform: The same pose in space: position [m] and quaternion xyzw, shape [7]; NaN before the first
+            detection.
+        object_time: Time at which the object had this pose [s]; NaN before the first detection. ``None`` if the plant
+            always knows the pose; the pose is then that at ``time``.
+        trail: Joint reports from that of the previous observation to the latest one: time [s] and joint positions
+            [rad], shape [n, 1 + dof]; empty if the plant reports only once per control period.
     """
 
     time: float
@@ -42,27 +44,38 @@ class Observation:
 
 
 def planar_transform(pose: PlanarPose, height: float) -> np.ndarray:
-    """Converts a planar pose to a transform (position, quaternion xyzw), shape [7].
+    """Returns the transform (position [m], quaternion xyzw) of an upright body at a planar pose, shape [7].
 
     Args:
-        pose: (x, y, yaw).
-        height: z [m].
+        pose: (x [m], y [m], yaw [rad]).
+        height: z of the body's frame [m].
     """
     x, y, yaw = pose
     return np.array([x, y, height, 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
 
 
 def planar_pose(transform: np.ndarray) -> np.ndarray:
-    """Projects a transform (position, quaternion xyzw) to a pose (x, y, yaw), yaw within (-pi, pi], shape [3]."""
+    """Projects a transform to the table.
+
+    Args:
+        transform: Position [m] and quaternion xyzw, shape [7].
+
+    Returns:
+        (x [m], y [m], yaw [rad]) with the yaw from -pi to pi, shape [3].
+    """
     x, y, _, qx, qy, qz, qw = transform
     return np.array([x, y, np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))])
 
 
 def check_shapes(observation: Observation, dof: int) -> None:
-    """Checks the lengths of an observation's arrays for a robot of ``dof`` joints.
+    """Checks the shapes of an observation's arrays.
+
+    Args:
+        observation: The observation.
+        dof: Number of the robot's joints.
 
     Raises:
-        ObservationError: An array has the wrong length; the message names it.
+        ObservationError: An array has the wrong shape; the message names the array.
     """
     for name, length in (
         ("joint_position", dof),
@@ -81,10 +94,14 @@ def check_shapes(observation: Observation, dof: int) -> None:
 
 
 def implausible(observation: Observation, robot: Robot) -> str:
-    """Returns the reason why an observation cannot be planned from; empty if it can.
+    """Returns the reason why an observation is implausible; empty if it is plausible.
 
-    Numbers that are not finite, an object farther than :data:`FARTHEST_OBJECT` away and joints more than
-    :data:`BEYOND_LIMITS` outside their limits are sensor errors, not states to plan from.
+    An observation is implausible, and nothing is planned from it, if a number is not finite, the object is farther than
+    :data:`FARTHEST_OBJECT` from the origin, or a joint is more than :data:`BEYOND_LIMITS` outside its limits.
+
+    Args:
+        observation: An observation whose shapes are correct; see :func:`check_shapes`.
+        robot: The robot, for its joint limits.
     """
     values = {
         "the joint positions": observation.joint_position,
@@ -99,7 +116,7 @@ def implausible(observation: Observation, robot: Robot) -> str:
         float(np.hypot(*observation.object_pose[:2])), float(np.linalg.norm(observation.object_transform[:3]))
     )
     if distance > FARTHEST_OBJECT:
-        return f"the object is reported {distance:.4g} m away (more than {FARTHEST_OBJECT:g} m)"
+        return f"the object is reported {distance:.4g} m from the origin (more than {FARTHEST_OBJECT:g} m)"
     beyond = beyond_limits(robot, observation.joint_position)
     number = int(np.argmax(beyond))
     if beyond[number] > BEYOND_LIMITS:
@@ -109,7 +126,12 @@ def implausible(observation: Observation, robot: Robot) -> str:
 
 
 def beyond_limits(robot: Robot, joint_position: np.ndarray) -> np.ndarray:
-    """Returns the distance of joint positions [..., dof] beyond the joints' limits; negative within [rad; m]."""
+    """Returns how far joint positions are outside the joints' limits, negative inside, shape [..., dof] [rad; m].
+
+    Args:
+        robot: The robot.
+        joint_position: Joint positions, shape [..., dof] [rad; m].
+    """
     lower, upper = _limits(robot)
     return np.maximum(lower - joint_position, joint_position - upper)
 

@@ -1,4 +1,4 @@
-"""All registries, with the locations of their built-in entries. Importing this module does not import the entries."""
+"""All registries, with the locations of their shipped entries. Importing this module does not import the entries."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ METHODS: Registry[Any] = Registry(
         "cloi": "oimppi_warp.planning.cloi:ClosedLoopPlanner",
     },
 )
-"""Methods: subclasses of :class:`oimppi_warp.planning.planner.Planner`."""
+"""Planning methods: subclasses of :class:`oimppi_warp.planning.planner.Planner`."""
 
 OPTIMIZERS: Registry[Any] = Registry(
     "optimizer",
     "oimppi_warp.optimizers",
     {"mppi": "oimppi_warp.planning.optimizers.mppi:Mppi", "cem": "oimppi_warp.planning.optimizers.cem:Cem"},
 )
-"""Sampling-based optimisers of a control sequence, for either level."""
+"""Sampling-based optimisers of a control sequence, for both levels: subclasses of
+:class:`oimppi_warp.planning.optimizers.optimizer.Optimizer`."""
 
 ENGINES: Registry[Any] = Registry(
     "engine",
@@ -39,7 +40,8 @@ PLANTS: Registry[Any] = Registry(
     "oimppi_warp.plants",
     {"ideal": "oimppi_warp.plants.plant:ideal_plant", "lab": "oimppi_warp.plants.lab:lab_plant"},
 )
-"""Plants to move: ``(scene, config, *, seed) -> Plant`` (:class:`oimppi_warp.plants.plant.Plant`)."""
+"""Functions that make a plant to control, ``(scene, config, *, seed) -> Plant``
+(:class:`oimppi_warp.plants.plant.Plant`)."""
 
 COST_TERMS: Registry[Any] = Registry("cost term", "oimppi_warp.cost_terms", {})
 """Cost terms of the robot level, in addition to the built-in ones (:class:`oimppi_warp.CostTerm`)."""

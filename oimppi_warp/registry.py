@@ -1,9 +1,9 @@
 """Registries, in which methods, optimisers, engines, plants, cost terms and shapes are added by name.
 
-Everything that offers a choice (the command line, suites, the viewer, tables, ``oimppi doctor``) reads a registry, so a
-new entry appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python
-(:meth:`Registry.register`) or, to be available on the command line and in worker processes too, declared by an
-installed package as an entry point of the registry's group. `docs/extending.md` has an example of each.
+The command line, suites, the viewer, tables and ``oimppi doctor`` offer the entries of the registries, so a new entry
+appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python with
+:meth:`Registry.register`. To be available on the command line and in worker processes too, an entry must be declared by
+an installed package as an entry point of the registry's group. `docs/extending.md` has an example of each.
 """
 
 from __future__ import annotations
@@ -21,12 +21,15 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Named implementations of one kind, in the order in which they were added.
+    """Named implementations of one kind: the shipped ones, then those of installed packages, then registered ones.
+
+    Looking up a name (``registry[name]``) imports the entry. It raises KeyError if the name is unknown, and ConfigError
+    if an installed package's entry cannot be loaded.
 
     Args:
-        kind: Noun for an entry, in the singular, for messages: ``"method"``.
-        group: Entry point group for entries of installed packages: ``"oimppi_warp.methods"``.
-        shipped: Location of each shipped entry: ``"module:attribute"``.
+        kind: Noun for an entry, in the singular, for messages, such as ``"method"``.
+        group: Entry point group for entries of installed packages, such as ``"oimppi_warp.methods"``.
+        shipped: Shipped entries by name, each as ``"module:attribute"``.
     """
 
     def __init__(self, kind: str, group: str, shipped: Mapping[str, str]) -> None:
@@ -36,10 +39,14 @@ class Registry(Mapping[str, T], Generic[T]):
         self._loaded: dict[str, T] = {}
 
     def register(self, name: str, value: Any = None) -> Any:
-        """Adds an entry; without ``value``, returns a decorator that adds one.
+        """Adds an entry and returns it; without ``value``, returns a decorator that adds the decorated object.
+
+        Args:
+            name: Name of the entry.
+            value: The entry, of the type that the registry documents.
 
         Raises:
-            ConfigError: The name is taken by another entry.
+            ConfigError: Another entry has this name.
         """
         if value is None:
             return lambda decorated: self.register(name, decorated)
@@ -49,15 +56,15 @@ class Registry(Mapping[str, T], Generic[T]):
         return value
 
     def unregister(self, name: str) -> None:
-        """Removes an entry that :meth:`register` added; shipped and installed entries stay."""
+        """Removes an entry that :meth:`register` added; shipped entries and those of installed packages are kept."""
         if name not in self._targets:
             self._loaded.pop(name, None)
 
     def get_checked(self, name: str) -> T:
-        """Returns the entry of a name.
+        """Returns the entry with a name, after importing it if needed.
 
         Raises:
-            ConfigError: The entry does not exist; the message lists those that do.
+            ConfigError: No entry has this name (the message lists all names), or the entry cannot be loaded.
         """
         self.check(name)
         return self[name]
@@ -66,11 +73,11 @@ class Registry(Mapping[str, T], Generic[T]):
         """Checks that an entry exists, without importing it.
 
         Args:
-            name: The name.
+            name: Name of the entry.
             *others: Other names that are allowed, such as ``"auto"``.
 
         Raises:
-            ConfigError: The entry does not exist; the message lists those that do.
+            ConfigError: No entry has this name; the message lists all names.
         """
         known = [*others, *self]
         if name not in known:
@@ -79,15 +86,15 @@ class Registry(Mapping[str, T], Generic[T]):
             raise ConfigError(f"{self.kind} {name!r} does not exist\n  allowed: {', '.join(known)}{hint}")
 
     def is_local(self, name: str) -> bool:
-        """Returns whether an entry was added by :meth:`register`, and so is unknown to other processes."""
+        """Returns whether an entry was added by :meth:`register`, which makes it unknown to other processes."""
         return name in self._loaded and name not in self._targets and name not in self._installed
 
     def choice(self, *others: str) -> Any:
-        """Returns the names as a ``Literal`` type, for command lines; ``others`` come first."""
+        """Returns the names of all entries as a ``Literal`` type, for the command line, with ``others`` before them."""
         return Literal.__getitem__((*others, *self))  # pyright: ignore[reportAttributeAccessIssue]
 
     def package_of(self, name: str) -> str:
-        """Returns the installed package that declares an entry; empty for a shipped or registered one."""
+        """Returns the name of the installed package that declares an entry; empty for other entries."""
         point = self._installed.get(name)
         return point.dist.name if point is not None and point.dist is not None else ""
 
@@ -110,7 +117,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 except Exception as error:
                     raise ConfigError(
                         f"{self.kind} {name!r} of the package {self.package_of(name)} cannot be loaded: {error}\n"
-                        "  to do:   fix or remove the package; `oimppi doctor` lists its entries"
+                        "  to do:   fix or uninstall the package; `oimppi doctor` lists the entries that it adds"
                     ) from error
             else:
                 raise KeyError(name)
@@ -127,5 +134,5 @@ class Registry(Mapping[str, T], Generic[T]):
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
-        """Returns the entry points that installed packages declare; shipped names cannot be replaced."""
+        """Returns the entry points of installed packages by name, except those with the name of a shipped entry."""
         return {point.name: point for point in entry_points(group=self.group) if point.name not in self._targets}

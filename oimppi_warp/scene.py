@@ -1,13 +1,13 @@
 """Tasks as data: robot, obstacles, pushed object, start and goal.
 
-A :class:`Scene` is read from USD by :func:`oimppi_warp.usd.load_scene`, and is the only description of a task that
-planner, plant, viewer and caches use. It is immutable, including its arrays. ``dataclasses.replace`` and the ``with_``
-methods make a changed copy, and everything built from that copy reflects the change:
+A :class:`Scene` is read from USD by :func:`oimppi_warp.usd.load_scene`. Planner, plant, viewer and caches use no other
+description of a task. A scene and its arrays are immutable. ``dataclasses.replace`` and the ``with_`` methods return a
+changed copy, and everything that is built from this copy reflects the change:
 
     heavy = replace(scene, object=replace(scene.object, mass=5.0), obstacles=())
 
-SI units and radians; spatial transforms are arrays ``[7]`` (position, quaternion xyzw), planar poses are
-``(x, y, yaw)`` in the world frame (z up, origin at the centre of the arm's base, table top at z = 0).
+Units are SI units and radians. Spatial transforms are arrays ``[7]`` (position, quaternion xyzw). Planar poses are
+``(x, y, yaw)`` of a body's frame in the world frame (z up, origin at the centre of the arm's base, table top at z = 0).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LETTERS: dict[JointKind, str] = {"revolute": "R", "prismatic": "P"}
 
 
 class _ReadOnly:
-    """A dataclass whose arrays are read-only copies, since caches rely on them."""
+    """Base of dataclasses whose arrays are stored as read-only copies, since caches rely on unchanged arrays."""
 
     def __post_init__(self) -> None:
         for field in fields(self):  # pyright: ignore[reportArgumentType]
@@ -47,13 +47,13 @@ class Collider(_ReadOnly):
 
     Attributes:
         path: Prim path.
-        kind: Type of shape; a mesh is treated as the convex hull of its vertices.
-        transform: Pose of the shape in its body's frame (world frame for obstacles), shape [7].
-        size: Box: half extents (3) [m]. Sphere: (radius,). Cylinder and capsule: (radius, half height of the straight
-            part), along the shape's local z. Mesh: empty.
-        vertices: Mesh vertices in the shape's frame, shape [n, 3] [m]; ``None`` for the other kinds.
-        faces: Triangles of a mesh, indices into ``vertices``, shape [m, 3]. They enclose the material, which may be
-            hollow; ``None``: the hull is solid.
+        kind: Type of shape; a mesh collides as the convex hull of its vertices.
+        transform: Pose of the shape in the frame of its body (in the world frame for obstacles), shape [7].
+        size: Dimensions [m]. Box: half extents along x, y and z. Sphere: (radius,). Cylinder and capsule: (radius, half
+            length of the straight part), with the axis along the shape's z. Mesh: empty.
+        vertices: Vertices of a mesh in the shape's frame, shape [n, 3] [m]; ``None`` for the other kinds.
+        faces: Triangles of a mesh as indices into ``vertices``, shape [m, 3]; they enclose the material, which may be
+            hollow. ``None`` for a solid hull, and for the other kinds.
     """
 
     path: str
@@ -64,7 +64,7 @@ class Collider(_ReadOnly):
     faces: np.ndarray | None = None
 
     def scaled(self, factor: float) -> Collider:
-        """Returns the shape with all lengths, including the distance from its frame's origin, scaled by a factor."""
+        """Returns the shape with its dimensions and its distance from the body's origin multiplied by a factor."""
         return replace(
             self,
             transform=np.concatenate([factor * self.transform[:3], self.transform[3:]]),
@@ -75,13 +75,15 @@ class Collider(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Welded(_ReadOnly):
-    """A body that is welded to a link, such as the tool. Its colliders and its mass are included in the link's.
+    """A body that is welded to a link, such as the tool. The link's colliders and mass include those of the body.
 
     Attributes:
-        path: Prim path; the link's colliders whose paths are below it belong to this body.
-        transform: The body's frame in the link's, shape [7].
+        path: Prim path; those colliders of the link whose paths are below this path belong to the body.
+        transform: The body's frame in the link's frame, shape [7].
         mass: Mass [kg].
-        center_of_mass, unit_inertia: Like those of :class:`Link`, in the body's frame.
+        center_of_mass: Centre of mass in the body's frame, shape [3] [m]; ``None`` for that of the body's colliders.
+        unit_inertia: Rotational inertia about the centre of mass, divided by the mass, in the axes of the body's frame,
+            shape [3, 3] [m^2]; ``None`` for that of the body's colliders at uniform density.
     """
 
     path: str
@@ -99,12 +101,12 @@ class Link(_ReadOnly):
         path: Prim path.
         mass: Mass, including that of welded bodies [kg].
         colliders: Shapes in the link's frame, including those of welded bodies.
-        center_of_mass: Centre of mass of the link without welded bodies, in its frame, shape [3] [m]; ``None``: that of
-            its colliders.
+        center_of_mass: Centre of mass of the link without welded bodies, in the link's frame, shape [3] [m]; ``None``
+            for that of the link's colliders.
         unit_inertia: Rotational inertia of the link without welded bodies about its centre of mass, divided by its
-            mass, in the axes of the link's frame, shape [3, 3] [m^2]; ``None``: that of its colliders at uniform
-            density.
-        welded: Bodies welded to it.
+            mass, in the axes of the link's frame, shape [3, 3] [m^2]; ``None`` for that of the link's colliders at
+            uniform density.
+        welded: Bodies that are welded to the link.
     """
 
     path: str
@@ -117,20 +119,20 @@ class Link(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Joint(_ReadOnly):
-    """A joint that turns about or slides along its own local z axis.
+    """A joint that turns about, or slides along, the z axis of its own frame.
 
-    Wherever this package gives rad, rad/s or N m for a joint, the units of a sliding joint are m, m/s or N.
+    Wherever this package gives rad, rad/s or N m for a joint, the units for a sliding joint are m, m/s and N.
 
     Attributes:
         path: Prim path.
-        parent_transform: Joint frame in the frame of the previous link (the base for the first joint), shape [7]; the
-            link that the joint moves has this frame at position zero.
-        lower, upper: Position limits [rad]; finite for a sliding joint.
+        parent_transform: The joint's frame in the frame of the previous link (the base for the first joint), shape [7];
+            at joint position zero, it is also the frame of the link that the joint moves.
+        lower, upper: Position limits [rad]; those of a sliding joint are finite.
         velocity_limit: Velocity limit [rad/s].
         effort_limit: Torque limit [N m].
-        kind: ``"revolute"`` turns, ``"prismatic"`` slides.
+        kind: ``"revolute"`` if the joint turns, ``"prismatic"`` if it slides.
         friction: Torque of dry friction in the joint [N m].
-        damping: Torque of viscous friction per velocity [N m s/rad].
+        damping: Torque of viscous friction in the joint, divided by the velocity [N m s/rad].
     """
 
     path: str
@@ -150,10 +152,10 @@ class Robot(_ReadOnly):
 
     Attributes:
         path: Prim path.
-        base: The fixed base link; its shapes are in the world's frame.
+        base: The fixed base link; its shapes are in the world frame.
         joints: The moving joints from base to flange, length dof.
-        links: The link that each joint moves, length dof; bodies welded to the last one (the tool) are part of it.
-        tip: The tool's tip in the last link's frame, shape [7]; its z axis points out of the tool.
+        links: The link that each joint moves, length dof; the last link includes the tool, which is welded to it.
+        tip: Frame of the tool's tip in the last link's frame, shape [7]; the z axis of the tip points out of the tool.
         tool_path: Prim path of the tip's prim.
         tool_radius: Radius of the stick [m].
         start: Joint positions at the start of an episode, shape [dof] [rad].
@@ -181,19 +183,19 @@ class Robot(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class PushedObject(_ReadOnly):
-    """The object to be pushed: it slides on the table and is never held.
+    """The object to be pushed, which slides on the table and is never grasped.
 
     Attributes:
         path: Prim path of the rigid body.
         mass: Mass [kg].
-        friction: Coulomb coefficient between object and table.
-        tool_friction: Coulomb coefficient between object and tool.
+        friction: Coulomb friction coefficient between object and table.
+        tool_friction: Coulomb friction coefficient between object and tool.
         center_of_mass: Centre of mass in the body's frame, shape [3] [m].
         colliders: Shapes in the body's frame.
         rest_height: z of the body's frame when the object rests on the table [m].
         unit_inertia: Rotational inertia about the centre of mass, divided by the mass, in the axes of the body's frame,
-            shape [3, 3] [m^2]; ``None``: that of the colliders at uniform density. It depends on the shape: when you
-            replace the colliders, also set ``unit_inertia=None`` and the rest height.
+            shape [3, 3] [m^2]; ``None`` for that of the colliders at uniform density. Inertia and rest height depend on
+            the colliders: with new colliders, also set ``unit_inertia=None`` and the new ``rest_height``.
     """
 
     path: str
@@ -206,7 +208,7 @@ class PushedObject(_ReadOnly):
     unit_inertia: np.ndarray | None = None
 
     def scaled(self, factor: float) -> PushedObject:
-        """Returns the object scaled by a factor, with the same mass."""
+        """Returns the object with all lengths multiplied by a factor, and with the same mass."""
         return replace(
             self,
             center_of_mass=factor * self.center_of_mass,
@@ -218,21 +220,26 @@ class PushedObject(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """A static body that neither robot nor object may collide with; its colliders are in the world frame."""
+    """A static body with which neither robot nor object may collide.
+
+    Attributes:
+        path: Prim path.
+        colliders: Shapes in the world frame.
+    """
 
     path: str
     colliders: tuple[Collider, ...]
 
     @property
     def center(self) -> np.ndarray:
-        """Returns the mean of its colliders' origins, shape [3] [m]."""
+        """Returns the mean of the origins of the colliders, in the world frame, shape [3] [m]."""
         return np.mean([collider.transform[:3] for collider in self.colliders], axis=0)
 
     def moved(self, by: PlanarPose) -> Obstacle:
-        """Returns the obstacle moved on the table.
+        """Returns the obstacle moved along the table.
 
         Args:
-            by: Displacement along x and y [m], and rotation about the vertical through its centre [rad].
+            by: Displacement along x and y [m], and rotation about the vertical through :attr:`center` [rad].
         """
         x, y, turn = by
         center = self.center
@@ -245,9 +252,9 @@ class Table:
 
     Attributes:
         path: Prim path.
-        lower, upper: Corners of the top (x, y) [m].
+        lower, upper: Corners of the top with the smallest and the largest x and y [m].
         thickness: Height of the box [m].
-        others: Other colliders of the table, such as its legs, in the world frame. The planner ignores them.
+        others: Other colliders of the table, such as its legs, in the world frame; the planner ignores them.
     """
 
     path: str
@@ -259,11 +266,11 @@ class Table:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Tolerance within which the object is at its goal.
+    """Largest errors with which the object still counts as being at its goal.
 
     Attributes:
-        position: Distance to the goal [m].
-        yaw: Absolute yaw error [rad]; infinite if yaw does not matter.
+        position: Largest distance between object and goal [m].
+        yaw: Largest absolute yaw error [rad]; infinite if every yaw is allowed.
     """
 
     position: float
@@ -275,14 +282,21 @@ class Scene(_ReadOnly):
     """One task.
 
     Attributes:
-        file: The USD file from which the scene was read; now used for appearance only.
-        name: Short name (the file's stem).
+        file: The USD file from which the scene was read; after that, the file is used for its appearance only.
+        name: Short name: the file's name without extension.
         title: One-line description.
-        start: Start pose of the object; ``starts`` lists the task's ten default ones, shape [n, 3].
-        spread: Half widths of the box around ``start`` that a seed draws starts from: (position [m], yaw [rad]).
+        robot: The robot.
+        object: The object to be pushed.
+        table: The table.
+        obstacles: The obstacles.
+        start: Start pose of the object.
+        starts: Listed start poses of the object (x [m], y [m], yaw [rad]), shape [n, 3].
+        spread: Half widths of the box around ``start`` from which seeds draw starts: (position [m], yaw [rad]).
         goal: Goal pose of the object.
-        tolerance, tight_tolerance: The paper's criterion of success, and a stricter one that is also reported.
-        gravity: Acceleration in the world frame [m/s^2]. The plant uses it; planners assume 9.81 m/s^2 downwards.
+        tolerance: Tolerance for success.
+        tight_tolerance: Stricter tolerance, for which success is reported as well.
+        gravity: Acceleration due to gravity in the world frame, used by the plant [m/s^2]; planners assume 9.81 m/s^2
+            downwards.
     """
 
     file: Path
@@ -301,20 +315,20 @@ class Scene(_ReadOnly):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
     def with_start(self, start: PlanarPose) -> Scene:
-        """Returns the task with another start; it is not checked (see ``feasibility.check_task``)."""
+        """Returns the task with another start pose; see ``feasibility.check_task`` to check the result."""
         return replace(self, start=start)
 
     def with_goal(self, goal: PlanarPose) -> Scene:
-        """Returns the task with another goal; it is not checked (see ``feasibility.check_task``)."""
+        """Returns the task with another goal pose; see ``feasibility.check_task`` to check the result."""
         return replace(self, goal=goal)
 
     def with_obstacle(self, obstacle: Obstacle) -> Scene:
-        """Returns the task with another obstacle, which replaces one with the same path."""
+        """Returns the task with an obstacle added; an obstacle with the same path is replaced."""
         others = {each.path: each for each in self.obstacles} | {obstacle.path: obstacle}
         return replace(self, obstacles=tuple(others.values()))
 
     def without_obstacle(self, path: str) -> Scene:
-        """Returns the task without one of its obstacles.
+        """Returns the task without one of its obstacles, given by the obstacle's prim path.
 
         Raises:
             SceneError: There is no obstacle with that path.
@@ -323,7 +337,11 @@ class Scene(_ReadOnly):
         return replace(self, obstacles=tuple(each for each in self.obstacles if each is not gone))
 
     def with_obstacle_moved(self, path: str, by: PlanarPose) -> Scene:
-        """Returns the task with an obstacle moved (see :meth:`Obstacle.moved`); it is not checked.
+        """Returns the task with an obstacle moved; see ``feasibility.check_task`` to check the result.
+
+        Args:
+            path: The obstacle's prim path.
+            by: Displacement and rotation; see :meth:`Obstacle.moved`.
 
         Raises:
             SceneError: There is no obstacle with that path.
@@ -331,7 +349,7 @@ class Scene(_ReadOnly):
         return self.with_obstacle(self.obstacle(path).moved(by))
 
     def obstacle(self, path: str) -> Obstacle:
-        """Returns the obstacle with a path.
+        """Returns the obstacle with a prim path.
 
         Raises:
             SceneError: There is no obstacle with that path.
@@ -340,7 +358,7 @@ class Scene(_ReadOnly):
             if each.path == path:
                 return each
         raise SceneError(
-            f"no obstacle <{path}>",
+            f"there is no obstacle <{path}>",
             file=self.file,
             allowed=", ".join(f"<{each.path}>" for each in self.obstacles) or "none, as the scene has no obstacles",
             fix="give the path of one of the scene's obstacles",
@@ -348,7 +366,14 @@ class Scene(_ReadOnly):
 
 
 def _carried(shape: Collider, center: np.ndarray, by: tuple[float, float], turn: float) -> Collider:
-    """Rotates a shape in the world about the vertical through a point [3], then translates it."""
+    """Returns a shape after a rotation about the vertical through a point, and a translation along the table.
+
+    Args:
+        shape: The shape, with its transform in the world frame.
+        center: The point, shape [3] [m].
+        by: Translation along x and y [m].
+        turn: Rotation [rad].
+    """
     c, s = math.cos(turn), math.sin(turn)
     x, y = shape.transform[:2] - center[:2]
     half_c, half_s = math.cos(turn / 2.0), math.sin(turn / 2.0)

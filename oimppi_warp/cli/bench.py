@@ -37,7 +37,7 @@ class Bench:
     """
 
     suite: Annotated[Positional[str], arg(metavar="SUITE", help_behavior_hint="(default: list all suites)")] = ""
-    """Name of a shipped suite, or a TOML file."""
+    """Name of a shipped suite, or a suite's TOML file."""
 
     out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/SUITE)")] = None
     """Folder for records, results and report."""
@@ -46,19 +46,19 @@ class Bench:
     """Number of trials per task and method."""
 
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """Number of the first trial. Shipped scenes list starts for trials 0 to 9; all others are drawn by the seed."""
+    """Number of the first trial. Trials 0 to 9 of shipped scenes have listed starts; others are drawn with the seed."""
 
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint=AsInSuite)] = None
-    """Seed from which the seeds of all trials are derived: a 32-bit number."""
+    """Seed from which the seeds of all trials are derived: 0 to 4294967295."""
 
     tasks: Annotated[tuple[str, ...], arg(metavar="TASK", help_behavior_hint="(default: all)")] = ()
-    """Run only these tasks of the suite."""
+    """Tasks of the suite to run: one or more names."""
 
     methods: Annotated[tuple[str, ...], arg(metavar="METHOD", help_behavior_hint="(default: all)")] = ()
-    """Run only these methods of the suite."""
+    """Methods of the suite to run: one or more names."""
 
     assignments: Assignments = ()
-    """Change settings of all trials; applied after the suite's own changes."""
+    """Change settings of all trials, after the suite's own changes; docs/settings.md lists the names."""
 
     max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint=AsInSuite)] = None
     """Time limit of an episode in simulated seconds."""
@@ -67,13 +67,13 @@ class Bench:
     """Number of trials to run in parallel, each in a separate process; with 1, trials run in this process."""
 
     backend: Backend = "loky"
-    """Execution of the trials: in processes on this machine (loky) or on a cluster (dask)."""
+    """Execution of the trials: in processes on this machine (loky), or on a Dask cluster (dask)."""
 
     cluster: Annotated[str, arg(metavar="ADDRESS", help_behavior_hint="(default: a local cluster)")] = ""
-    """Address of a running Dask cluster."""
+    """Address of a running Dask cluster, for --backend dask."""
 
     retry: FlagCreatePairsOff[bool] = False
-    """Rerun the trials that raised an error."""
+    """Run the trials that raised an error again."""
 
     no_report: FlagCreatePairsOff[bool] = False
     """Write the results without a report."""
@@ -91,10 +91,10 @@ class Bench:
             if value is not None:
                 check_value(key, value, "--")
         if self.jobs is not None and self.jobs < 1:
-            raise ConfigError(f"--jobs {self.jobs}: cannot be used\n  allowed: 1 or more")
+            raise ConfigError(f"--jobs {self.jobs} cannot be used\n  allowed: 1 or more")
         if self.cluster and self.backend == "loky":
             raise ConfigError(
-                f"--cluster {self.cluster}: the backend loky does not use a cluster\n  to do:   add --backend dask"
+                f"--cluster {self.cluster}: the backend loky runs without a cluster\n  to do:   add --backend dask"
             )
         assignments = tuple(assignment for group in self.assignments for assignment in group)
         suite = suite.changed(**changes).assigned(assignments)
@@ -132,7 +132,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class Report:
-    """Write the report of a suite's results as one HTML page and as Markdown."""
+    """Write a report of a suite's results, as one HTML page and as Markdown."""
 
     results: Annotated[Positional[Path], arg(metavar="RESULTS")]
     """Folder written by `oimppi bench`, or its results.json."""
@@ -163,7 +163,7 @@ class Compare:
     """First set: a folder written by `oimppi bench`, or its results.json."""
 
     second: Annotated[Positional[Path], arg(metavar="B")]
-    """Second set, given in the same way."""
+    """Second set: a folder or a results.json, as for A."""
 
     out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: terminal only)")] = None
     """File to which the comparison is also written, as Markdown."""
@@ -204,7 +204,7 @@ def _list_suites() -> int:
 
 @contextmanager
 def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], None]]:
-    """Shows a progress bar over the trials with the success rates so far; yields the callback for each result."""
+    """Shows a progress bar over the trials with success rates; yields the function to call with each new result."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     began, here = time.monotonic(), 0
@@ -234,7 +234,7 @@ def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], No
 
 
 def _summary(results: ResultSet, folder: Path) -> None:
-    """Prints a summary of the results."""
+    """Prints a table of the results, the number of trials, and the causes of failures with their counts."""
     from rich.console import Console
 
     from oimppi_warp.bench.report.tables import brief_table
@@ -243,14 +243,14 @@ def _summary(results: ResultSet, folder: Path) -> None:
     missing = results.planned - len(results.results)
     failed = [result for result in results.results if not result.success]
     console = Console(highlight=False)
-    left = f", {missing} not run yet" if missing else ""
+    left = f"; {missing} of {results.planned} trials have not been run" if missing else ""
     console.print(f"{len(results.results)} trials, {len(failed)} failed{left}; results in {folder}", soft_wrap=True)
     for name in sorted({result.cause for result in failed}):
         console.print(f"  {sum(result.cause == name for result in failed):3d}  {name}")
 
 
 def _print_table(table: Table) -> None:
-    """Prints a table, at full width if the output is not a terminal."""
+    """Prints a table, or nothing if it has no rows; if the output is not a terminal, lines are not wrapped."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table as Grid

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Check:
-    """Check scenes for everything that would prevent or spoil a run, and suggest fixes.
+    """Check scenes for problems that would prevent or spoil a run, and suggest fixes.
 
     Exit status: 0 no errors, 1 errors (with --strict, also warnings), 2 bad input, such as a missing file.
     """
@@ -37,7 +37,7 @@ class Check:
     def execute(self) -> int:
         """Prints the problems found and returns the exit status."""
         if not self.files:
-            raise ConfigError("no file to check\n  allowed: one or more USD files, or names of shipped scenes")
+            raise ConfigError("there is no file to check\n  to do:   name one or more USD files or shipped scenes")
         from rich.console import Console
 
         from oimppi_warp.authoring.checks.check import check_scene
@@ -64,7 +64,7 @@ class Check:
 
 
 def _show(console: Console, file: str, problems: Sequence[Problem]) -> None:
-    """Prints the problems of one scene."""
+    """Prints the problems of one scene, after a line with their number."""
     from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
@@ -85,4 +85,5 @@ def _show(console: Console, file: str, problems: Sequence[Problem]) -> None:
 
 
 def _count(number: int, noun: str) -> str:
+    """Returns a number with its noun, ``"2 errors"``; empty if the number is zero."""
     return f"{number} {noun}{'s' * (number != 1)}" if number else ""

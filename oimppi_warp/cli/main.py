@@ -1,8 +1,8 @@
 """The command ``oimppi``. Each subcommand is a dataclass: its fields are the options, and ``execute`` runs it.
 
-Exit status: 0 if the object reached its goal, 1 if it did not, 2 for bad input (one message on stderr, nothing
-written), 130 for Ctrl-C (the record is complete up to the last control step). Heavy imports happen inside ``execute``,
-after the options have been checked, so that help and error messages appear at once.
+Exit status of ``oimppi run``: 0 if the goal was reached, 1 if the goal was not reached, 2 for bad input (one message on
+stderr, nothing written), 130 for Ctrl-C (the record is complete up to the last control step). Heavy imports happen
+inside ``execute``, after the options have been checked, so that help and error messages appear at once.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class Run(TaskOptions):
     """
 
     record: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
-    """Folder in which to save the log and plots."""
+    """Folder to which the log and plots of the run are written."""
 
     json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """File to which the metrics are written as JSON."""
+    """File to which the metrics of the run are written, as JSON."""
 
     def execute(self) -> int:
         """Runs the episode and returns the exit status."""
@@ -131,7 +131,14 @@ Command = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parses the command line, runs the command and returns the exit status."""
+    """Parses the command line, runs the command and returns the exit status.
+
+    Args:
+        arguments: The command line without the program's name; default: that of this process.
+
+    Raises:
+        SystemExit: Help was requested (status 0), or the command line cannot be parsed (status 2).
+    """
     gc.set_threshold(100_000, 50, 1000)  # Newton and MuJoCo Warp create half a million long-lived objects; scanning
     atexit.register(gc.freeze)  # them repeatedly, and once more at exit, would double the start-up time
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -144,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"oimppi: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"oimppi: cannot write a result: {error}", file=sys.stderr)
+        print(f"oimppi: input or output failed: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("oimppi: interrupted before the first step", file=sys.stderr)
@@ -152,19 +159,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _check_outputs(record: Path | None, json: Path | None) -> None:
-    """Raises ConfigError if a result could not be written at the end of the run."""
+    """Raises ConfigError if the record or the metrics could not be written at the end of the run."""
     if json is not None and json.is_dir():
-        raise ConfigError(f"--json {json}: this is a folder\n  allowed: the path of a file")
+        raise ConfigError(f"--json {json}: the path is that of a folder\n  allowed: the path of a file")
     for option, folder in (("--json", json and json.absolute().parent), ("--record", record and record.absolute())):
         if folder is not None:
             parent = next(place for place in (folder, *folder.parents) if place.exists())
             if not parent.is_dir() or not os.access(parent, os.W_OK):
-                raise ConfigError(f"{option}: {parent} is not a writable folder")
+                raise ConfigError(f"{option}: {parent} is not a writable folder\n  to do:   choose another path")
 
 
 @contextmanager
 def _progress(seconds: float, console: Console) -> Iterator[Callable[[EpisodeLog], None]]:
-    """Shows a progress bar over simulated time with the errors to the goal; yields the callback for each step."""
+    """Shows a progress bar of an episode; yields the function to call with the log after each control step.
+
+    The bar advances with simulated time. Beside it are the object's distance [m] and yaw error [rad] from the goal, and
+    the wall time of the latest plan [ms].
+
+    Args:
+        seconds: Time limit of the episode [simulated s].
+        console: Console on which the bar is drawn.
+    """
     from rich.progress import BarColumn, Progress, TextColumn
 
     text = TextColumn("{task.completed:.1f} of {task.total:g} s  {task.fields[state]}")
@@ -172,26 +187,32 @@ def _progress(seconds: float, console: Console) -> Iterator[Callable[[EpisodeLog
         bar = progress.add_task("", total=seconds, state="planning")
 
         def on_step(log: EpisodeLog) -> None:
-            to_go = f"{log['position_error'][-1]:.3f} m and {log['yaw_error'][-1]:.2f} rad to go"
+            state = f"{log['position_error'][-1]:.3f} m and {log['yaw_error'][-1]:.2f} rad from the goal"
             if math.isfinite(took := log["plan_ms"][-1]):
-                to_go += f"  {took:.0f} ms per plan"
-            progress.update(bar, completed=float(log["time"][-1]), state=to_go)
+                state += f"  {took:.0f} ms per plan"
+            progress.update(bar, completed=float(log["time"][-1]), state=state)
 
         yield on_step
 
 
 def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
-    """Prints a summary of the episode."""
+    """Prints a summary of the episode.
+
+    Args:
+        metrics: The episode's metrics.
+        scene: The task.
+        record: Folder of the record; ``None`` if none was written.
+    """
     from rich.console import Console
     from rich.table import Table
 
     from oimppi_warp.geometry.fields import FURTHEST
 
-    result, total = "[bold red]did not reach its goal[/]", "including planning"
+    result, total = "[bold red]goal not reached[/]", "including planning"
     if metrics.success:
         tight = "also within the tight tolerance" if metrics.success_tight else "not within the tight tolerance"
-        result, total = f"[bold green]reached its goal[/], {tight}", "to the goal including planning (the paper's T)"
-    yaw = f", {metrics.yaw_error_rad:.3f} rad" if math.isfinite(scene.tolerance.yaw) else " (any yaw is allowed)"
+        result, total = f"[bold green]goal reached[/], {tight}", "to the goal including planning (the paper's T)"
+    yaw = f", {metrics.yaw_error_rad:.3f} rad" if math.isfinite(scene.tolerance.yaw) else " (every yaw is allowed)"
     clearance = f"at least {1000 * metrics.min_clearance_m:.1f} mm"
     if metrics.min_clearance_m > FURTHEST - 1e-6:
         clearance = f"more than {1000 * FURTHEST:.0f} mm"  # larger clearances are not measured

@@ -1,4 +1,4 @@
-"""Options shared by the commands that plan: the task, the planner and its settings."""
+"""Options shared by the commands ``run`` and ``view``: the task, the planner and its settings."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ class TaskOptions:
     run: Annotated[RunSpec, arg(name="")] = field(default_factory=RunSpec)
     """Options of the run."""
 
-    start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="")] = None
-    """Start pose in metres and radians (half a turn is 3.1416), or the number of one of the scene's starts, from 0."""
+    start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="(default: drawn with --seed)")] = None
+    """Start pose of the object in metres and radians, or the number of one of the scene's listed starts, from 0."""
 
-    goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="")] = None
-    """Goal pose to use instead of the scene's, in metres and radians."""
+    goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="(default: the scene's)")] = None
+    """Goal pose of the object in metres and radians."""
 
     preset: Literal["auto", "best", "paper", "lab"] = "auto"
     """Preset of the settings; auto selects lab with --plant lab, and best otherwise."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
-    """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512."""
+    """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512; docs/settings.md lists the names."""
 
     randomize: FlagCreatePairsOff[bool] = False
     """Evaluate every sample under four random draws of friction, mass, perceived pose and tool offset.
-    Planning takes four times as long; `robot.uncertainty` has the settings."""
+    Planning takes about four times as long; the settings are under robot.uncertainty."""
 
-    max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="")] = None
-    """Time limit in simulated seconds, instead of the preset's."""
+    max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: the preset's)")] = None
+    """Time limit of the episode in simulated seconds."""
 
     def settings(self) -> Config:
         """Returns the preset with the options applied, validated.
 
         Raises:
-            ConfigError: An option is wrong.
+            ConfigError: An option or a setting does not exist, or has a value that is not allowed.
         """
         self.run.checked()
         preset = ("lab" if self.run.plant == "lab" else "best") if self.preset == "auto" else self.preset
@@ -67,8 +67,9 @@ class TaskOptions:
         """Returns the setup of the episode, with scene and device checked, and the console for notices.
 
         Raises:
-            ConfigError: An option is wrong; raised before anything heavy is imported.
-            SceneError: The scene cannot be run with these options.
+            ConfigError: An option or a setting does not exist, or has a value that is not allowed. The error is raised
+                before anything heavy is imported, except for the number of a start that the scene does not have.
+            SceneError: The scene cannot be read, or the task cannot be done with this start and goal.
             DeviceError: The device does not exist.
         """
         config = self.settings()
@@ -98,7 +99,7 @@ class TaskOptions:
 
 
 def notices() -> Console:
-    """Returns a console on stderr for notices, and reports each kernel that Warp compiles on it."""
+    """Returns a console on stderr for notices; from now on, each module that Warp compiles is reported there."""
     from rich.console import Console
 
     from oimppi_warp.compute.device import tell_compilation

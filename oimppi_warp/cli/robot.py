@@ -20,8 +20,8 @@ _USD = (".usd", ".usda", ".usdc", ".usdz")
 class AddRobot:
     """Convert a URDF or USD file to a robot for scenes: a serial arm of turning or sliding joints with a stick as tool.
 
-    Writes robots/NAME.usda, and NAME_open.usda, a sample task with a T on an open table. Exit status: 0, or 2 for bad
-    input.
+    Two files are written: the robot, robots/NAME.usda, and a sample task with a T block on an open table,
+    NAME_open.usda. Exit status: 0, or 2 for bad input.
     """
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
@@ -38,16 +38,17 @@ class AddRobot:
     """Axis of the flange along which the stick points."""
 
     flange: Annotated[str, arg(metavar="LINK", help_behavior_hint="(default: the last link)")] = ""
-    """Link that carries the stick. Other moving links, such as the fingers of a gripper, are left out."""
+    """Link that carries the stick.
+    Moving links that are not between base and flange, such as the fingers of a gripper, are left out."""
 
     name: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the file's name)")] = ""
     """Name of the robot, used for the files that are written."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
-    """Folder for the sample task; the robot is written to robots/ in it."""
+    """Folder for the sample task; the robot is written to its subfolder robots."""
 
     force: FlagCreatePairsOff[bool] = False
-    """Overwrite an existing robot of that name."""
+    """Overwrite an existing robot and sample task of the same name."""
 
     def execute(self) -> int:
         """Writes the robot and its sample task and returns the exit status."""
@@ -88,7 +89,10 @@ class AddRobot:
         bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
         if bare:
             links = ", ".join(link.rpartition("/")[2] for link in bare)
-            console.print(f"warning: no collision shapes on {links}: not drawn, and collisions are not detected")
+            console.print(
+                f"warning: no collision shapes on {links}: these links are not drawn, and collisions with them are not "
+                "detected"
+            )
         reach = reach_of(robot)
         console.print(f"{self.out / 'robots' / name}.usda: {robot.dof} joints ({robot.chain}), from {self.file.name}")
         console.print(f"  joints   {', '.join(joint.rpartition('/')[2] for joint in chain.joints)}")
@@ -98,25 +102,28 @@ class AddRobot:
         return 0
 
     def _check(self, name: str) -> None:
-        """Checks the options.
+        """Checks the options, with the name that the robot gets.
 
         Raises:
-            ConfigError: An option cannot be used.
-            SceneError: The file is not a URDF.
+            ConfigError: The name is not valid, a length is out of bounds, or a file would be overwritten.
+            SceneError: The robot's file is a xacro file.
         """
         if not name.replace("-", "_").isidentifier():
             raise ConfigError(
-                f"--name {name}: not a valid name\n  allowed: letters, digits, - and _, with no digit first"
+                f"--name {name} is not a valid name\n  allowed: letters, digits, - and _, with no digit first"
             )
         for option, value, most in (("length", self.tool_length, 2.0), ("radius", self.tool_radius, 0.1)):
             if not (math.isfinite(value) and 0.0 < value <= most):
-                raise ConfigError(f"--tool-{option} {value:g}: cannot be used\n  allowed: above 0, up to {most:g} m")
+                raise ConfigError(f"--tool-{option} {value:g} cannot be used\n  allowed: above 0, up to {most:g} [m]")
         if self.tool_length <= 2.0 * self.tool_radius:
             raise ConfigError(
-                f"--tool-length {self.tool_length:g}: shorter than it is thick\n  allowed: over twice --tool-radius"
+                f"--tool-length {self.tool_length:g}: the stick is shorter than it is thick\n"
+                f"  allowed: above {2.0 * self.tool_radius:g} [m], twice --tool-radius"
             )
         if self.file.suffix == ".xacro":
-            raise SceneError("a xacro file", file=self.file, allowed="a URDF file", fix="expand it with xacro first")
+            raise SceneError(
+                "the robot is a xacro file", file=self.file, allowed="URDF", fix="expand the file with xacro first"
+            )
         for file in (self.out / "robots" / f"{name}.usda", self.out / f"{name}_open.usda"):
             if file.exists() and not self.force:
                 raise ConfigError(
@@ -124,7 +131,7 @@ class AddRobot:
                 )
 
     def _install(self, folder: Path) -> None:
-        """Copies the written files to their destination."""
+        """Copies the files written to a temporary folder to the folder ``--out``."""
         for file in folder.rglob("*.usd*"):
             target = self.out / file.relative_to(folder)
             target.parent.mkdir(parents=True, exist_ok=True)

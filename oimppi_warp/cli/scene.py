@@ -23,12 +23,17 @@ _Lay = Literal["stable", "as-is"]
 
 
 def _taken_by(option: str, default: str) -> Callable[[str], str]:
-    """Returns the hint of an option that only some shapes take, which is made when help is shown."""
+    """Returns the hint of an option that only some shapes take, as a function that tyro calls when it shows help.
+
+    Args:
+        option: Name of the option.
+        default: Description of its default.
+    """
     return lambda _: f"(with {', '.join(named_shapes.shapes_taking(option, lambda name, _: name))}; default: {default})"
 
 
 def _object_hint(default: str) -> str:
-    """Returns the hint of an option that takes an object."""
+    """Returns the hint of an option that takes an object: the specs of all shapes, and the default."""
     return f"({named_shapes.objects()}; default: {default})"
 
 
@@ -37,7 +42,8 @@ class ObjectOptions:
     """Options for making an object."""
 
     mass: Annotated[
-        float | None, arg(metavar="KG", help_behavior_hint="(default: that of wood of the same volume)")
+        float | None,
+        arg(metavar="KG", help_behavior_hint="(default: that of wood of the same volume, or a stored object's own)"),
     ] = None
     """Mass of the object [kg]."""
 
@@ -47,32 +53,32 @@ class ObjectOptions:
     """Coulomb friction coefficient between object and table."""
 
     height: Annotated[float | None, arg(metavar="M", help_behavior_hint=_taken_by("height", "0.05"))] = None
-    """Thickness [m], if the object's name does not include it."""
+    """Thickness of the object, from the table to its top [m]."""
 
     size: Annotated[
         float | None, arg(metavar="M", help_behavior_hint=_taken_by("size", "0.103, less for long words"))
     ] = None
-    """Height of a letter, measured along the table [m]."""
+    """Height of the letters, measured along the table [m]."""
 
     font: Annotated[
         str | None, arg(metavar="FONT", help_behavior_hint=_taken_by("font", "a built-in alphabet, A to Z"))
     ] = None
-    """Installed font, or font file, to take letters from."""
+    """Name of an installed font, or a font file, for the letters."""
 
-    scale: Annotated[_Unit | None, arg(help_behavior_hint=_taken_by("scale", "m"))] = None
-    """Length unit of a mesh; STL and OBJ files do not specify it."""
+    scale: Annotated[_Unit | None, arg(metavar="{mm,cm,m,inch}", help_behavior_hint=_taken_by("scale", "m"))] = None
+    """Length unit of the mesh, which STL and OBJ files do not specify."""
 
     lay: Annotated[_Lay, arg(help_behavior_hint=_taken_by("lay", "stable"))] = "stable"
-    """Pose of a mesh on the table: its most stable pose, or as modelled, with its z axis up."""
+    """Pose of the mesh on the table: its most stable pose (stable), or as modelled, with its z axis up (as-is)."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
-    """Folder to write to; objects are written to objects/ in it, the robot to robots/."""
+    """Folder to write to; objects are written to its subfolder objects, a robot to robots."""
 
     force: FlagCreatePairsOff[bool] = False
     """Overwrite existing files."""
 
     def shape_options(self) -> ShapeOptions:
-        """Returns the options for the specs of shapes."""
+        """Returns the options with which shapes are made."""
         from oimppi_warp.authoring.object_spec import ShapeOptions
 
         return ShapeOptions(
@@ -90,34 +96,36 @@ class ObjectOptions:
 class New(ObjectOptions):
     """Write a new task: a scene with an object to push, its start and goal, and obstacles.
 
-    Before it is written, the task is checked: nothing overlaps, and the arm reaches start and goal. The file documents
-    each of its attributes, for editing by hand. Exit status: 0, or 2 for a task that cannot be done.
+    The task is written only if nothing overlaps and the arm reaches start and goal. Comments in the file explain each
+    attribute, for editing by hand. Exit status: 0, or 2 for a task that cannot be done.
     Try `oimppi scene new push_s --object letter:S --goal 0.5,0.2,1.57 --obstacle box:0.1,0.1,0.1@0.5,-0.1`.
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """Name of the task; NAME.usda is written."""
 
-    object: Annotated[str, arg(help_behavior_hint=_object_hint)] = "t-block"
-    """Object to push: the name of an object in DIR/objects, or one of the following."""
+    object: Annotated[str, arg(metavar="OBJECT", help_behavior_hint=_object_hint)] = "t-block"
+    """Object to push: the name of an object in DIR/objects (DIR is that of --out), or one of the following."""
 
     start: Annotated[str, arg(metavar="X,Y,YAW")] = "0.3,-0.45,0"
     """Start pose of the object relative to the centre of the arm's base, in metres and radians.
-    Write --start=-0.1,... if it begins with a minus sign."""
+    If X is negative, write --start=X,Y,YAW with an equals sign."""
 
     goal: Annotated[str, arg(metavar="X,Y,YAW")] = "0.5,0.3,3.14159"
-    """Goal pose of the object, in the same form."""
+    """Goal pose of the object, in the form of --start."""
 
     obstacle: Annotated[
         UseAppendAction[tuple[str, ...]], arg(metavar="OBJECT@X,Y[,YAW]", help_behavior_hint="(repeatable)")
     ] = ()
-    """Obstacle: any object, fixed in place, such as box:0.1x0.1x0.1@0.5,0.05 or letter:O@0.5,0.3,-1.57."""
+    """Obstacle: any OBJECT, fixed at a pose, such as box:0.1x0.1x0.1@0.5,0.05 or letter:O@0.5,0.3,-1.57."""
 
-    title: Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="")] = None
+    title: Annotated[
+        str | None, arg(metavar="TEXT", help_behavior_hint="(default: made from the object's description)")
+    ] = None
     """One-line description of the task."""
 
-    robot: str = "xarm6"
-    """Name of a shipped robot or of a robot in DIR/robots, or a robot's USD file."""
+    robot: Annotated[str, arg(metavar="ROBOT")] = "xarm6"
+    """Robot: the name of a shipped robot or of a robot in DIR/robots, or the USD file of a robot."""
 
     def execute(self) -> int:
         """Writes the task and returns the exit status."""
@@ -149,7 +157,8 @@ class New(ObjectOptions):
         print(_summary(obj.doc, body))
         if can_tip(body):
             print(
-                f"a push above {1000 * tipping_height(body):.0f} mm tips it over, so the planner pushes low and slowly"
+                f"a push higher than {1000 * tipping_height(body):.0f} mm above the table tips the object over, so "
+                "the planner pushes low and slowly"
             )
         print("checked: nothing overlaps, the arm reaches start and goal")
         print("next:")
@@ -200,14 +209,14 @@ class Import(ObjectOptions):
 
 
 def _working(on: str) -> AbstractContextManager[object]:
-    """Shows a status message while running, if stderr is a terminal."""
+    """Returns a context in which a status message is shown, if stderr is a terminal."""
     from rich.console import Console
 
     return Console(stderr=True).status(on)
 
 
 def _summary(doc: str, body: PushedObject) -> str:
-    """Returns a one-line description of an object."""
+    """Returns one line with an object's description, mass, friction coefficient and number of convex pieces."""
     pieces = len(body.colliders)
     of = "one convex piece" if pieces == 1 else f"{pieces} convex pieces"
     return f"{doc}: {body.mass:g} kg, friction {body.friction:g}, {of}"

@@ -27,24 +27,28 @@ else:
 
 @dataclass(frozen=True)
 class Warmup:
-    """Compile the kernels for the preset best and compute the scene's fields ahead of time, so that runs start at once.
+    """Compile kernels and compute a scene's distance fields in advance, so that runs start at once.
 
-    With --out, they are written to a folder that can be copied to another machine. To use them there, set
-    WARP_CACHE_PATH=FOLDER/warp and OIMPPI_CACHE=FOLDER/fields. Kernels compiled for this machine's CPU run only on CPUs
-    of the same kind.
+    The kernels are those of the preset best. With --out, kernels and fields are written to a folder that can be copied
+    to another machine; to use them there, set WARP_CACHE_PATH=FOLDER/warp and OIMPPI_CACHE=FOLDER/fields. Kernels
+    compiled for this machine's CPU run only on CPUs of the same kind.
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
-    """A USD file, or the name of a shipped scene. The Newton engine's kernels depend on the scene's shapes."""
+    """A USD file, or the name of a shipped scene (`oimppi scenes` lists them).
+    The Newton engine's kernels depend on the scene's shapes."""
 
     engine: EngineOrAll = "all"
-    """Engine whose kernels are compiled."""
+    """Rollout engine whose kernels are compiled."""
 
     arch: Annotated[tuple[str, ...], arg(metavar="SM", help_behavior_hint="(default: none)")] = ()
-    """GPU architectures to compile for, such as sm_90; no such GPU is needed here. Newton's kernels take minutes."""
+    """GPU architectures to compile for in addition to the CPU: one or more, such as sm_90.
+    This machine needs no such GPU. Compiling the Newton engine's kernels takes minutes."""
 
-    out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: the usual caches)")] = None
-    """Folder to write to."""
+    out: Annotated[
+        Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: the caches shown by `oimppi doctor`)")
+    ] = None
+    """Folder to which kernels and fields are written."""
 
     def execute(self) -> int:
         """Compiles the kernels and returns the exit status."""
@@ -87,7 +91,7 @@ class Warmup:
         return 0
 
     def _compile_for(self, arch: int, engines: Sequence[str], progress: Progress, scene: Scene) -> None:
-        """Compiles the kernels for a GPU architecture."""
+        """Compiles the kernels that these engines need for a scene on a GPU, for an architecture such as 90 (sm_90)."""
         from oimppi_warp.system.precompile import compile_for, needed_on_cuda
 
         bar = progress.add_task(f"for sm_{arch}: finding the kernels needed", total=None)
@@ -102,13 +106,13 @@ class Warmup:
 
 @dataclass(frozen=True)
 class Doctor:
-    """Report the hardware and software of this machine, what a run will use, and any problems.
+    """Report the hardware and software of this machine, the resources that a run will use, and any problems.
 
     Exit status: 0 no problems found, 1 problems found.
     """
 
     json: FlagCreatePairsOff[bool] = False
-    """Print everything as JSON, for tools."""
+    """Print the whole report as JSON, for tools."""
 
     def execute(self) -> int:
         """Prints the report and returns the exit status."""
@@ -130,14 +134,15 @@ class Doctor:
             f"{facts.memory / 2**30:.0f} GiB; {facts.system}",
             "GPUs": ("; ".join(gpus) or "none usable by Warp") + driver,
             "packages": f"Python {facts.python}, " + ", ".join(f"{k} {v or '-'}" for k, v in facts.versions.items()),
-            "will use": f"device {facts.device}, {facts.usable_cores} CPU threads; --engine auto selects the most "
-            "successful engine that keeps up with the control period",
+            "will use": f"device {facts.device}, {facts.usable_cores} CPU threads; --engine auto selects, among "
+            "the engines that keep up with the control period, the one with the highest known success rate",
             **{
-                kind.replace("_", " "): ", ".join(_with_package(entries)) or "built-in ones only"
+                kind.replace("_", " "): ", ".join(_with_package(entries))
+                or f"no additional {kind.replace('_', ' ')} installed"
                 for kind, entries in facts.entries.items()
             },
-            "kernels": f"{facts.kernel_cache} ({'compiled' if facts.compiled else 'empty: run `oimppi warmup`'})",
-            "fields": facts.field_cache,
+            "compiled kernels": f"{facts.kernel_cache}{'' if facts.compiled else ' (none yet: run `oimppi warmup`)'}",
+            "distance fields": facts.field_cache,
             "scenes": f"{facts.scenes} shipped",
         }
         table = Table.grid(padding=(0, 2))
@@ -153,16 +158,24 @@ class Doctor:
 
 
 def _with_package(entries: dict[str, str]) -> Iterator[str]:
-    """Yields the names of entries, followed by the installed package if one adds the entry."""
+    """Yields the name of each registry entry, followed by the installed package that adds it, if one does.
+
+    Args:
+        entries: Package by name of the entry; empty for shipped entries.
+    """
     for name, package in entries.items():
         yield f"{name} (from {package})" if package else name
 
 
 def _architecture(name: str) -> int:
-    """Returns the number of a GPU architecture, such as 90 for ``sm_90``."""
+    """Returns the number of a GPU architecture, such as 90 for ``sm_90``.
+
+    Raises:
+        ConfigError: The name is not that of a GPU architecture from sm_70 to sm_130.
+    """
     number = name.removeprefix("sm_")
     if not number.isdecimal() or not 70 <= int(number) <= 130:
         raise ConfigError(
-            f"--arch {name}: not a GPU architecture\n  allowed: sm_70 to sm_130, such as sm_80, sm_90 or sm_120"
+            f"--arch {name} is not a GPU architecture\n  allowed: sm_70 to sm_130, such as sm_80, sm_90 or sm_120"
         )
     return int(number)

@@ -18,7 +18,7 @@ from oimppi_warp.errors import ConfigError
 
 @dataclass(frozen=True)
 class View(TaskOptions):
-    """Watch planning and pushing in the browser and change the task while it runs, or replay a record.
+    """Watch planning and pushing in a browser and change the task while it runs, or replay a record.
 
     Closing the browser does not stop the run; Ctrl-C does. Exit status: 0, or 2 for bad input.
     """
@@ -29,19 +29,19 @@ class View(TaskOptions):
     replay: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder of a record to replay, as written by `oimppi run --record` or by a trial of `oimppi bench`."""
 
-    host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 allows connections from other machines."""
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Network address to listen on; 0.0.0.0 allows connections from other machines."""
 
     port: Annotated[int, arg(metavar="N")] = 8080
-    """Port to listen on; if it is in use, the next free one is taken."""
+    """Port to listen on; if this port is in use, the next free one is used."""
 
     paused: bool = False
-    """Start paused."""
+    """Pause before the first control step or frame."""
 
     def execute(self) -> int:
         """Serves the view until Ctrl-C and returns the exit status."""
         if not 1 <= self.port <= 65535:
-            raise ConfigError(f"--port {self.port}: cannot be used\n  allowed: 1 to 65535")
+            raise ConfigError(f"--port {self.port} cannot be used\n  allowed: 1 to 65535")
         if self.replay is not None:
             notices()
             from oimppi_warp.view.browser import open_viewer
@@ -69,10 +69,10 @@ class Export:
     """Folder of the record, as written by `oimppi run --record` or by a trial of `oimppi bench`."""
 
     to: Literal["html", "usd", "mp4", "mcap"] = "html"
-    """Format: a self-contained web page, a USD file with time samples, a video from above, or an MCAP file."""
+    """Format: self-contained web page (html), USD animation (usd), video from above (mp4), or Foxglove log (mcap)."""
 
-    output: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """File to write, if not in the record's folder."""
+    output: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: in the record's folder)")] = None
+    """File to write."""
 
     def execute(self) -> int:
         """Writes the export and returns the exit status."""
@@ -86,7 +86,14 @@ class Export:
 
 
 def _serve(viewer: Any, port: int, run: Callable[[], None], close: Callable[[], None] | None) -> int:
-    """Prints the address, serves until Ctrl-C, and cleans up."""
+    """Prints the page's address, runs a view until Ctrl-C, and returns the exit status.
+
+    Args:
+        viewer: The viewer, which has a server.
+        port: The port that was requested.
+        run: Function that runs the view and never returns.
+        close: Function that is called at the end, before the viewer is closed.
+    """
     if viewer.server.get_port() != port:
         print(f"port {port} is in use; using the next free one", file=sys.stderr)
     print(

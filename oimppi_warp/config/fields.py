@@ -12,13 +12,13 @@ _KEY = "oimppi_warp"
 
 @dataclass(frozen=True)
 class About:
-    """Help, unit and bounds of a field of a settings dataclass.
+    """Help, unit and bounds of a field of a settings dataclass, kept in the field's metadata.
 
     Attributes:
-        text: Description in one sentence.
-        unit: Unit, empty if dimensionless; for a tuple, one per entry if they differ.
-        low: Smallest number allowed; for a tuple, for every entry.
-        high: Largest number allowed; infinity allows every finite number.
+        text: Description, shown in help, tooltips and `docs/settings.md`.
+        unit: Unit, empty if dimensionless; for a tuple whose entries have different units, one per entry.
+        low: Smallest number allowed, in this unit; for a tuple, the smallest for every entry.
+        high: Largest number allowed, in this unit; with infinity, every finite number above ``low`` is allowed.
         option: Whether the field can be set by name; labels, such as the preset's name, cannot.
     """
 
@@ -34,21 +34,32 @@ def setting(default: Any, text: str, *, unit: str = "", low: float = 0.0, high: 
 
     Args:
         default: Default value; the annotation gives the type: bool, int, float, a tuple of them, or a ``Literal``.
-        text: Description in one sentence, shown in help, tooltips and `docs/settings.md`.
-        unit: Unit, SI and radians; for a tuple, one per entry if they differ.
-        low: Smallest number allowed; for a tuple, for every entry.
-        high: Largest number allowed; infinity allows every finite number.
+        text: Description, shown in help, tooltips and `docs/settings.md`.
+        unit: SI unit (angles in rad), empty if dimensionless; for a tuple whose entries have different units, one per
+            entry.
+        low: Smallest number allowed, in this unit; for a tuple, the smallest for every entry.
+        high: Largest number allowed, in this unit; with infinity, every finite number above ``low`` is allowed.
     """
     return field(default=default, metadata={_KEY: About(text, unit, low, high)})
 
 
 def group(default: Any, text: str) -> Any:
-    """Makes a field that is a group of settings: a frozen dataclass of fields made by :func:`setting`."""
+    """Makes a dataclass field that is a group of settings.
+
+    Args:
+        default: A frozen dataclass whose fields are made by :func:`setting`, or a mapping from names to weights.
+        text: Description of the group.
+    """
     return field(default=default, metadata={_KEY: About(text)})
 
 
 def label(default: Any, text: str) -> Any:
-    """Makes a field that accompanies the settings and cannot be set by name."""
+    """Makes a dataclass field that accompanies the settings and cannot be set by name.
+
+    Args:
+        default: Default value, a string.
+        text: Description of the field.
+    """
     return field(default=default, metadata={_KEY: About(text, option=False)})
 
 
@@ -60,7 +71,10 @@ def about(item: Field[Any]) -> About:
     """
     found = item.metadata.get(_KEY)
     if found is None or item.default is MISSING:
-        raise TypeError(f"{item.name}: make the field with oimppi_warp.config.fields.setting(default, help, ...)")
+        raise TypeError(
+            f"{item.name}: the field has no help or no default value\n"
+            "  to do:   make it with oimppi_warp.config.fields.setting(default, text, ...)"
+        )
     return found
 
 
@@ -68,7 +82,7 @@ class ExtraWeights(Mapping[str, float]):
     """Weights of cost terms from outside the package, by name; immutable, so that settings compare and hash by value.
 
     Args:
-        weights: The weights.
+        weights: The weight of each term; default: no terms.
     """
 
     __slots__ = ("_weights",)

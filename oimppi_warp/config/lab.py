@@ -11,8 +11,8 @@ from oimppi_warp.config.fields import setting
 class LabConfig:
     """Imperfections of the simulated laboratory (:class:`oimppi_warp.plants.lab.LabPlant`).
 
-    The camera's rate is the paper's. Its noise is typical of fitting a known shape to a depth camera's points at a
-    distance of one metre; the arm's limits and rates are from the xArm6's data sheet.
+    The camera's rate is the paper's. Its noise is typical of fitting a known shape to the points of a depth camera at a
+    distance of 1 m. The arm's limits and rates are from the xArm6's data sheet.
     """
 
     rate: float = setting(1.0, "Rate at which the camera detects the object.", unit="1/s", low=0.01, high=100.0)
@@ -23,20 +23,27 @@ class LabConfig:
     yaw_noise: float = setting(0.03, "Standard deviation of a detection's yaw error.", unit="rad")
     outlier_probability: float = setting(0.05, "Probability that a detection is an outlier.", high=1.0)
     outlier_size: float = setting(
-        0.15, "Mean distance of an outlier from the object; its yaw is drawn from all angles.", unit="m"
+        0.15,
+        "Mean distance of an outlier from the object; the yaw of an outlier is drawn from all angles.",
+        unit="m",
     )
     camera: tuple[float, float, float] = setting(
         (0.9, 0.0, 0.9),
-        "Position of the camera, which does not detect the object while the arm occludes it.",
+        "Position of the camera (x, y, z); the camera does not detect the object while the arm occludes it.",
         unit="m",
         low=-100.0,
         high=100.0,
     )
     joint_noise: float = setting(
-        0.0005, "Standard deviation of each joint's measured position (m for a sliding joint).", unit="rad"
+        0.0005,
+        "Standard deviation of the error of each joint's measured position (m for a sliding joint).",
+        unit="rad",
     )
     command_latency: float = setting(
-        0.02, "Time from sending a command until the arm follows it, rounded to whole joint report intervals.", unit="s"
+        0.02,
+        "Time from sending a command until the arm follows it, rounded to whole intervals between joint reports "
+        "(10 ms); at most the control period.",
+        unit="s",
     )
     acceleration_limit: float = setting(
         19.98,
@@ -63,13 +70,17 @@ class EstimatorConfig:
     )
     touch_drift: float = setting(
         0.01,
-        "Growth of the position uncertainty while the tool is close enough to push the object unnoticed.",
+        "Growth of the position uncertainty while the tool is within `estimator.touch` of the object and could push it "
+        "unnoticed.",
         unit="m/sqrt(s)",
     )
-    touch: float = setting(0.01, "Distance between tool and object below which touch_drift applies.", unit="m")
+    touch: float = setting(
+        0.01, "Distance between tool and object below which `estimator.touch_drift` applies.", unit="m"
+    )
     gate: float = setting(
         4.0,
-        "Number of standard deviations from the prediction beyond which a detection is rejected as an outlier.",
+        "Difference between detection and prediction, in standard deviations of this difference, beyond which the "
+        "detection is rejected as an outlier.",
         low=0.1,
     )
     memory: float = setting(

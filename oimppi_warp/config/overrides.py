@@ -1,4 +1,4 @@
-"""Settings by name: listing them, changing one from text, reading them from a record, and validation."""
+"""Functions that list settings by name, change one from text, read them from a record, and validate them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Setting:
         name: Dotted name, such as ``"robot.optimizer.samples"``.
         value: Current value; for an optimizer, the name of its kind.
         kind: Type: bool, int, float, a tuple of them, or a ``Literal`` of strings.
-        about: Help, unit and bounds.
+        about: Help, unit and bounds of the setting.
     """
 
     name: str
@@ -36,35 +36,53 @@ class Setting:
 
     @property
     def help(self) -> str:
-        """Returns the description with the unit."""
+        """Returns the description, followed by the unit in square brackets unless the setting is dimensionless."""
         return f"{self.about.text} [{self.about.unit}]" if self.about.unit else self.about.text
 
     @property
+    def allowed_with_unit(self) -> str:
+        """Returns :attr:`allowed`, followed by the unit in square brackets unless the setting is dimensionless."""
+        return f"{self.allowed} [{self.about.unit}]" if self.about.unit else self.allowed
+
+    @property
     def allowed(self) -> str:
-        """Describes type and bounds."""
-        low, high = self.about.low, self.about.high
+        """Returns a description of the allowed values: their type and, for numbers, their bounds."""
         if get_origin(self.kind) is Literal or self.kind is bool:
             return _described(self.kind)
-        return f"{_described(self.kind)}, {_range(low, high)}"
+        each = "each " if get_origin(self.kind) is tuple else ""
+        return f"{_described(self.kind)}, {each}{_range(self.about.low, self.about.high)}"
 
 
 def settings_of(config: Any) -> dict[str, Setting]:
-    """Returns every setting by dotted name: the optimizers' kinds, and the settings of the current kinds."""
+    """Returns every setting of a config by dotted name.
+
+    An optimizer is listed as a setting of its own, whose value is the name of its kind, and with the settings of this
+    kind.
+
+    Args:
+        config: A ``Config``, or one of the dataclasses nested in it.
+
+    Raises:
+        TypeError: A field was not made with :func:`oimppi_warp.config.fields.setting`.
+    """
     return {setting.name: setting for setting in _walk(config, "")}
 
 
 def options(config: Any) -> dict[str, Any]:
-    """Returns the value of every setting, e.g. ``{"control_period": 0.05, "robot.optimizer": "mppi", ...}``."""
+    """Returns the values of :func:`settings_of`, e.g. ``{"control_period": 0.05, "robot.optimizer": "mppi", ...}``."""
     return {name: setting.value for name, setting in settings_of(config).items()}
 
 
 def extra_weights(cost: RobotCost) -> ExtraWeights:
-    """Returns the weight of every cost term from outside the package: the configured one, or the term's default."""
+    """Returns the weight of every cost term from outside the package: that in ``cost.extra``, or the term's default."""
     return ExtraWeights({name: float(term.weight) for name, term in COST_TERMS.loadable()} | dict(cost.extra))
 
 
 def effective_weights(cost: RobotCost) -> ExtraWeights:
-    """Returns :func:`extra_weights` without zero weights, except those that turn off a term with a nonzero default."""
+    """Returns :func:`extra_weights` without the weights that are zero.
+
+    A zero weight is kept if the term's default weight is not zero, since it turns that term off.
+    """
     of_itself = {name for name, term in COST_TERMS.loadable() if term.weight != 0.0}
     return ExtraWeights({name: w for name, w in extra_weights(cost).items() if w != 0.0 or name in of_itself})
 
@@ -73,9 +91,13 @@ def set_option(config: T, assignment: str) -> T:
     """Returns a config with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.optimizer.samples=512"``.
 
     Tuples are written with commas, ``"cost.push_ring=0.2,0.6"``. ``"robot.optimizer=cem"`` selects another optimizer,
-    which keeps the common settings: samples, horizon, iterations, knots. Names of earlier versions are accepted
-    (:mod:`oimppi_warp.config.renamed`). The value is checked on its own; :func:`validate` checks the settings against
-    each other, once all are set.
+    which keeps the settings that all optimizers have: samples, horizon, iterations, knots and special_samples. Names
+    of earlier versions are accepted (:mod:`oimppi_warp.config.renamed`). Only the type and the bounds of the value are
+    checked here; once all settings have their values, :func:`validate` checks that they are consistent.
+
+    Args:
+        config: The config, which remains unchanged.
+        assignment: ``NAME=VALUE`` with the dotted name of the setting.
 
     Raises:
         ConfigError: The name is unknown (the message suggests the nearest), or the value has the wrong type or is out
@@ -83,17 +105,19 @@ def set_option(config: T, assignment: str) -> T:
     """
     given, equals, text = (part.strip() for part in assignment.partition("="))
     if not equals:
-        raise ConfigError(f"--set {assignment!r}: no value\n  allowed: NAME=VALUE, e.g. cost.w_align=2")
+        raise ConfigError(f"--set {assignment}: the value is missing\n  allowed: NAME=VALUE, e.g. cost.w_align=2")
     name = present_name(given)
     known = settings_of(config)
     if name not in known:
-        raise ConfigError(_unknown(given, config, list(known)))
+        raise ConfigError(_unknown("--set", given, config, list(known)))
 
     def read(kind: Any) -> Any:
         try:
             return _parsed(kind, text)
         except ValueError:
-            raise ConfigError(f"--set {given}={text}: invalid value\n  allowed: {_described(kind)}") from None
+            raise ConfigError(
+                f"--set {given}={text}: the value is invalid\n  allowed: {known[name].allowed_with_unit}"
+            ) from None
 
     return _changed(config, name.split("."), known[name], read)
 
@@ -101,10 +125,13 @@ def set_option(config: T, assignment: str) -> T:
 def from_record(record: Mapping[str, Any]) -> Config:
     """Reads settings from a record's JSON, the inverse of :func:`oimppi_warp.record.log.to_json` of a ``Config``.
 
-    Names of earlier versions are converted; settings that a record does not have keep their defaults.
+    Names of earlier versions are converted; settings that the record does not have keep the defaults of ``Config``.
+
+    Args:
+        record: The settings as nested dictionaries.
 
     Raises:
-        ConfigError: The record has a setting that does not exist, or a value that cannot be used.
+        ConfigError: The record has a setting that does not exist, or a value of the wrong type or out of bounds.
     """
     labels = {item.name for item in fields(Config) if not about(item).option}
     config = replace(Config(), **{name: record[name] for name in labels if name in record})
@@ -118,14 +145,15 @@ def from_record(record: Mapping[str, Any]) -> Config:
             config = replace(config, cost=cost)
             continue
         if name not in known:
-            raise ConfigError(_unknown(name, config, list(known)).replace("--set ", "record: ", 1))
+            raise ConfigError(_unknown("record:", name, config, list(known)))
 
-        def read(kind: Any, name: str = name) -> Any:
+        def read(kind: Any, setting: Setting = known[name]) -> Any:
             try:
-                return _cast(kind, values[name])
+                return _cast(kind, values[setting.name])
             except (TypeError, ValueError):
                 raise ConfigError(
-                    f"record: {name} = {values[name]!r}: invalid value\n  allowed: {_described(kind)}"
+                    f"record: {setting.name} = {values[setting.name]!r}: the value is invalid\n"
+                    f"  allowed: {setting.allowed_with_unit}"
                 ) from None
 
         config = _changed(config, name.split("."), known[name], read)
@@ -133,9 +161,10 @@ def from_record(record: Mapping[str, Any]) -> Config:
 
 
 def changed(config: Config, default: Config) -> dict[str, Any]:
-    """Returns the settings that differ from a default, with the default's values.
+    """Returns the settings of ``config`` that differ from ``default``, by dotted name, with the values of ``default``.
 
-    If the optimizers are of different kinds, settings are compared with those of the default after a change of kind.
+    If an optimizer is of another kind than in ``default``, its settings are compared with those that ``default`` has
+    after a change to the same kind.
     """
     wanted = default
     for name, setting in settings_of(config).items():
@@ -149,10 +178,11 @@ _OPTIMIZERS = ("robot.optimizer", "object.optimizer")
 
 
 def validate(config: Config) -> Config:
-    """Validates a config and returns it.
+    """Validates a config and returns it unchanged.
 
     Raises:
-        ConfigError: A value is out of bounds, or two of them contradict each other.
+        ConfigError: A value is out of bounds, two values contradict each other, or an optimizer or a cost term with a
+            nonzero weight is not registered.
     """
     for name in _OPTIMIZERS:
         settings = getattr(config, name.partition(".")[0]).optimizer
@@ -169,7 +199,7 @@ def validate(config: Config) -> Config:
 
 
 def _walk(config: Any, prefix: str) -> Iterator[Setting]:
-    """Yields the settings in a dataclass and below it, their names after ``prefix``."""
+    """Yields the settings in a dataclass and in those nested in it, with ``prefix`` before their names."""
     types = _types(type(config))
     for item in fields(config):
         value, said, name = getattr(config, item.name), about(item), f"{prefix}{item.name}"
@@ -225,8 +255,8 @@ def _of_kind(kind: str, before: Sampling, name: str) -> Sampling:
         raise ConfigError(f"{name}={kind}: {error}") from None
     if not issubclass(settings, Sampling):
         raise ConfigError(
-            f"{name}={kind}: its Settings class {settings.__name__} is not derived from Sampling\n"
-            "  to do:   derive it from oimppi_warp.config.settings.Sampling"
+            f"{name}={kind}: the Settings class of this optimizer, {settings.__name__}, is not derived from Sampling\n"
+            "  to do:   derive the class from oimppi_warp.config.settings.Sampling"
         )
     common: dict[str, Any] = {item.name: getattr(before, item.name) for item in fields(Sampling)}
     return settings(**{**common, "kind": kind})
@@ -235,18 +265,21 @@ def _of_kind(kind: str, before: Sampling, name: str) -> Sampling:
 def _check(setting: Setting, value: Any) -> None:
     """Raises ConfigError for a number outside its bounds, or a string that is not allowed."""
     if get_origin(setting.kind) is Literal and value not in get_args(setting.kind):
-        raise ConfigError(f"{setting.name} = {value} cannot be used\n  allowed: {_described(setting.kind)}")
+        raise ConfigError(f"{setting.name} = {value} cannot be used\n  allowed: {setting.allowed}")
     low, high = setting.about.low, setting.about.high
     numbers = value if isinstance(value, tuple) else (value,)
     for number in numbers:
         if isinstance(number, float | int) and not (low <= number <= high and math.isfinite(number)):
-            raise ConfigError(f"{setting.name} = {number:g} cannot be used\n  allowed: {_range(low, high)}")
+            finite = "" if math.isfinite(number) or math.isfinite(high) else ", finite"
+            raise ConfigError(
+                f"{setting.name} = {number:g} cannot be used\n  allowed: {setting.allowed_with_unit}{finite}"
+            )
 
 
 def _range(low: float, high: float) -> str:
-    """Describes bounds."""
+    """Describes bounds: ``0 to 1``, or ``>= 0`` if the upper bound is infinite."""
     bounds = [f"{bound:.0f}" if 1e6 <= bound < math.inf else f"{bound:g}" for bound in (low, high)]
-    return " to ".join(bounds) if math.isfinite(high) else f"{bounds[0]} or more (finite)"
+    return " to ".join(bounds) if math.isfinite(high) else f">= {bounds[0]}"
 
 
 def _flat(record: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
@@ -258,8 +291,15 @@ def _flat(record: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
             yield f"{prefix}{name}", value
 
 
-def _unknown(name: str, config: Any, known: list[str]) -> str:
-    """Returns the message for an unknown setting, with the closest names by the whole name and by its last part."""
+def _unknown(where: str, name: str, config: Any, known: list[str]) -> str:
+    """Returns the message for an unknown setting, with the closest names by the whole name and by its last part.
+
+    Args:
+        where: Beginning of the message, before the name: ``"--set"`` or ``"record:"``.
+        name: The unknown name.
+        config: The config in which it was looked up.
+        known: The names of all its settings.
+    """
     present = present_name(name)
     for group in _OPTIMIZERS:
         if present.startswith(f"{group}.") and group in known:
@@ -268,20 +308,20 @@ def _unknown(name: str, config: Any, known: list[str]) -> str:
             near = difflib.get_close_matches(present, known, n=1, cutoff=0.75)
             hint = f"did you mean {near[0]}? Otherwise, " if near else ""
             return (
-                f"--set {name}: no such setting of the optimizer {present_kind}\n  allowed: {own}\n"
-                f"  to do:   {hint}first select the optimizer that has this setting, with {group}=NAME"
+                f"{where} {name}: the optimizer {present_kind} has no such setting\n  allowed: {own}\n"
+                f"  to do:   {hint}select the optimizer that has this setting first, with {group}=NAME"
             )
     leaf = name.rpartition(".")[2]
     same_leaf = [other for other in known if other.rpartition(".")[2] == leaf]
     near_leaf = difflib.get_close_matches(leaf, {other.rpartition(".")[2] for other in known}, n=1)
     near = same_leaf or difflib.get_close_matches(name, known, n=3, cutoff=0.75)
     near = near or [other for other in known if other.rpartition(".")[2] in near_leaf]
-    hint = f"did you mean {' or '.join(near)}?" if near else f"use one of {', '.join(known)}"
-    return f"--set {name}: no such setting\n  to do:   {hint}"
+    hint = f"did you mean {' or '.join(near)}?" if near else "choose a setting from the list in docs/settings.md"
+    return f"{where} {name}: the setting does not exist\n  to do:   {hint}"
 
 
 def _parsed(kind: Any, text: str) -> Any:
-    """Parses ``text`` as a value of the type ``kind``; raises ValueError if it is not one."""
+    """Parses ``text`` as a value of the type ``kind``; raises ValueError if the text is no such value."""
     if get_origin(kind) is Literal:
         if text not in get_args(kind):
             raise ValueError(text)
@@ -297,7 +337,7 @@ def _parsed(kind: Any, text: str) -> Any:
 
 
 def _cast(kind: Any, value: Any) -> Any:
-    """Converts a value from JSON to the type ``kind``; raises TypeError or ValueError if it is not one."""
+    """Converts a value from JSON to the type ``kind``; raises TypeError or ValueError if that is not possible."""
     if get_origin(kind) is tuple:
         return tuple(_cast(part_kind, part) for part_kind, part in zip(get_args(kind), value, strict=True))
     if get_origin(kind) is Literal or kind is str:
@@ -313,7 +353,8 @@ _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 def _described(kind: Any) -> str:
     """Describes the type ``kind``."""
     if get_origin(kind) is Literal:
-        return " or ".join(get_args(kind))
+        *others, last = get_args(kind)
+        return f"{', '.join(others)} or {last}" if others else last
     if get_origin(kind) is tuple:
         return f"{len(get_args(kind))} comma-separated numbers"
-    return {bool: "true or false", int: "a whole number", float: "a number", str: "a name"}[kind]
+    return {bool: "true or false", int: "integer", float: "number"}[kind]

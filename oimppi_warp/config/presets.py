@@ -1,7 +1,8 @@
 """Presets of the settings.
 
-:func:`best` (the default) has the best settings that we found, :func:`paper` the paper's values and options, and
-:func:`lab` settings for an object that is detected once a second and a planner that shares two cores with the plant.
+Preset :func:`best` (the default) has the best settings that we found. Preset :func:`paper` has the paper's values and
+options. Preset :func:`lab` is for an object that is detected once a second and a planner that shares two cores with the
+plant.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from oimppi_warp.config.settings import (
 
 
 def best(method: str = "cloi") -> Config:
-    """The preset ``best``: the best settings that we found for a method (`docs/results.md` has the ablation).
+    """Returns the preset ``best``: the best settings that we found for a method (`docs/results.md` has the ablation).
 
-    In every preset, methods from outside the package use the settings of ``cloi``.
+    Args:
+        method: Name of the method. In every preset, methods from outside the package have the settings of ``cloi``.
     """
     base = Config()
     if method == "mppi":  # tracks only the goal, along the shortest free path
@@ -34,17 +36,23 @@ def best(method: str = "cloi") -> Config:
 
 
 def paper(method: str = "cloi") -> Config:
-    """The preset ``paper``: its algorithms and equations as printed, with its K and horizons (`docs/paper.md`).
+    """Returns the preset ``paper``: the paper's algorithms, equations, K and horizons as printed (`docs/paper.md`).
 
-    The paper gives K, both horizons, white noise in joint space, one update per step and a reference indexed by time.
-    Values that it does not give are taken from the baseline that its authors built on (tud-airlab/mppi-isaac) and from
-    their scenes for it: control period 0.05 s, joint velocities within 0.2 rad/s, noise variance 0.1, a temperature
-    that keeps 5 to 10 effective samples, weights 100 and 8 for the goal's position and yaw, 5 for the tool's distance,
-    45 for align, 20 for the tip's height. The coupling cost l_c is given without a weight and has the weight of the
-    goal, since both use d^2. Chosen by us: r_0, gamma_0, f_0, w_f, w_tilt and the object's noise, given nowhere. The
-    terms that replace the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_arm_clearance``) and the table's edge
-    (``w_edge``) are kept; our other additions are off. There is no terminal cost l_f
-    (equations 8, 10, 13 and 14), which the paper leaves open, and SOI's plan ends in the exact goal.
+    The paper gives K, both horizons, white noise in joint space, one update per control step and a reference indexed by
+    time. Values that the paper does not give are taken from the baseline that its authors built on
+    (tud-airlab/mppi-isaac) and from their scenes for this baseline: control period 0.05 s, joint velocities within
+    0.2 rad/s, noise variance 0.1, a temperature that keeps 5 to 10 effective samples, weights 100 and 8 for the
+    object's distance and yaw error to the goal, 5 for the tool's distance (``w_ee``), 45 for ``w_align`` and 20 for
+    ``w_height``.
+
+    The paper gives the coupling cost l_c no weight; here its weight is that of the goal, since both use d^2. We chose
+    ``r_0``, ``gamma_0``, ``f_0``, ``w_f``, ``w_tilt`` and the object level's noise, which neither source gives. The
+    terms that replace the constraints phi_1 >= 0 and phi_3 >= 0 (``w_press``, ``w_arm_clearance``) and the term for the
+    table's edge (``w_edge``) are kept; our other additions are off. There is no terminal cost l_f (equations 8, 10, 13
+    and 14), since the paper gives no formula for it. SOI's object plan ends in the exact goal.
+
+    Args:
+        method: Name of the method; see :func:`best`.
     """
     samples = 1200
     horizon = {"mppi": 25, "soi": 25}.get(method, 15)
@@ -84,12 +92,15 @@ def paper(method: str = "cloi") -> Config:
 
 
 def lab(method: str = "cloi") -> Config:
-    """The preset ``lab``: ``best`` with lower demands on perception and on the processor.
+    """Returns the preset ``lab``: ``best`` with lower demands on perception and on the processor.
 
-    Joint velocities stay within 0.4 rad/s (the baseline's authors use 0.2 and later 0.5 on their arm): an object that
-    moves less between two detections is located better, and one that is hit more slowly does not tip over. Such a slow
-    arm is given more time before it repositions. Both levels have K = 512, so that a plan takes a fraction of the
-    control period on one core.
+    Joint velocities stay within 0.4 rad/s (the authors of the baseline use 0.2 rad/s and later 0.5 rad/s on their arm):
+    an object that moves less between two detections is located more accurately, and an object that is hit more slowly
+    does not tip over. The slower arm has more time to make headway before the tool is repositioned. Both levels have
+    K = 512, so that a plan takes a fraction of the control period on one core.
+
+    Args:
+        method: Name of the method; see :func:`best`.
     """
     base = best(method)
     return replace(

@@ -1,11 +1,12 @@
 """Renamed settings: the names of earlier versions and the current ones.
 
-This is the only such table. Through it, ``--set``, :func:`oimppi_warp.set_option`, suites and records accept old names;
-everything is written with the current ones, so that a command from an old record or report still runs.
+This is the only such table. With it, ``--set``, :func:`oimppi_warp.set_option`, suites and records accept old names, so
+that a command from an old record or report still runs. Output always has the current names.
 
-To rename a setting, change the field and add an entry here with its old and its current dotted name. An entry covers
-everything below it too: ``"robot.mppi"`` covers ``robot.mppi.samples``. Entries are never removed; if a current name
-changes again, the entries that lead to it are changed with it. ``tests/config/test_renamed.py`` loads every old name.
+To rename a setting, change the field and add an entry here with its old and its current dotted name. An entry also
+covers the names that begin with it: ``"robot.mppi"`` covers ``robot.mppi.samples``. Entries are never removed. If a
+current name changes again, change the entries that lead to it too. ``tests/config/test_renamed.py`` loads every old
+name.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ SETTINGS: Mapping[str, str] = {
     "regrasp": "reposition",
     "regrasp.w_guide": "reposition.w_waypoint",
 }
-"""Renamed settings and groups of settings: the current dotted name by the old one."""
+"""Current dotted name of each renamed setting or group of settings, by its old dotted name."""
 
 
 def present_name(name: str, table: Mapping[str, str] = SETTINGS) -> str:
-    """Returns the current name for a dotted name, old or current; names that were not replaced are unchanged.
+    """Returns the current name of a setting or group; a name that is not in the table is returned unchanged.
 
     Args:
-        name: The name.
-        table: Entries to use; the longest match counts.
+        name: Dotted name, old or current.
+        table: Current names by old ones; the longest entry that ``name`` begins with is used.
     """
     parts = name.split(".")
     for length in range(len(parts), 0, -1):

@@ -25,17 +25,18 @@ else:  # the command line and its help list the choices
 
 @dataclass(frozen=True)
 class RunSpec:
-    """Options of a run, apart from its scene and settings. Trials, records and metrics contain it unchanged."""
+    """Options of a run, apart from its scene and settings. Trials, records and metrics contain them unchanged."""
 
     method: MethodName = "cloi"
     """Method: plain MPPI (mppi), or MPPI that follows an object plan made once (soi) or at every step (cloi)."""
 
     engine: EngineName = "auto"
     """Rollout engine: the paper's quasi-static model (quasistatic) or full physics (newton).
-    With auto, it is the most successful engine that keeps up with the control period on this machine."""
+    auto selects the engine with the highest known success rate among those that keep up with the control period.
+    If none keeps up on this machine, the fastest engine is selected."""
 
-    device: str = "auto"
-    """Device of the planner: cpu, cuda:0, ..., or auto for the first GPU, or the CPU if there is none."""
+    device: Annotated[str, arg(metavar="NAME")] = "auto"
+    """Device of the planner: cpu, cuda:0, cuda:1, ...; auto selects the first GPU, or the CPU if there is no GPU."""
 
     threads: Annotated[
         int | None, arg(metavar="N", help_behavior_hint="(default: all cores; in real time all but one)")
@@ -46,27 +47,30 @@ class RunSpec:
     """Seed of the planner's noise and, unless --start is given, of the start pose: 0 to 4294967295."""
 
     plant: PlantName = "ideal"
-    """Plant to control: an ideal simulation (ideal), or a simulated laboratory (lab) with the settings lab.*.
-    In lab, the object is seen once a second, delayed, with noise, occasional outliers and occlusion by the arm.
-    Commands are delayed and accelerations limited."""
+    """Plant to control: an ideal simulation (ideal), or a simulated laboratory (lab), configured by the settings lab.*.
+    In lab, the object is detected once a second, with delay, noise, occasional outliers and occlusion by the arm.
+    Commands are delayed and joint accelerations are limited."""
 
     mode: Mode = "lockstep"
-    """Timing: the plant waits for each plan (lockstep), or both run in parallel on the wall clock (realtime)."""
+    """Timing: the plant waits for each plan (lockstep) or runs in parallel with the planner in real time (realtime)."""
 
     def changed(self, **options: Any) -> RunSpec:
-        """Returns a copy with some options changed, checked.
+        """Returns a copy with some options changed, after validation.
+
+        Args:
+            **options: New values by the names of the fields.
 
         Raises:
-            ConfigError: An option does not exist, or a value is not allowed.
+            ConfigError: An option does not exist, a name is unknown, or a number is out of bounds.
         """
         known = [field.name for field in fields(self)]
         for name in options:
             if name not in known:
-                raise ConfigError(f"{name}: no such option of a run\n  allowed: {', '.join(known)}")
+                raise ConfigError(f"{name}: a run has no such option\n  allowed: {', '.join(known)}")
         return replace(self, **options).checked()
 
     def checked(self) -> RunSpec:
-        """Validates the options and returns them.
+        """Validates the options and returns them unchanged. A device is not checked before the run is set up.
 
         Raises:
             ConfigError: A name is unknown, or a number is out of bounds.
@@ -77,7 +81,7 @@ class RunSpec:
         if self.mode not in MODES:
             raise ConfigError(f"mode {self.mode!r} does not exist\n  allowed: {', '.join(MODES)}")
         if self.threads is not None and self.threads < 1:
-            raise ConfigError(f"--threads {self.threads}: cannot be used\n  allowed: 1 or more")
+            raise ConfigError(f"threads = {self.threads} cannot be used\n  allowed: 1 or more")
         if not 0 <= self.seed <= LARGEST_SEED:
-            raise ConfigError(f"--seed {self.seed}: cannot be used\n  allowed: 0 to {LARGEST_SEED}")
+            raise ConfigError(f"seed = {self.seed} cannot be used\n  allowed: 0 to {LARGEST_SEED}")
         return self

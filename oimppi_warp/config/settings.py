@@ -1,7 +1,8 @@
 """All settings, as frozen dataclasses that define ``--set``, the viewer's settings panel and `docs/settings.md`.
 
-Fields are named after the paper's symbols; the help marks terms that are not in the paper. The defaults are those of
-the preset ``best``. Weights multiply stage costs, which are summed over the horizon.
+Fields are named after the paper's symbols, and the help marks settings that are not in the paper. The defaults are
+those of the preset ``best``. A weight multiplies the cost of one control step, and these costs are summed over the
+horizon. Help texts name other settings in full and in backticks, as in `cost.height`.
 """
 
 from __future__ import annotations
@@ -17,106 +18,127 @@ from oimppi_warp.errors import ConfigError
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings common to all sampling-based optimizers: K control sequences of H steps around a nominal (equation 9).
+    """Settings common to all sampling-based optimizers, which draw K control sequences of H steps (equation 9).
 
     An optimizer defines its settings as a subclass of this, with ``kind`` set to its name in
     :data:`oimppi_warp.registries.OPTIMIZERS`.
     """
 
     kind: str = label("", "Name of the optimizer.")
-    samples: int = setting(1200, "Number of samples, K.", low=2, high=1_000_000)
-    horizon: int = setting(25, "Length of the horizon in control steps, H.", low=1, high=10_000)
-    iterations: int = setting(1, "Number of updates of the nominal controls per control step.", low=1, high=1_000)
+    samples: int = setting(1200, "Number of sampled control sequences, K.", low=2, high=1_000_000)
+    horizon: int = setting(25, "Length of the horizon, H, in control steps.", low=1, high=10_000)
+    iterations: int = setting(
+        1, "Number of updates of the nominal control sequence per control step.", low=1, high=1_000
+    )
     knots: int = setting(
         6,
-        "Number of knots of the cubic splines over the horizon that shape the noise; 0 draws the noise of every step "
-        "independently, as the paper does.",
+        "Number of knots of the random cubic splines over the horizon that form the noise; 0 draws the noise of every "
+        "step independently, as in the paper.",
     )
     special_samples: bool = setting(
-        True, "Use the nominal control sequence and zero control as the first two samples; not in the paper."
+        True, "Use the nominal control sequence and the zero sequence as the first two samples; not in the paper."
     )
 
     def check(self, where: str) -> None:
-        """Checks that the settings are consistent with each other; subclasses extend the check.
+        """Checks that the number of knots fits the horizon; subclasses extend the check to their own settings.
 
         Args:
             where: Dotted name of these settings, such as ``"robot.optimizer"``, for the message.
 
         Raises:
-            ConfigError: Two settings contradict each other.
+            ConfigError: Two settings contradict each other, such as one knot, or more knots than steps in the horizon.
         """
         if self.knots == 1 or self.knots > self.horizon:
+            steps = "1 step" if self.horizon == 1 else f"{self.horizon} steps"
+            splines = f", or 2 to {self.horizon}" if self.horizon > 1 else ""
             raise ConfigError(
-                f"{where}.knots = {self.knots}: not possible for a horizon of {self.horizon} steps\n"
-                f"  allowed: 0 (independent noise at every step), or 2 to {self.horizon} knots"
+                f"{where}.knots = {self.knots} is not possible for a horizon of {steps}\n"
+                f"  allowed: 0 (independent noise at every step){splines}"
             )
 
 
 @dataclass(frozen=True)
 class Mppi(Sampling):
-    """MPPI (the paper's Algorithm 1)."""
+    """Settings of MPPI (the paper's Algorithm 1)."""
 
     kind: str = label("mppi", "Name of the optimizer.")
     temperature: float = setting(
         2.0,
-        "Temperature lambda of equation 12, in units of cost; lower values give the cheapest samples more weight.",
+        "Temperature lambda of equation 12, in units of cost; a lower value gives the cheapest samples more weight.",
         low=1e-6,
     )
     effective_samples: tuple[float, float] = setting(
         (0.0, 0.0),
-        "Lower and upper bound of the effective sample size, as fractions of K, enforced by adapting the temperature; "
-        "0,0 keeps the temperature fixed, as the paper does.",
+        "Lower and upper bound of the effective sample size, as fractions of K; the temperature is adapted to keep "
+        "the size within them. 0,0 keeps the temperature fixed, as in the paper.",
         high=1.0,
     )
 
     def check(self, where: str) -> None:
-        """Checks that the settings are consistent with each other; see :meth:`Sampling.check`."""
+        """Checks also that the bounds of ``effective_samples`` are in order; see :meth:`Sampling.check`."""
         super().check(where)
         check_order(f"{where}.effective_samples", self.effective_samples)
 
 
 @dataclass(frozen=True)
 class Cem(Sampling):
-    """Cross-entropy method: fits mean and standard deviation of the next samples to the elites; not in the paper."""
+    """Settings of the cross-entropy method, which fits the sampling distribution to the elites; not in the paper."""
 
     kind: str = label("cem", "Name of the optimizer.")
-    elites: float = setting(0.05, "Fraction of the samples, the cheapest, to which the next ones are fitted.", high=1.0)
-    smoothing: float = setting(0.2, "Fraction of the old mean and standard deviation that an update retains.", high=1.0)
+    elites: float = setting(
+        0.05, "Fraction of the samples, cheapest first, to which the sampling distribution is fitted.", high=1.0
+    )
+    smoothing: float = setting(0.2, "Fraction of the old mean and standard deviation that an update keeps.", high=1.0)
     least_deviation: float = setting(
-        0.5, "Smallest standard deviation, as a fraction of the level's noise; prevents its collapse.", high=1.0
+        0.5,
+        "Smallest standard deviation, as a fraction of the noise set for the level; it keeps the sampling distribution "
+        "from collapsing.",
+        high=1.0,
     )
     recovery: float = setting(
         0.5,
-        "Fraction by which standard deviations return to the level's noise in each control step; with 1, every plan "
-        "starts with the full noise.",
+        "Fraction of their difference to the noise set for the level that the standard deviations regain in each "
+        "control step; with 1, every plan starts with the full noise.",
         high=1.0,
     )
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Random draws of the world in which the robot level evaluates each control sequence; future work in the paper.
+    """Random draws of the world under which the robot level evaluates control sequences; future work in the paper.
 
     Planning time is proportional to the number of draws.
     """
 
-    draws: int = setting(0, "Number of draws in which each control sequence is evaluated; 0 for none.", high=1_000)
-    shared: bool = setting(True, "Evaluate all sequences in the same draws instead of separate draws for each.")
-    friction: float = setting(0.2, "Standard deviation of the logarithm of the friction coefficients.")
-    mass: float = setting(0.1, "Standard deviation of the logarithm of the object's mass.")
+    draws: int = setting(
+        0,
+        "Number of random draws of the world under which each control sequence is evaluated; 0 evaluates the nominal "
+        "model only.",
+        high=1_000,
+    )
+    shared: bool = setting(True, "Evaluate all sequences under the same draws, instead of drawing separately for each.")
+    friction: float = setting(
+        0.2,
+        "Standard deviation of the logarithm of the factors on the friction coefficients between object and table, and "
+        "between object and tool.",
+    )
+    mass: float = setting(0.1, "Standard deviation of the logarithm of the factor on the object's mass.")
     pose: tuple[float, float, float] = setting(
         (0.005, 0.005, 0.03),
-        "Standard deviations of the error in the object's perceived pose: x, y, yaw.",
+        "Standard deviations of the error of the object's perceived pose (x, y, yaw).",
         unit="m, m, rad",
     )
     tool: float = setting(
-        0.002, "Standard deviation of the tool's offset in each of the two directions across its axis.", unit="m"
+        0.002, "Standard deviation of the tip's offset in each of the two directions across the tool.", unit="m"
     )
     measure: Literal["mean", "worst", "cvar"] = setting(
         "mean",
-        "Combination of a sequence's costs over all draws: mean, worst, or mean of the worst (CVaR).",
+        "How a sequence's costs over the draws are combined: their mean (`mean`), the worst (`worst`), or the mean of "
+        "the worst fraction `robot.uncertainty.tail` (`cvar`).",
     )
-    tail: float = setting(0.5, "Fraction of the draws that counts as the worst, for measure=cvar.", high=1.0)
+    tail: float = setting(
+        0.5, "Fraction of the draws that counts as the worst, with `robot.uncertainty.measure=cvar`.", high=1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -126,30 +148,36 @@ class RobotLevel:
     optimizer: Sampling = group(Mppi(), "Optimizer of the robot level.")
     noise_space: Literal["joint", "tool"] = setting(
         "tool",
-        "Space in which the noise covariance Sigma_u is defined: joint space, as in the paper, or the tool's frame, "
-        "mapped to the joints by the damped pseudo-inverse of the Jacobian.",
+        "Space in which the noise covariance Sigma_u (equation 9) is defined: joint velocities (`joint`), as in the "
+        "paper, or velocities of the tip (`tool`), which the damped pseudo-inverse of the Jacobian maps to the joints.",
     )
     joint_noise: float = setting(
         0.3,
-        "Standard deviation of the velocity noise of each joint, for noise_space=joint (m/s for a sliding joint).",
+        "Standard deviation of the velocity noise of each joint (m/s for a sliding joint), with "
+        "`robot.noise_space=joint`.",
         unit="rad/s",
     )
     tool_noise: tuple[float, float, float, float, float, float] = setting(
         (0.2, 0.2, 0.06, 0.2, 0.2, 0.5),
-        "Standard deviations of the tip's velocity noise along and about x, y and z, for noise_space=tool.",
+        "Standard deviations of the noise of the tip's velocity along, and then about, the world's x, y and z axes, "
+        "with `robot.noise_space=tool`.",
         unit="m/s, m/s, m/s, rad/s, rad/s, rad/s",
     )
     joint_velocity_limit: float = setting(
         0.6,
-        "Largest velocity planned for each joint, unless the robot's own limit is lower (m/s for a sliding joint).",
+        "Largest velocity planned for each joint (m/s for a sliding joint), unless the robot's own limit is lower.",
         unit="rad/s",
         low=1e-3,
     )
     contact_steps: int = setting(
-        2, "Number of contact model steps per control step, in the quasi-static engine.", low=1, high=1_000
+        2, "Number of steps of the contact model per control step, in the quasi-static engine.", low=1, high=1_000
     )
     substeps: int = setting(4, "Number of physics steps per control step, in the Newton engine.", low=1, high=1_000)
-    uncertainty: Uncertainty = group(Uncertainty(), "Uncertainty of the prediction, as random draws of the world.")
+    uncertainty: Uncertainty = group(
+        Uncertainty(),
+        "Random draws of the world, with different friction, mass, perceived pose and tool offset, under which the "
+        "robot level evaluates control sequences.",
+    )
 
 
 @dataclass(frozen=True)
@@ -159,35 +187,45 @@ class ObjectLevel:
     optimizer: Sampling = group(Mppi(horizon=60, temperature=0.5, knots=5), "Optimizer of the object level.")
     speed_limit: tuple[float, float, float] = setting(
         (0.12, 0.12, 1.0),
-        "Largest velocity of the object that the virtual wrench may cause: x, y, yaw.",
+        "Largest velocity of the object (x, y, yaw) that the virtual wrench (the wrench with which the object level "
+        "moves the object) may cause.",
         unit="m/s, m/s, rad/s",
         low=1e-3,
     )
     noise: float = setting(
-        0.6, "Standard deviation of the wrench noise, as a fraction of the wrench that gives speed_limit."
+        0.6,
+        "Standard deviation of the virtual wrench's noise, as a fraction of the wrench that moves the object at "
+        "`object.speed_limit`.",
     )
     noise_range: float = setting(
         0.15,
-        "Distance from the goal, yaw error included, below which the noise shrinks in proportion, down to a tenth; 0 "
-        "keeps the noise constant; not in the paper.",
+        "Distance of the object from the goal, yaw error included, below which the noise decreases in proportion to "
+        "the distance, down to a tenth; 0 keeps the noise constant; not in the paper.",
         unit="m",
     )
     plan_steps: int = setting(
-        600, "Number of control steps after which SOI stops extending an object plan.", low=1, high=100_000
+        600,
+        "Number of control steps after which SOI stops extending an object plan that has not reached the goal.",
+        low=1,
+        high=100_000,
     )
     turn: bool = setting(
-        True, "Take the object's yaw into account; turned off for tasks whose tolerance allows every yaw."
+        True, "Take the object's yaw into account; set to false for tasks whose tolerance allows every yaw."
     )
 
     @property
     def yaw_length(self) -> float:
-        """Returns the length equivalent to a radian of yaw: the distance that the object can move in that time [m]."""
+        """Returns the length equivalent to 1 rad of yaw: the distance along x moved while yaw changes by 1 rad [m].
+
+        Both move at ``speed_limit``; the length is negligible (1e-4 m) if ``turn`` is false.
+        """
         return self.speed_limit[0] / self.speed_limit[2] if self.turn else 1e-4
 
 
 _RING = (
-    "Inner and outer radius of the ring around the base in which the arm pushes well, for the xArm6's reach of 0.72 m; "
-    "scaled to the reach of other robots, and unbounded for a robot that does not turn about its base."
+    "Inner and outer radius of the ring around the base in which the arm pushes well. Values are for the xArm6, which "
+    "reaches 0.72 m; they are scaled to the reach of other robots. A robot that does not turn about its base has no "
+    "such ring."
 )
 
 
@@ -195,22 +233,42 @@ _RING = (
 class ObjectCost:
     """Weights of the object's stage cost l_o at the object level (equation 15)."""
 
-    w_d: float = setting(1.0, "Weight of the squared distance to the goal (equation 16).", unit="1/m^2")
+    w_d: float = setting(1.0, "Weight of the object's squared distance to the goal (equation 16).", unit="1/m^2")
     w_theta: float = setting(
-        0.03, "Square of the length equivalent to a yaw error of 1 rad, in the distance of w_d.", unit="m^2/rad^2"
+        0.03,
+        "Square of the length equivalent to a yaw error of 1 rad, in the squared distance that `object_cost.w_d` "
+        "weights (equation 16).",
+        unit="m^2/rad^2",
     )
     w_f: float = setting(
-        0.05, "Weight of the squared contact force with obstacles above f_0 (equation 15).", unit="1/N^2"
+        0.05,
+        "Weight of the squared amount by which the contact force between object and obstacles exceeds "
+        "`object_cost.f_0` (equation 15).",
+        unit="1/N^2",
     )
-    f_0: float = setting(0.5, "Contact force with obstacles up to which there is no cost (equation 15).", unit="N")
+    f_0: float = setting(
+        0.5, "Contact force between object and obstacles up to which there is no cost (equation 15).", unit="N"
+    )
     w_to_go: float = setting(
-        4.0, "Weight of the length of the shortest free path to the goal; not in the paper.", unit="1/m"
+        4.0, "Weight of the length of the object's shortest free path to the goal; not in the paper.", unit="1/m"
     )
     w_margin: float = setting(
-        2000.0, "Weight of the squared shortfall of clearance below margin; not in the paper.", unit="1/m^2"
+        2000.0,
+        "Weight of the squared amount by which the clearance between object and obstacles (phi_2) falls below "
+        "`object_cost.margin`; not in the paper.",
+        unit="1/m^2",
     )
-    margin: float = setting(0.015, "Clearance between object and obstacles below which w_margin acts.", unit="m")
-    w_push_ring: float = setting(20.0, "Weight of the object's distance from push_ring; not in the paper.", unit="1/m")
+    margin: float = setting(
+        0.015,
+        "Clearance between object and obstacles below which `object_cost.w_margin` applies; not in the paper.",
+        unit="m",
+    )
+    w_push_ring: float = setting(
+        20.0,
+        "Weight of the distance by which the object's centre lies outside the ring `object_cost.push_ring`; not in the "
+        "paper.",
+        unit="1/m",
+    )
     push_ring: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
 
 
@@ -220,103 +278,156 @@ class RobotCost:
 
     w_d: float = setting(5.0, "Weight of the object's squared distance to the goal (equation 16).", unit="1/m^2")
     w_theta: float = setting(
-        0.1, "Square of the length equivalent to a yaw error of 1 rad, in w_d and in w_reference.", unit="m^2/rad^2"
+        0.1,
+        "Square of the length equivalent to a yaw error of 1 rad, in the squared distances that `cost.w_d` and "
+        "`cost.w_reference` weight (equation 16).",
+        unit="m^2/rad^2",
     )
     w_f: float = setting(
-        0.05, "Weight of the object's squared contact force with obstacles above f_0 (equation 15).", unit="1/N^2"
+        0.05,
+        "Weight of the squared amount by which the contact force between object and obstacles exceeds `cost.f_0` "
+        "(equation 15).",
+        unit="1/N^2",
     )
-    f_0: float = setting(0.5, "Contact force up to which there is no cost (equation 15).", unit="N")
+    f_0: float = setting(
+        0.5,
+        "Contact force up to which there is no cost (equation 15); used with `cost.w_f` and `cost.w_collision`.",
+        unit="N",
+    )
     w_to_go: float = setting(
         0.0,
-        "Weight of the length of the object's shortest free path to the goal, which replaces the object level's "
-        "guidance in plain MPPI; computed with object_cost.push_ring and object.speed_limit; not in the paper.",
+        "Weight of the length of the object's shortest free path to the goal. In plain MPPI this cost takes the place "
+        "of the object level's guidance. The path is computed with `object_cost.push_ring` and `object.speed_limit`; "
+        "not in the paper.",
         unit="1/m",
     )
     w_reference: float = setting(
-        300.0, "Weight of the object's squared distance to its plan, the coupling cost l_c.", unit="1/m^2"
+        300.0,
+        "Weight of the object's squared distance to its reference on the object plan, the coupling cost l_c "
+        "(equation 14).",
+        unit="1/m^2",
     )
     w_ee: float = setting(
-        5.0, "Weight of the squared distance between tool and object beyond r_0 (equation 17).", unit="1/m^2"
+        5.0,
+        "Weight of the amount by which the squared distance between tip and object centre exceeds the square of "
+        "`cost.r_0` (equation 17).",
+        unit="1/m^2",
     )
-    r_0: float = setting(0.12, "Distance between tool and object up to which there is no cost (equation 17).", unit="m")
+    r_0: float = setting(
+        0.12, "Distance between tip and object centre up to which there is no cost (equation 17).", unit="m"
+    )
     w_align: float = setting(
         2.0,
-        "Weight of the tool not being behind the object, as seen in the object's desired direction of motion "
-        "(equation 18).",
+        "Weight of psi_align, which penalizes a tool that is not behind the object relative to the object's desired "
+        "direction of motion (equation 18).",
     )
     gamma_0: float = setting(
-        0.7, "Cosine of the angle up to which the tool counts as behind the object (equation 18).", low=-1.0, high=1.0
+        0.7,
+        "Cosine of the largest angle, between the direction from tip to object centre and the desired direction of "
+        "motion, at which the tool counts as behind the object (equation 18).",
+        low=-1.0,
+        high=1.0,
     )
     align_ahead: int = setting(
-        10, "Number of control steps to look ahead on the object plan for the direction of w_align; not in the paper."
+        10,
+        "Number of control steps by which the target of `cost.w_align` is ahead on the object plan; the object's "
+        "desired direction of motion points to this target; not in the paper.",
     )
     align_fade: float = setting(
         0.02,
-        "Distance from object to target below which w_align fades out, since the direction becomes meaningless; 0 "
-        "turns fading off; not in the paper.",
+        "Distance between the object and the target of `cost.w_align` below which the cost decreases in proportion, "
+        "because the direction becomes meaningless; 0 turns this off; not in the paper.",
         unit="m",
     )
     w_tilt: float = setting(3.0, "Weight of the tool's tilt from vertical (equation 19).", unit="1/rad")
-    w_height: float = setting(1000.0, "Weight of the squared deviation of the tip from height.", unit="1/m^2")
-    height: float = setting(0.012, "Desired height of the tip above the table while pushing.", unit="m")
+    w_height: float = setting(
+        1000.0,
+        "Weight of the squared difference between the tip's height above the table and `cost.height`; not in the "
+        "paper.",
+        unit="1/m^2",
+    )
+    height: float = setting(
+        0.012, "Desired height of the tip above the table while pushing; not in the paper.", unit="m"
+    )
     w_arm_clearance: float = setting(
-        1e4, "Weight of the squared shortfall of the arm's clearance phi_3 below arm_clearance.", unit="1/m^2"
+        1e4,
+        "Weight of the squared amount by which the clearance of the arm (tool included) to obstacles and table falls "
+        "below `cost.arm_clearance`; this term replaces the paper's constraint phi_3 >= 0.",
+        unit="1/m^2",
     )
     arm_clearance: float = setting(
-        0.01, "Clearance between the arm and obstacles or table below which w_arm_clearance acts.", unit="m"
+        0.01,
+        "Clearance of the arm (tool included) to obstacles and table below which `cost.w_arm_clearance` applies.",
+        unit="m",
     )
     w_above: float = setting(20.0, "Cost of each control step with the tip above the object; not in the paper.")
-    w_push_ring: float = setting(40.0, "Weight of the object's distance from push_ring; not in the paper.", unit="1/m")
+    w_push_ring: float = setting(
+        40.0,
+        "Weight of the distance by which the object's centre lies outside the ring `cost.push_ring`; not in the paper.",
+        unit="1/m",
+    )
     push_ring: tuple[float, float] = setting((0.32, 0.60), _RING, unit="m")
     w_edge: float = setting(
         40.0,
-        "Weight of the distance of the object's centre from the rectangle in which all of the object is on the table; "
-        "not in the paper.",
+        "Weight of the distance by which the object's centre lies outside the rectangle that keeps the whole object on "
+        "the table (and within reach, for a robot that does not turn about its base); not in the paper.",
         unit="1/m",
     )
     w_press: float = setting(
         1e6,
-        "Weight of the squared depth to which the tool presses into an object that cannot yield (phi_1), in the "
-        "quasi-static engine.",
+        "Weight of the squared depth to which the tool presses into an object that is jammed against an obstacle, in "
+        "the quasi-static engine; this term replaces the paper's constraint phi_1 >= 0.",
         unit="1/m^2",
     )
     w_margin: float = setting(
         2e4,
-        "Weight of the squared shortfall of clearance below margin while the object is pushed, in the quasi-static "
-        "engine; not in the paper.",
+        "Weight of the squared amount by which the clearance between object and obstacles (phi_2) falls below "
+        "`cost.margin` while the object is pushed, in the quasi-static engine; not in the paper.",
         unit="1/m^2",
     )
-    margin: float = setting(0.006, "Clearance between object and obstacles below which w_margin acts.", unit="m")
+    margin: float = setting(
+        0.006,
+        "Clearance between object and obstacles below which `cost.w_margin` applies; not in the paper.",
+        unit="m",
+    )
     w_lift: float = setting(
         50.0,
-        "Weight of the squared speed at which the tip rises while pushing, which could tip the object over, in the "
+        "Weight of the squared speed at which the tip rises while it pushes, which could tip the object over; in the "
         "quasi-static engine; not in the paper.",
         unit="s^2/m^2",
     )
-    w_control: float = setting(0.0, "Weight of the squared joint velocities; not in the paper.", unit="s^2/rad^2")
+    w_control: float = setting(
+        0.0, "Weight of the sum of the squared joint velocities; not in the paper.", unit="s^2/rad^2"
+    )
     w_collision: float = setting(
         0.0,
-        "Weight of the contact force above f_0 between arm or tool and obstacles or table, in engines that compute it; "
-        "not in the paper.",
+        "Weight of the amount by which the contact force of arm and tool on obstacles and table exceeds `cost.f_0`, in "
+        "engines that compute this force (the quasi-static engine does not); not in the paper.",
         unit="1/N",
     )
     w_overhang: float = setting(
         3e4,
-        "Weight of the squared length by which a tilted stick is closer to the object at its rim's height than at the "
-        "tip, for objects that a push can tip over; not in the paper.",
+        "Weight of the squared overhang of a tilted stick: how much nearer the stick is to the object at the height of "
+        "the object's upper rim than at the tip; only for objects that a push can tip over; not in the paper.",
         unit="1/m^2",
     )
     w_rush: float = setting(
         100.0,
-        "Weight of the squared excess of the approach speed over that set by rush, for objects that a push can tip "
-        "over; not in the paper.",
+        "Weight of the squared amount by which the approach speed (the tip's speed towards the object) exceeds the "
+        "limit given by `cost.rush`; only for objects that a push can tip over; not in the paper.",
         unit="s^2/m^2",
     )
     rush: float = setting(
-        0.4, "Fraction of the object's tipping speed up to which an approach has no cost; not in the paper."
+        0.4,
+        "Approach speed up to which there is no cost, as a fraction of the speed at which the object tips over when "
+        "its far edge is stopped; not in the paper.",
     )
     topple_near: float = setting(
-        0.1, "Distance to the object within which w_overhang and w_rush act; not in the paper.", unit="m", low=1e-3
+        0.1,
+        "Distance to the object within which `cost.w_overhang` and `cost.w_rush` apply; they fade out towards this "
+        "distance; not in the paper.",
+        unit="m",
+        low=1e-3,
     )
     extra: Mapping[str, float] = group(ExtraWeights(), "Weights of cost terms from outside the package, by name.")
 
@@ -330,34 +441,39 @@ class Reposition:
     """Repositioning of the tool to push an object that makes no headway from another side; not in the paper."""
 
     stall_seconds: float = setting(
-        3.0, "Time without headway after which the tool is repositioned; 0 disables repositioning.", unit="s"
+        3.0,
+        "Time without headway (see `reposition.headway`) after which the tool is repositioned; 0 disables "
+        "repositioning.",
+        unit="s",
     )
     headway: float = setting(
         0.01,
-        "Amount by which the remaining path to the goal must fall below its minimum since pushing began to count as "
-        "headway.",
+        "Headway is made when the object's remaining path to the goal has become shorter by more than this since "
+        "headway was last made or, the first time, since pushing began.",
         unit="m",
     )
     w_waypoint: float = setting(
-        400.0, "Weight of the tip's squared distance to its waypoint during repositioning.", unit="1/m^2"
+        400.0, "Weight of the tip's squared distance to its current waypoint during repositioning.", unit="1/m^2"
     )
-    longest_seconds: float = setting(4.0, "Longest duration of a repositioning.", unit="s")
+    longest_seconds: float = setting(4.0, "Duration after which a repositioning is abandoned.", unit="s")
 
 
 @dataclass(frozen=True)
 class EpisodeConfig:
     """Settings of an episode: its end, and the arm's behaviour when a plan is late."""
 
-    max_sim_seconds: float = setting(40.0, "Time limit in simulated time.", unit="s", low=0.001)
-    hold_seconds: float = setting(0.5, "Time for which the object must stay within tolerance for success.", unit="s")
+    max_sim_seconds: float = setting(40.0, "Time limit of an episode, in simulated time.", unit="s", low=0.001)
+    hold_seconds: float = setting(
+        0.5, "Time for which the object must stay within the tolerance of its goal for success.", unit="s"
+    )
     tight: bool = setting(
         True,
-        "Continue a successful episode until the tight tolerance is held as well; both results are reported in either "
-        "case.",
+        "Continue a successful episode until the scene's tight tolerance is held as well, instead of ending it at "
+        "success. Results for both tolerances are reported in either case.",
     )
     plan_expires: float = setting(
         0.15,
-        "Time for which a command is held when the next plan is late in real time, before the arm stops.",
+        "Time for which the last command is held in real time while the next plan is late; then the arm is stopped.",
         unit="s",
     )
 
@@ -369,31 +485,46 @@ class Config:
     preset: str = label("best", "Name of the preset that the settings are based on.")
     resolved_for: str = label("", "The task that the settings were resolved for; see oimppi_warp.planning.resolve.")
     control_period: float = setting(
-        0.05, "Control period: time from one plan to the next.", unit="s", low=0.001, high=1.0
+        0.05, "Control period: duration of a control step, from one plan to the next.", unit="s", low=0.001, high=1.0
     )
     reference: Literal["time", "progress"] = setting(
         "progress",
-        "Index into the object plan that SOI's robot level tracks: the time since planning, as in the paper, or the "
-        "progress of the object along it.",
+        "How SOI's robot level picks its reference on the object plan: by elapsed time, as in the paper (`time`), or "
+        "by the object's progress along the plan (`progress`).",
     )
-    reposition: Reposition = group(Reposition(), "Repositioning of the tool to push from another side.")
-    robot: RobotLevel = group(RobotLevel(), "The robot level.")
-    object: ObjectLevel = group(ObjectLevel(), "The object level.")
-    cost: RobotCost = group(RobotCost(), "Cost weights of the robot level.")
-    object_cost: ObjectCost = group(ObjectCost(), "Cost weights of the object level.")
-    episode: EpisodeConfig = group(EpisodeConfig(), "End of an episode, and late plans.")
-    lab: LabConfig = group(LabConfig(), "The simulated laboratory.")
+    reposition: Reposition = group(
+        Reposition(),
+        "Repositioning of the tool, to push an object that makes no headway from another side; not in the paper.",
+    )
+    robot: RobotLevel = group(
+        RobotLevel(),
+        "The robot level, which plans joint velocities that make the object follow its plan (equation 14).",
+    )
+    object: ObjectLevel = group(
+        ObjectLevel(), "The object level, which plans how the object moves to its goal without the robot (equation 13)."
+    )
+    cost: RobotCost = group(RobotCost(), "Cost weights of the robot level (equations 14, 15 and 17).")
+    object_cost: ObjectCost = group(ObjectCost(), "Cost weights of the object level (equation 15).")
+    episode: EpisodeConfig = group(EpisodeConfig(), "End of an episode, and commands while a plan is late.")
+    lab: LabConfig = group(LabConfig(), "The simulated laboratory (`--plant lab`).")
     estimator: EstimatorConfig = group(
-        EstimatorConfig(), "Assumptions of the estimator, used in the laboratory and in real time."
+        EstimatorConfig(),
+        "Assumptions of the estimator of the object's pose, which is used in the laboratory and in real time.",
     )
 
 
 def check_order(name: str, bounds: tuple[float, float]) -> None:
     """Checks that a lower bound does not exceed the upper one.
 
+    Args:
+        name: Dotted name of the setting, for the message.
+        bounds: Lower and upper bound.
+
     Raises:
         ConfigError: The lower bound is above the upper one.
     """
     low, high = bounds
     if low > high:
-        raise ConfigError(f"{name} = {low:g},{high:g}: the lower bound is above the upper one\n  to do:   swap the two")
+        raise ConfigError(
+            f"{name} = {low:g},{high:g}: the lower bound is above the upper one\n  to do:   swap the two numbers"
+        )

@@ -156,7 +156,7 @@ def test_what_stands_fast_is_made_as_what_is_pushed_but_for_its_mass(tmp_path):
 
 def test_an_object_that_a_push_may_tip_over_is_said_to_be_one(tmp_path, capsys):
     new(tmp_path, "--object", "cylinder:0.03x0.15")
-    assert "a push above 75 mm tips it over" in capsys.readouterr().out
+    assert "a push higher than 75 mm above the table tips the object over" in capsys.readouterr().out
 
 
 def test_an_imported_object_is_known_by_its_name_and_by_its_file(tmp_path):

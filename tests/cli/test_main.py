@@ -73,8 +73,8 @@ def status(*arguments: object) -> int | str | None:
 def test_success_is_status_0_and_a_summary(stage: Stage, capsys: pytest.CaptureFixture[str]):
     assert status("run", "synthetic", "--device", "cpu") == 0
     out = capsys.readouterr().out
-    assert "reached its goal" in out
-    assert "not at its goal" not in out
+    assert "goal reached" in out
+    assert "goal not reached" not in out
     assert "median 13.0 ms" in out
 
 
@@ -82,7 +82,7 @@ def test_a_goal_that_was_not_reached_is_status_1(stage: Stage, capsys: pytest.Ca
     stage.log = make_log(arrive=0.5)
     assert status("run", "synthetic") == 1
     out = capsys.readouterr().out
-    assert "did not reach its goal" in out and "to the goal" not in out
+    assert "goal not reached" in out and "to the goal" not in out
 
 
 def test_an_interrupted_episode_is_status_130_and_leaves_its_record(stage: Stage, tmp_path: Path):

@@ -98,7 +98,7 @@ def test_a_record_with_a_setting_that_does_not_exist_or_a_wrong_value_is_refused
         from_record({"cost": {"w_aligm": 1.0}})
     with pytest.raises(ConfigError, match=r"record: cost\.push_ring = 3"):
         from_record(record | {"cost": {"reach": 3}})
-    with pytest.raises(ConfigError, match="a whole number"):
+    with pytest.raises(ConfigError, match="the value is invalid\n  allowed: integer, 2 to 1000000"):
         from_record({"robot": {"mppi": {"samples": 1.5}}})
 
 

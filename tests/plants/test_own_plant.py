@@ -130,7 +130,7 @@ def test_an_array_of_another_length_is_an_error_that_names_it(planner: Planner, 
 NONSENSE = {
     "joint_position": (np.array([0.0, np.nan, 0, 0, 0, 0]), "non-finite values in the joint positions"),
     "joint_velocity": (np.full(6, np.inf), "non-finite values in the joint velocities"),
-    "object_pose": (np.array([1e6, 0.0, 0.0]), "1e.06 m away"),
+    "object_pose": (np.array([1e6, 0.0, 0.0]), "1e.06 m from the origin"),
     "object_transform": (np.array([0, 0, 0, 0, 0, 0, np.nan]), "non-finite values in the object.s transform"),
 }
 
@@ -193,7 +193,7 @@ def test_joints_that_are_not_known_stop_an_arm_whose_object_is_estimated(device:
 
 
 def test_an_option_that_a_run_does_not_have_is_an_error():
-    with pytest.raises(ConfigError, match="sead: no such option of a run\n  allowed: method, engine"):
+    with pytest.raises(ConfigError, match="sead: a run has no such option\n  allowed: method, engine"):
         make_planner(shipped("task01"), small(), sead=3)
     with pytest.raises(ConfigError, match="did you mean cloi"):
         make_planner(shipped("task01"), small(), method="clio")

@@ -42,7 +42,8 @@ def test_bounds_and_units_are_those_of_the_field():
     samples, limit = found["robot.optimizer.samples"], found["robot.joint_velocity_limit"]
     assert (samples.about.low, samples.about.high) == (2, 1_000_000)
     assert limit.about.unit == "rad/s" and limit.help.endswith("[rad/s]")
-    assert samples.allowed == "a whole number, 2 to 1000000"
+    assert limit.allowed_with_unit == "number, >= 0.001 [rad/s]"
+    assert samples.allowed_with_unit == samples.allowed == "integer, 2 to 1000000"
 
 
 def test_a_field_without_help_is_refused_where_it_is_listed():
@@ -85,5 +86,5 @@ except ConfigError as error:
     assert done.stdout.splitlines() == [
         "Weight of the tool's tilt from vertical (equation 19). [1/rad]",
         "cost.w_tilt = -7 cannot be used",
-        "  allowed: 0 or more (finite)",
+        "  allowed: number, >= 0 [1/rad]",
     ]

@@ -64,7 +64,7 @@ def test_an_optimizer_that_does_not_exist_is_answered_with_those_that_do():
 
 
 def test_a_setting_of_another_optimizer_says_which_one_is_chosen():
-    with pytest.raises(ConfigError, match=r"of the optimizer mppi\n(.|\n)*robot\.optimizer=NAME"):
+    with pytest.raises(ConfigError, match=r"the optimizer mppi has no such setting\n(.|\n)*robot\.optimizer=NAME"):
         set_option(best(), "robot.optimizer.elites=0.1")
     assert SettingsRequest(
         "best",
@@ -244,12 +244,12 @@ def test_the_weight_of_a_term_from_outside_is_a_setting(term: str):
     assert extra_weights(best().cost) == {"calm": 3.0}
     assert hash(config) != hash(best()) and config != best()
     assert from_record({"cost": {"extra": {"calm": 5.0}}}) == replace(config, preset="best")
-    with pytest.raises(ConfigError, match="0 or more"):
+    with pytest.raises(ConfigError, match="number, >= 0"):
         set_option(best(), "cost.extra.calm=-1")
 
 
 def test_the_weight_of_a_term_that_does_not_exist_is_refused():
-    with pytest.raises(ConfigError, match="no such setting"):
+    with pytest.raises(ConfigError, match="the setting does not exist"):
         set_option(best(), "cost.extra.calm=5")
     unknown = replace(best(), cost=replace(best().cost, extra={"calm": 5.0}))
     with pytest.raises(ConfigError, match="cost term 'calm' does not exist"):
