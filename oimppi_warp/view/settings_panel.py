@@ -86,7 +86,8 @@ class SettingsPanel:
                 self._add(setting)
 
     def _add(self, setting: Setting) -> None:
-        name, value, kind, about = setting.name, setting.value, setting.kind, setting.help
+        name, value, kind = setting.name, setting.value, setting.kind
+        about = setting.help.replace("`", "")  # a tooltip is plain text
         shown = name.rpartition(".")[2]
         low, high = setting.about.low, setting.about.high
         if get_args(kind) and isinstance(value, str):

@@ -42,7 +42,7 @@ def buttons(panel: SettingsPanel) -> set[str]:
 def test_every_setting_has_a_control_with_its_help_and_unit(panel):
     assert panel._controls.keys() == options(best("cloi")).keys()
     for name, setting in settings_of(best("cloi")).items():
-        assert panel._controls[name].hint == setting.help
+        assert panel._controls[name].hint == setting.help.replace("`", "")
     assert panel._controls["robot.joint_velocity_limit"].hint.endswith("[rad/s]")
     assert panel._controls["robot.optimizer"].options == ("mppi", "cem")
 
