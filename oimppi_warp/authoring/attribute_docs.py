@@ -39,7 +39,7 @@ _PLACES = {
 
 
 def write_attribute_docs(stage: Usd.Stage) -> None:
-    """Write documentation for prims and attributes into a stage's root layer, with units in square brackets.
+    """Writes documentation for prims and attributes into a stage's root layer, with units in square brackets.
 
     Prims that override part of another file, such as the links of a posed arm, are left unchanged.
     """

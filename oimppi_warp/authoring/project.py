@@ -50,7 +50,7 @@ class WrittenTask:
 
 
 def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> WrittenTask:
-    """Write a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
+    """Writes a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
 
     The files are first written to a draft folder, read back and checked, and moved only if they are valid. A robot or
     an object that is already in the folder is used as it is. If a different object has the same name, the new one is
@@ -88,7 +88,7 @@ def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> 
 
 
 def write_object(obj: Pushable, folder: str | Path = ".", *, force: bool = False, picture: bool = False) -> Path:
-    """Write an object to ``objects/`` in a folder, with its attributes documented.
+    """Writes an object to ``objects/`` in a folder, with its attributes documented.
 
     Args:
         obj: The object.
@@ -119,7 +119,7 @@ def write_object(obj: Pushable, folder: str | Path = ".", *, force: bool = False
 
 
 def find_robot(robot: str, folder: Path) -> Path:
-    """Find the file of a robot: one in the folder, a shipped one, or a USD file.
+    """Finds the file of a robot: one in the folder, a shipped one, or a USD file.
 
     Raises:
         SceneError: The robot does not exist.

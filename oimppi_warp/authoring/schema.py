@@ -120,7 +120,7 @@ SCHEMAS = (
 
 
 def write(folder: Path) -> None:
-    """Write ``generatedSchema.usda`` and ``plugInfo.json``, which USD reads, to ``folder``."""
+    """Writes ``generatedSchema.usda`` and ``plugInfo.json``, which USD reads, to ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "generatedSchema.usda").write_text(_schema_file())
     types = {
@@ -213,7 +213,7 @@ def Xform "World" (
 
 
 def page() -> str:
-    """Return the manual's page about the schemas."""
+    """Returns the manual's page about the schemas."""
     lines = [_HEAD]
     for schema in SCHEMAS:
         lines += [f"## {schema.name}", "", f"On {schema.where}.", "", schema.doc, ""]

@@ -106,7 +106,7 @@ class Task:
 def write(
     task: Task, folder: Path, *, note: str = "", find_arm_start: Callable[[Scene], Sequence[float] | None] | None = None
 ) -> Path:
-    """Write a task's scene to ``folder``, which must already contain ``robots`` and ``objects``.
+    """Writes a task's scene to ``folder``, which must already contain ``robots`` and ``objects``.
 
     Args:
         task: The task.
@@ -166,7 +166,7 @@ def write(
 
 
 def add_starts(stage: Usd.Stage, file: Path) -> None:
-    """List the start with nine others drawn around it, from a smaller spread where there is less room.
+    """Lists the start with nine others drawn around it, from a smaller spread where there is less room.
 
     They are drawn from the scene as written to its file. `oimppi run --seed` draws from seed 0 upwards, so it draws
     others.

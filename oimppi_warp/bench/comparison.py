@@ -64,7 +64,7 @@ class Comparison:
 
 
 def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
-    """Compare two result sets: all pairs together, then by task and method.
+    """Compares two result sets: all pairs together, then by task and method.
 
     Raises:
         ConfigError: The sets have no combination of task, method and start in common.
@@ -83,7 +83,7 @@ def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
 
 
 def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
-    """Compare the methods of one set with each other, over all its tasks.
+    """Compares the methods of one set with each other, over all its tasks.
 
     A scene listed under several labels is counted once, under the first, as its starts are the same under all.
     """
@@ -102,7 +102,7 @@ def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
 
 
 def compare_labels(results: ResultSet) -> tuple[Comparison, ...]:
-    """Compare each labelled entry of one set with the first entry of the same scene and method."""
+    """Compares each labelled entry of one set with the first entry of the same scene and method."""
     groups: dict[tuple[str, str], dict[str, list[Result]]] = {}
     for result in results.results:
         groups.setdefault((result.scene, result.run.method), {}).setdefault(result.task, []).append(result)
@@ -116,7 +116,7 @@ def compare_labels(results: ResultSet) -> tuple[Comparison, ...]:
 
 
 def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
-    """Compare paired trials."""
+    """Compares paired trials."""
     only_first = tuple((a, b) for a, b in pairs if a.success and not b.success)
     only_second = tuple((a, b) for a, b in pairs if b.success and not a.success)
     return Comparison(
@@ -131,7 +131,7 @@ def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """Return the p value of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947).
+    """Returns the p value of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947).
 
     Under its null hypothesis, either side is equally likely to be the one that succeeds in a differing pair.
     """
@@ -143,7 +143,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def signed_rank(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the p value of the two-sided Wilcoxon signed-rank test; pairs without a difference are dropped."""
+    """Returns the p value of the two-sided Wilcoxon signed-rank test; pairs without a difference are dropped."""
     if not len(first):
         return math.nan
     if not np.any(first != second):

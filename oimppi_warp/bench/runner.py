@@ -82,7 +82,7 @@ class SuiteRun:
         cluster: str = "",
         on_result: Callable[[Result], None] | None = None,
     ) -> ResultSet:
-        """Run the unfinished trials, and write the results.
+        """Runs the unfinished trials, and write the results.
 
         Args:
             jobs: Number of concurrent trials; by default one per core, and one at a time in real time. With ``1`` (and
@@ -120,7 +120,7 @@ class SuiteRun:
         return found
 
     def store(self, outcome: Outcome) -> Result:
-        """Write the outcome of a trial: its record first, and last the file that marks it as finished."""
+        """Writes the outcome of a trial: its record first, and last the file that marks it as finished."""
         trial = outcome.trial
         result = make_result(
             trial,
@@ -141,7 +141,7 @@ class SuiteRun:
         return result
 
     def results(self) -> ResultSet:
-        """Collect the finished results, in the order of the suite."""
+        """Collects the finished results, in the order of the suite."""
         return ResultSet(
             suite=self.suite.name,
             title=self.suite.title,
@@ -170,7 +170,7 @@ class SuiteRun:
 
 
 def prepare(trials: Iterable[Trial]) -> None:
-    """Compile the kernels that the trials need, once instead of in every worker; does nothing if they are cached."""
+    """Compiles the kernels that the trials need, once instead of in every worker; does nothing if they are cached."""
     from oimppi_warp.bench.trial import make_episode
     from oimppi_warp.compute.device import kernels_are_cached
 

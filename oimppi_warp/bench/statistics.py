@@ -35,7 +35,7 @@ class Rate:
 
 
 def wilson(count: int, total: int, *, confidence: float = 0.95) -> Rate:
-    """Compute a rate with Wilson's score interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+    """Computes a rate with Wilson's score interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
     if not total:
         return Rate(0, 0, 0.0, 1.0)
     from scipy.stats import binomtest
@@ -89,7 +89,7 @@ class Statistics:
 
 
 def summarize_results(results: Sequence[Result]) -> Statistics:
-    """Compute the statistics of some trials."""
+    """Computes the statistics of some trials."""
     good = [result for result in results if result.success]
     clear = sum(result.value("min_clearance_m") >= DEEP for result in good)
     return Statistics(
@@ -118,7 +118,7 @@ def summarize_results(results: Sequence[Result]) -> Statistics:
 
 
 def finite(results: Sequence[Result], name: str) -> np.ndarray:
-    """Return the finite values of a metric, shape [n]."""
+    """Returns the finite values of a metric, shape [n]."""
     values = np.array([result.value(name) for result in results], dtype=float)
     return values[np.isfinite(values)]
 

@@ -101,12 +101,12 @@ class Trial:
         return shlex.join(["oimppi", *self.arguments])
 
     def row(self) -> dict[str, Any]:
-        """Return the trial in JSON types, with its options and settings inlined."""
+        """Returns the trial in JSON types, with its options and settings inlined."""
         return to_json(flatten(self))
 
 
 def make_episode(trial: Trial) -> Episode:
-    """Create the episode of a trial, as ``oimppi run`` does."""
+    """Creates the episode of a trial, as ``oimppi run`` does."""
     from oimppi_warp.compute.device import pick_device
     from oimppi_warp.runtime.episode import Episode
 
@@ -115,7 +115,7 @@ def make_episode(trial: Trial) -> Episode:
 
 
 def trial_seed(seed: int, number: int) -> int:
-    """Return the seed of a trial's noise and, if its start is drawn, of its start.
+    """Returns the seed of a trial's noise and, if its start is drawn, of its start.
 
     For a suite's seed up to 100000 and a number below 10000 it is ``10000 * seed + number``. All others are hashed with
     NumPy's ``SeedSequence`` into the 32-bit numbers above those, so that a hashed seed never equals an arithmetic one.
@@ -133,7 +133,7 @@ def trial_seed(seed: int, number: int) -> int:
 
 
 def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
-    """Create all trials of a suite, and load the scenes of its tasks, by short name.
+    """Creates all trials of a suite, and load the scenes of its tasks, by short name.
 
     The lowest numbers use the scene's own starts, for any seed; all other starts are drawn with the trial's seed.
     Start and seed depend only on the task and the number, so that methods can be compared in pairs.

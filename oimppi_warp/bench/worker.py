@@ -38,7 +38,7 @@ class Outcome:
 
 
 def run_trial(trial: Trial, leader: int) -> Outcome:
-    """Run a trial.
+    """Runs a trial.
 
     Args:
         trial: The trial.

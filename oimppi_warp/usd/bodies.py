@@ -21,7 +21,7 @@ _WORLD = Gf.Matrix4d(1.0)
 
 
 def read_table(stage: SceneStage) -> Table:
-    """Read the table.
+    """Reads the table.
 
     Raises:
         SceneError: There is no table or more than one, or it is not a level box with its top at z = 0.
@@ -60,7 +60,7 @@ def _level_half(collider: Collider) -> np.ndarray | None:
 
 
 def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
-    """Read the object and its pose in the file.
+    """Reads the object and its pose in the file.
 
     Raises:
         SceneError: There is no object or more than one, or it cannot move, has no mass, shape or friction, or does not
@@ -105,7 +105,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
 
 
 def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
-    """Read an obstacle.
+    """Reads an obstacle.
 
     Raises:
         SceneError: It has no collider.
@@ -172,7 +172,7 @@ def _check_resting(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_hei
 
 
 def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
-    """Return the given centre of mass, or else that of the shapes, in the body's frame, shape [3] [m]."""
+    """Returns the given centre of mass, or else that of the shapes, in the body's frame, shape [3] [m]."""
     given = given_center(prim)
     if given is not None:
         return given * scales(stage.frame(prim))
@@ -193,7 +193,7 @@ def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
 
 
 def largest_friction(stage: SceneStage, bodies: list[Usd.Prim]) -> float:
-    """Return the largest friction of the materials of the bodies' colliders; NaN without bodies, or after a mistake."""
+    """Returns the largest friction of the materials of the bodies' colliders; NaN without bodies, or after a mistake."""
     shapes = [shape for body in bodies for shape in collider_prims(body)]
     found = [stage.attempt(math.nan, stage.friction, shape) for shape in shapes]
     return float(np.max([0.0 if bodies else math.nan, *(value or 0.0 for value in found)]))

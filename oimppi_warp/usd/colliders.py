@@ -35,7 +35,7 @@ def collider_prims(root: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tuple[Collider, ...]:
-    """Read the collision shapes below ``root``, skipping any with a mistake.
+    """Reads the collision shapes below ``root``, skipping any with a mistake.
 
     Args:
         scene: The stage.

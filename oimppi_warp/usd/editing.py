@@ -234,7 +234,7 @@ def _set_transform(prim: Usd.Prim, transform: list[float]) -> None:
 
 
 def _set_world(prim: Usd.Prim, world: Gf.Matrix4d) -> None:
-    """Give a prim a world transform, written as translation, orientation and scale."""
+    """Gives a prim a world transform, written as translation, orientation and scale."""
     xform = UsdGeom.Xformable(prim)
     parent = xform.ComputeParentToWorldTransform(Usd.TimeCode.Default())
     local = Gf.Transform(world * parent.GetInverse())

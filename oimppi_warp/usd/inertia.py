@@ -17,7 +17,7 @@ from oimppi_warp.usd.stage import SceneStage
 
 
 def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
-    """Read the mass of a rigid body [kg].
+    """Reads the mass of a rigid body [kg].
 
     Raises:
         SceneError: It is missing, or not positive.
@@ -30,14 +30,14 @@ def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
 
 
 def given_center(body: Usd.Prim) -> np.ndarray | None:
-    """Return the centre of mass given for a body, in its frame before scaling, shape [3] [m]."""
+    """Returns the centre of mass given for a body, in its frame before scaling, shape [3] [m]."""
     value = UsdPhysics.MassAPI(body).GetCenterOfMassAttr().Get()
     center = np.array([shortest_decimal(c) for c in value or [math.nan]])
     return center if np.isfinite(center).all() else None
 
 
 def given_moments(body: Usd.Prim) -> np.ndarray | None:
-    """Return the principal moments given for a body, shape [3] [kg m^2]; ``None`` if they follow from the shapes."""
+    """Returns the principal moments given for a body, shape [3] [kg m^2]; ``None`` if they follow from the shapes."""
     if not body.HasAPI(UsdPhysics.MassAPI):
         return None
     value = UsdPhysics.MassAPI(body).GetDiagonalInertiaAttr().Get()
@@ -46,7 +46,7 @@ def given_moments(body: Usd.Prim) -> np.ndarray | None:
 
 
 def unit_inertia(body: Usd.Prim, mass: float) -> np.ndarray | None:
-    """Return the rotational inertia given for a body about its centre of mass, divided by its mass.
+    """Returns the rotational inertia given for a body about its centre of mass, divided by its mass.
 
     ``newton:inertia`` takes precedence over principal moments and axes, as in Newton.
 

@@ -20,7 +20,7 @@ _UNREAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 def read_robot(scene: SceneStage) -> Robot:
-    """Read the scene's robot.
+    """Reads the scene's robot.
 
     Raises:
         SceneError: There is no robot or more than one, it is not a serial arm of joints about or along their local z
@@ -125,7 +125,7 @@ class _Chain:
         self.reached: set[Sdf.Path] = set()
 
     def ends(self, joint: UsdPhysics.Joint) -> tuple[Usd.Prim | None, Usd.Prim | None]:
-        """Return the two bodies that a joint connects; ``None`` for the world."""
+        """Returns the two bodies that a joint connects; ``None`` for the world."""
         found = []
         for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
             targets = relation.GetTargets()
@@ -148,7 +148,7 @@ class _Chain:
         return found[0], found[1]
 
     def frames(self, joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
-        """Return a joint's frame in its parent body and in its child body."""
+        """Returns a joint's frame in its parent body and in its child body."""
         before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
         after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
         if not (np.abs([np.array(before), np.array(after)]) < MAX_LENGTH).all():
@@ -160,7 +160,7 @@ class _Chain:
         return before, after
 
     def walk(self) -> tuple[tuple[Joint, ...], tuple[Link, ...]]:
-        """Return the moving joints and their links, from base to flange."""
+        """Returns the moving joints and their links, from base to flange."""
         joints, links = [], []
         body: Usd.Prim | None = self.base_prim
         while body is not None:
@@ -206,7 +206,7 @@ class _Chain:
         return tuple(joints), tuple(links)
 
     def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:
-        """Return a body and everything welded to it, with relative poses, and the moving joints attached to them."""
+        """Returns a body and everything welded to it, with relative poses, and the moving joints attached to them."""
         group, moving = [(body, Gf.Matrix4d(1.0))], []
         self.visit(body)
         for part, placed in group:  # the list grows during iteration
@@ -223,7 +223,7 @@ class _Chain:
         return group, moving
 
     def visit(self, body: Usd.Prim) -> None:
-        """Mark a body of the chain as visited; raise SceneError if it already was."""
+        """Marks a body of the chain as visited; raise SceneError if it already was."""
         if body.GetPath() in self.reached:
             raise self.scene.error(
                 "a link with two parent joints", body, allowed="a serial arm", fix="remove one of the joints"
@@ -231,7 +231,7 @@ class _Chain:
         self.reached.add(body.GetPath())
 
     def link(self, group: list[tuple[Usd.Prim, Gf.Matrix4d]]) -> Link:
-        """Merge bodies welded together into one link, in the frame of the first."""
+        """Merges bodies welded together into one link, in the frame of the first."""
         colliders: list[Collider] = []
         bodies: list[Welded] = []
         for body, placed in group:
@@ -246,7 +246,7 @@ class _Chain:
         return Link(first.path, mass, tuple(colliders), center, inertia, tuple(welded))
 
     def joint(self, joint: UsdPhysics.Joint) -> Joint:
-        """Read a moving joint."""
+        """Reads a moving joint."""
         scene, prim = self.scene, joint.GetPrim()
         turns, slides = UsdPhysics.RevoluteJoint(prim), UsdPhysics.PrismaticJoint(prim)
         if not (turns or slides):
@@ -305,7 +305,7 @@ class _Chain:
         return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind, friction, damping)
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
-        """Return a prim's transform in the frame of the last link, shape [7]."""
+        """Returns a prim's transform in the frame of the last link, shape [7]."""
         for body, placed in self.welded:
             if prim.GetPath().HasPrefix(body.GetPath()):
                 local = self.scene.frame(prim) * self.scene.body_frame(body).GetInverse()

@@ -103,7 +103,7 @@ class SceneStage:
             raise mistakes[-1]
 
     def collect(self, mistake: SceneError) -> None:
-        """Note a mistake and continue, or raise it if mistakes are not being collected."""
+        """Notes a mistake and continue, or raise it if mistakes are not being collected."""
         if self._mistakes is None:
             raise mistake
         if str(mistake) not in map(str, self._mistakes):
@@ -113,7 +113,7 @@ class SceneStage:
     def attempt(
         self, fallback: Fallback, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
     ) -> Read | Fallback:
-        """Return a reader's result; if it raises a mistake, note it and return ``fallback`` instead."""
+        """Returns a reader's result; if it raises a mistake, note it and return ``fallback`` instead."""
         try:
             return read(*args, **kwargs)
         except SceneError as mistake:
@@ -128,12 +128,12 @@ class SceneStage:
         return self.error(what, allowed="valid USD", fix="correct the error that OpenUSD reports")
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
-        """Create a :class:`SceneError` at a prim of this file."""
+        """Creates a :class:`SceneError` at a prim of this file."""
         place = prim if isinstance(prim, str) else prim.GetPath()
         return SceneError(what, file=self.file, prim=place, allowed=allowed, fix=fix)
 
     def warning(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> Problem:
-        """Create a warning at a prim of this file."""
+        """Creates a warning at a prim of this file."""
         place = prim if isinstance(prim, str) else str(prim.GetPath())
         return Problem(str(self.file), "warning", place, what, allowed, fix)
 
@@ -155,15 +155,15 @@ class SceneStage:
                 )
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
-        """Iterate over all active prims below ``root`` (inclusive), those in instances too, in file order."""
+        """Iterates over all active prims below ``root`` (inclusive), those in instances too, in file order."""
         yield from Usd.PrimRange(root or self.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
 
     def prims_with(self, schema: str) -> list[Usd.Prim]:
-        """Return the prims with one of the package's API schemas applied."""
+        """Returns the prims with one of the package's API schemas applied."""
         return [prim for prim in self.prims() if schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
 
     def single_prim(self, schema: str, noun: str, where: str) -> Usd.Prim:
-        """Return the only prim with a role.
+        """Returns the only prim with a role.
 
         Args:
             schema: Name of the API schema.
@@ -180,7 +180,7 @@ class SceneStage:
         return found[0]
 
     def numbers(self, prim: Usd.Prim, name: str, shape: tuple[int, ...], meaning: str) -> np.ndarray:
-        """Read a numeric attribute.
+        """Reads a numeric attribute.
 
         Args:
             prim: The prim.
@@ -204,12 +204,12 @@ class SceneStage:
         return array
 
     def text(self, prim: Usd.Prim, name: str) -> str:
-        """Read an attribute that holds a line of text."""
+        """Reads an attribute that holds a line of text."""
         attribute = prim.GetAttribute(name)
         return str((attribute.Get() if attribute else None) or schema_default(name))
 
     def number(self, prim: Usd.Prim, name: str, fallback: float) -> float:
-        """Read an attribute of one of USD's own schemas, or return the fallback if it has no value."""
+        """Reads an attribute of one of USD's own schemas, or return the fallback if it has no value."""
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
         if value is None:
@@ -219,7 +219,7 @@ class SceneStage:
         return shortest_decimal(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """Return a prim's frame in the world in USD's convention (row vectors, scale included)."""
+        """Returns a prim's frame in the world in USD's convention (row vectors, scale included)."""
         frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
         if not (np.abs(np.array(frame)) < MAX_LENGTH).all():
             allowed = f"finite numbers, and lengths below {MAX_LENGTH:g} m"
@@ -232,7 +232,7 @@ class SceneStage:
         return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """Return a rigid body's frame in the world, without scale; a scaled body is a mistake."""
+        """Returns a rigid body's frame in the world, without scale; a scaled body is a mistake."""
         frame = self.frame(prim)
         if not is_rigid(frame):
             self.collect(
@@ -246,7 +246,7 @@ class SceneStage:
         return frame.GetOrthonormalized()
 
     def friction(self, prim: Usd.Prim) -> float | None:
-        """Return the dynamic friction of the physics material bound to a prim; ``None`` without a material."""
+        """Returns the dynamic friction of the physics material bound to a prim; ``None`` without a material."""
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
             return None
@@ -262,7 +262,7 @@ class SceneStage:
 
 
 def file_of(layer: Sdf.Layer) -> Path:
-    """Return the file that contains a layer; for a layer in a USDZ package, the package."""
+    """Returns the file that contains a layer; for a layer in a USDZ package, the package."""
     return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
 
 
@@ -273,7 +273,7 @@ def _schema_layer() -> Any:
 
 @cache
 def schema_default(name: str) -> Any:
-    """Return the default value of an attribute in the package's schema; ``None`` if the attribute is required."""
+    """Returns the default value of an attribute in the package's schema; ``None`` if the attribute is required."""
     for prim in _schema_layer().rootPrims:
         if name in prim.attributes:
             return prim.attributes[name].default
@@ -282,5 +282,5 @@ def schema_default(name: str) -> Any:
 
 @cache
 def schema_attributes() -> dict[str, tuple[str, ...]]:
-    """Return the package's API schemas with the names of their attributes."""
+    """Returns the package's API schemas with the names of their attributes."""
     return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}

@@ -33,12 +33,12 @@ class TaskAttributes:
     tight_tolerance: Tolerance
 
     def starts_or(self, start: PlanarPose) -> np.ndarray:
-        """Return the listed starts, or the one in the file, shape [n, 3]."""
+        """Returns the listed starts, or the one in the file, shape [n, 3]."""
         return self.starts if len(self.starts) else np.array([start])
 
 
 def read_task(stage: SceneStage) -> TaskAttributes:
-    """Read the task.
+    """Reads the task.
 
     Raises:
         SceneError: There is no task or more than one, or one of its attributes is missing or invalid.
@@ -56,7 +56,7 @@ def read_task(stage: SceneStage) -> TaskAttributes:
 
 
 def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
-    """Read the acceleration of gravity from the first PhysicsScene, in the world frame [m/s^2].
+    """Reads the acceleration of gravity from the first PhysicsScene, in the world frame [m/s^2].
 
     As in UsdPhysics, a missing direction means downwards, and a negative magnitude means the earth's.
     """

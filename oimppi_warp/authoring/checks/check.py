@@ -30,7 +30,7 @@ MAX_NODES = 2e8
 
 
 def check_scene(scene: str | Path) -> tuple[Problem, ...]:
-    """Return every problem of a scene, errors first, then warnings.
+    """Returns every problem of a scene, errors first, then warnings.
 
     Args:
         scene: A USD file, or the name of a shipped scene.

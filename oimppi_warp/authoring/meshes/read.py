@@ -45,7 +45,7 @@ class Surface:
 
 
 def read_surface(file: str | Path, scale: str | None = None) -> Surface:
-    """Read a mesh, scale it to metres, and close it.
+    """Reads a mesh, scale it to metres, and close it.
 
     Args:
         file: The mesh; if it holds several meshes, they are merged.

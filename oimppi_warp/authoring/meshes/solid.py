@@ -86,12 +86,12 @@ class MeshObject:
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the object's display geometry below ``root``."""
+        """Writes the object's display geometry below ``root``."""
         for number, (corners, triangles) in enumerate(self.surface or self.hulls):
             mesh(stage, f"{root}/surface{number}", corners, triangles.tolist(), look)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object's file, with ``note`` appended to its documentation."""
+        """Writes the object's file, with ``note`` appended to its documentation."""
         stage = new_stage(file, self.prim, ". ".join(filter(None, (self.doc, *self.notes, note))))
         root = stage.GetDefaultPrim()
         material = physics_material(stage, f"/{self.prim}/Material", self.friction)
@@ -115,7 +115,7 @@ def import_mesh(
     lay: Lay = "stable",
     color: Color = STEEL,
 ) -> MeshObject:
-    """Import a mesh as an object: close it, lay it on the table and cut it into convex pieces.
+    """Imports a mesh as an object: close it, lay it on the table and cut it into convex pieces.
 
     Args:
         file: STL, OBJ, GLB, PLY or OFF; its whole content becomes one object.

@@ -76,10 +76,10 @@ class Pushable(Protocol):
         ...
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the object's shape below ``root``."""
+        """Writes the object's shape below ``root``."""
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object's file."""
+        """Writes the object's file."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class FlatObject:
         return not all(isinstance(piece, Disc) for piece in self.pieces)
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the pieces below ``root``."""
+        """Writes the pieces below ``root``."""
         for number, piece in enumerate(self.pieces):
             path = f"{root}/piece{number}"
             if isinstance(piece, Box):
@@ -128,7 +128,7 @@ class FlatObject:
                 prism(stage, path, piece, self.height, look)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object's file, with ``note`` appended to its documentation."""
+        """Writes the object's file, with ``note`` appended to its documentation."""
         stage = new_stage(file, self.prim, ". ".join(filter(None, (self.doc, note))))
         root = stage.GetDefaultPrim()
         material = physics_material(stage, f"/{self.prim}/Material", self.friction)

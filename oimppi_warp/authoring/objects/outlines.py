@@ -32,7 +32,7 @@ WOOD: Color = (0.72, 0.45, 0.2)
 def box(
     length: float, width: float, height: float, *, mass: float | None = None, friction: float = FRICTION
 ) -> FlatObject:
-    """Create a box with these side lengths along x, y and z [m].
+    """Creates a box with these side lengths along x, y and z [m].
 
     Raises:
         ConfigError: A length, the mass or the friction is invalid.
@@ -45,7 +45,7 @@ def box(
 
 
 def cylinder(radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION) -> FlatObject:
-    """Create an upright cylinder; lengths in [m].
+    """Creates an upright cylinder; lengths in [m].
 
     Raises:
         ConfigError: A length, the mass or the friction is invalid.
@@ -60,7 +60,7 @@ def cylinder(radius: float, height: float, *, mass: float | None = None, frictio
 def regular_prism(
     sides: float, radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION
 ) -> FlatObject:
-    """Create an upright prism over a regular polygon, with one of its sides facing -y.
+    """Creates an upright prism over a regular polygon, with one of its sides facing -y.
 
     Args:
         sides: Number of the polygon's sides.
@@ -96,7 +96,7 @@ def extrusion(
     friction: float = FRICTION,
     color: Color = WOOD,
 ) -> FlatObject:
-    """Extrude an outline, which may have holes, to a given thickness.
+    """Extrudes an outline, which may have holes, to a given thickness.
 
     Args:
         name, prim, doc: Name of the object's file, name of its prim, and description.
@@ -116,7 +116,7 @@ def extrusion(
 
 
 def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
-    """Check that lengths are neither too small for the tool nor too large for the arm, and return them.
+    """Checks that lengths are neither too small for the tool nor too large for the arm, and return them.
 
     Raises:
         ConfigError: A length is out of range.
@@ -131,7 +131,7 @@ def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
 
 
 def checked_mass(mass: float | None, volume: float) -> float:
-    """Return a valid mass [kg], by default that of wood of this volume [m^3].
+    """Returns a valid mass [kg], by default that of wood of this volume [m^3].
 
     Raises:
         ConfigError: The mass is invalid.
@@ -144,7 +144,7 @@ def checked_mass(mass: float | None, volume: float) -> float:
 
 
 def checked_friction(friction: float) -> float:
-    """Check a Coulomb coefficient and return it.
+    """Checks a Coulomb coefficient and return it.
 
     Raises:
         ConfigError: The coefficient is invalid.

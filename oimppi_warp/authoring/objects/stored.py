@@ -62,7 +62,7 @@ class StoredObject:
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the hulls of the object's shapes below ``root``."""
+        """Writes the hulls of the object's shapes below ``root``."""
         for number, collider in enumerate(self.colliders):
             hull = collider_mesh(collider)
             mesh(stage, f"{root}/piece{number}", np.asarray(hull.vertices), hull.faces.tolist(), look)
@@ -75,7 +75,7 @@ class StoredObject:
         return stage.stage.GetSessionLayer().empty and _gives_mass(root) and not _operations(root)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object as read, in one file that already has its documentation; its textures go beside it."""
+        """Writes the object as read, in one file that already has its documentation; its textures go beside it."""
         opened = _open(self.file)
         _set_mass(opened, self.mass)
         flat = opened.stage.Flatten(addSourceFileComment=False)
@@ -89,7 +89,7 @@ class StoredObject:
 
 
 def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
-    """Read an object from a USD file: its default prim, with a mass and convex colliders.
+    """Reads an object from a USD file: its default prim, with a mass and convex colliders.
 
     If the file gives no mass, the given one is used, or else one computed from the densities of its shapes.
 
@@ -124,7 +124,7 @@ def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
 
 
 def read_body(file: Path) -> PushedObject:
-    """Read the planner's model of the object in a USD file, with the friction of its own material.
+    """Reads the planner's model of the object in a USD file, with the friction of its own material.
 
     Raises:
         SceneError: The file does not hold a valid object.
@@ -146,7 +146,7 @@ def read_body(file: Path) -> PushedObject:
 
 
 def is_object_file(file: Path) -> bool:
-    """Return whether a file's name has the extension of a USD file."""
+    """Returns whether a file's name has the extension of a USD file."""
     return file.suffix in ENDINGS
 
 

@@ -67,7 +67,7 @@ class Chain:
 
 
 def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
-    """Extract the chain from a tree whose edges carry a :class:`TreeJoint` as ``joint``.
+    """Extracts the chain from a tree whose edges carry a :class:`TreeJoint` as ``joint``.
 
     Args:
         tree: Links, with an edge from each parent to each child.

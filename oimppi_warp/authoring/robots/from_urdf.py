@@ -23,7 +23,7 @@ _GREY = '<material name=""><color rgba="0.855 0.86 0.871 1"/></material>'
 
 
 def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
-    """Read the chain in a URDF, with the properties of its links and joints.
+    """Reads the chain in a URDF, with the properties of its links and joints.
 
     Args:
         file: The URDF.

@@ -23,7 +23,7 @@ _UNLIMITED = 1e6
 
 
 def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
-    """Read the chain in a USD articulation, with the properties of its links and joints, by prim path.
+    """Reads the chain in a USD articulation, with the properties of its links and joints, by prim path.
 
     Args:
         file: The USD file.

@@ -15,7 +15,7 @@ from oimppi_warp.usd.stage import SceneStage
 
 
 def pose_robot(stage: Usd.Stage, path: str, joints: Sequence[float]) -> None:
-    """Write joint positions as a robot's start, together with the corresponding poses of its links.
+    """Writes joint positions as a robot's start, together with the corresponding poses of its links.
 
     Args:
         stage: The scene, which is saved.
