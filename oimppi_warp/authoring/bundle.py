@@ -39,7 +39,7 @@ def copy_bundle(file: Path, folder: Path) -> Path:
     for dependency in dependencies_of(file):
         if not dependency.is_relative_to(file.parent):
             raise SceneError(
-                f"it depends on {os.path.relpath(dependency, file.parent)}, which is outside its folder",
+                f"the file depends on {os.path.relpath(dependency, file.parent)}, which is outside its folder",
                 file=file,
                 allowed="files in its own folder or below it, which can be copied with it",
                 fix="move them there, or combine everything in one file with usdcat --flatten",
@@ -82,4 +82,4 @@ def write_flattened(layer: Sdf.Layer, file: Path, source: Path) -> None:
 
 def _missing(path: str, file: Path) -> SceneError:
     fix = "correct the reference; its path is relative to the file that contains it"
-    return SceneError(f"it depends on {path}, which does not exist", file=file, fix=fix)
+    return SceneError(f"the file depends on {path}, which does not exist", file=file, fix=fix)

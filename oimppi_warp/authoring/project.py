@@ -139,12 +139,12 @@ def find_robot(robot: str, folder: Path) -> Path:
 def _check_target(name: str, file: Path, force: bool) -> None:
     """Raises SceneError for invalid file names, existing files, and folders that are not writable."""
     if not re.fullmatch(r"[A-Za-z0-9][\w-]*", name, flags=re.ASCII):
-        raise SceneError(f"{name!r}: not a valid name", allowed="letters, digits, - and _, as in push_s")
+        raise SceneError(f"{name!r} is not a valid name", allowed="letters, digits, - and _, as in push_s")
     if file.exists() and not force:
-        raise SceneError("it already exists", file=file, allowed="a new name", fix="use --force to overwrite it")
+        raise SceneError("the file already exists", file=file, allowed="a new name", fix="use --force to overwrite it")
     parent = next(place for place in (file.absolute(), *file.absolute().parents) if place.is_dir())
     if not os.access(parent, os.W_OK) or (file.parent.exists() and not file.parent.is_dir()):
-        raise SceneError("not a writable folder", file=file.parent, fix="choose another one with --out")
+        raise SceneError("the folder is not writable", file=file.parent, fix="choose another one with --out")
 
 
 def _own_objects(scene: Path, task: str) -> frozenset[Path]:

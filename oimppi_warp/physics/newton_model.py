@@ -278,7 +278,7 @@ def _set_robot_masses(builder: newton.ModelBuilder, robot: Robot, bodies: dict[s
         if not own > 0.0:
             parts = " and ".join(f"<{part.path}> of {part.mass:g} kg" for part in link.welded) or "nothing welded to it"
             raise SceneError(
-                f"a link of {link.mass:g} kg with {parts}",
+                f"the link has a mass of {link.mass:g} kg, with {parts}",
                 prim=link.path,
                 allowed="more than the mass of the bodies welded to it",
                 fix="give the link a larger mass; it includes that of the welded bodies",

@@ -24,8 +24,9 @@ def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
     """
     mass = scene.number(body, "physics:mass", 0.0) if body.HasAPI(UsdPhysics.MassAPI) else 0.0
     if not (math.isfinite(mass) and mass > 0.0):
-        what = f"a mass of {mass:g} kg" if mass else "a body without a mass"
-        raise scene.error(what, body, allowed="more than zero", fix="apply PhysicsMassAPI and set physics:mass")
+        what = f"the mass is {mass:g} kg" if mass else "the body has no mass"
+        fix = "apply PhysicsMassAPI and set physics:mass"
+        raise scene.error(what, body, allowed="a finite mass above zero", fix=fix)
     return mass
 
 

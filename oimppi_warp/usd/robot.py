@@ -14,7 +14,6 @@ from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
 from oimppi_warp.usd.stage import MAX_LENGTH, SceneStage
 
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
-_EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
 _UNREAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 """Placeholder for a frame with a mistake, so that reading can continue."""
 
@@ -30,7 +29,7 @@ def read_robot(scene: SceneStage) -> Robot:
     if not any(prim.HasAPI(UsdPhysics.ArticulationRootAPI) for prim in scene.prims(root)):
         scene.collect(
             scene.error(
-                "a robot without an articulation",
+                "the robot has no articulation root",
                 root,
                 fix="apply PhysicsArticulationRootAPI to it",
                 allowed="PhysicsArticulationRootAPI on the robot or on a prim below it",
@@ -65,7 +64,7 @@ def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
     tip = scene.single_prim("OimppiToolAPI", "tool", "the Xform at the tip of the robot's stick")
     if not tip.GetPath().HasPrefix(root.GetPath()):
         raise scene.error(
-            "a tool that is not part of the robot",
+            "the tool is not part of the robot",
             tip,
             allowed=f"a prim below <{root.GetPath()}>",
             fix="place the tip's Xform below the link that carries the stick",
@@ -113,7 +112,7 @@ class _Chain:
         if not np.allclose(np.array(at.GetInverse() * held), np.array(frame), atol=1e-5):
             fix = "set physics:localPos0 and physics:localRot0 to the base's frame in the world, or move the base"
             raise scene.error(
-                "a joint that fixes the base at a pose other than the base's own",
+                "the joint fixes the base at a pose other than the base's own",
                 mounts[0].GetPrim(),
                 fix=fix,
                 allowed="the base's frame in the world",
@@ -130,7 +129,7 @@ class _Chain:
         for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
             targets = relation.GetTargets()
             if targets and targets[0] not in self.bodies:
-                what = f"a joint to <{targets[0]}>, which is not a rigid body of the robot"
+                what = f"the joint connects <{targets[0]}>, which is not a rigid body of the robot"
                 raise self.scene.error(
                     what,
                     joint.GetPrim(),
@@ -140,7 +139,7 @@ class _Chain:
             found.append(self.bodies[targets[0]] if targets else None)
         if found[1] is None:
             raise self.scene.error(
-                "a joint that moves nothing",
+                "the joint moves nothing",
                 joint.GetPrim(),
                 allowed="a link as physics:body1",
                 fix="set physics:body1, or remove the joint",
@@ -153,7 +152,7 @@ class _Chain:
         after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
         if not (np.abs([np.array(before), np.array(after)]) < MAX_LENGTH).all():
             allowed = f"finite numbers, and lengths below {MAX_LENGTH:g} m"
-            what = "a joint with frames that are too far away or not finite"
+            what = "the joint's frames are too far away or not finite"
             raise self.scene.error(
                 what, joint.GetPrim(), allowed=allowed, fix="correct physics:localPos0 and physics:localPos1"
             )
@@ -188,7 +187,7 @@ class _Chain:
                 if self.ends(moving[0])[0] != group[0][0]:
                     prim = moving[0].GetPrim()
                     raise self.scene.error(
-                        "a moving joint on a welded body",
+                        "the moving joint is attached to a welded body",
                         prim,
                         allowed="moving joints on links only",
                         fix="attach the joint to the link that the body is welded to",
@@ -198,7 +197,7 @@ class _Chain:
                 body = self.ends(moving[0])[1]
         if not joints:
             raise self.scene.error(
-                "a robot without moving joints",
+                "the robot has no moving joints",
                 self.base_prim,
                 allowed="at least one joint that moves a link",
                 fix="set physics:body0 and physics:body1 of its joints, from the base outwards",
@@ -226,7 +225,7 @@ class _Chain:
         """Marks a body of the chain as visited; raise SceneError if it already was."""
         if body.GetPath() in self.reached:
             raise self.scene.error(
-                "a link with two parent joints", body, allowed="a serial arm", fix="remove one of the joints"
+                "the link has two parent joints", body, allowed="a serial arm", fix="remove one of the joints"
             )
         self.reached.add(body.GetPath())
 
@@ -252,7 +251,7 @@ class _Chain:
         if not (turns or slides):
             allowed = "PhysicsRevoluteJoint or PhysicsPrismaticJoint"
             raise scene.error(
-                f"a joint of type {prim.GetTypeName()}",
+                f"the joint is of type {prim.GetTypeName()}",
                 prim,
                 allowed=allowed,
                 fix="change its type; use a PhysicsFixedJoint to weld the tool on",
@@ -260,7 +259,7 @@ class _Chain:
         axis = (turns or slides).GetAxisAttr().Get()
         if axis != UsdPhysics.Tokens.z:
             raise scene.error(
-                f"a joint {'about' if turns else 'along'} its {axis} axis",
+                f"the joint {'turns about' if turns else 'slides along'} its {axis} axis",
                 prim,
                 allowed="physics:axis = Z",
                 fix="rotate the frames of the joint and of its links so that z is its axis",
@@ -270,39 +269,51 @@ class _Chain:
             before = before * self.base_frame
         if not np.allclose(np.array(after), np.eye(4), atol=1e-6):
             raise scene.error(
-                "a joint whose frame differs from that of the link it moves",
+                "the joint's frame differs from that of the link that it moves",
                 prim,
                 allowed="physics:localPos1 = 0 and physics:localRot1 = 1",
                 fix="move the link's frame to the joint, and keep its shapes and mass in place in the world",
             )
         kind, drive, inward = ("revolute", "angular", math.radians) if turns else ("prismatic", "linear", float)
-        unit = _UNITS[kind]
-        lower = inward(scene.number(prim, "physics:lowerLimit", -math.inf))
-        upper = inward(scene.number(prim, "physics:upperLimit", math.inf))
+        unit = "deg" if turns else "m"  # as in the file
+        lower = scene.number(prim, "physics:lowerLimit", -math.inf)
+        upper = scene.number(prim, "physics:upperLimit", math.inf)
         if not lower < upper:
             raise scene.error(
-                f"limits of {lower:.4g} and {upper:.4g} {unit}",
+                f"the lower limit ({lower:.4g} {unit}) is not below the upper limit ({upper:.4g} {unit})",
                 prim,
                 allowed="a lower limit below the upper one",
-                fix="set physics:lowerLimit and physics:upperLimit",
+                fix=f"set physics:lowerLimit and physics:upperLimit, in {'degrees' if turns else 'metres'}",
             )
         if slides and not max(abs(lower), abs(upper)) < MAX_LENGTH:
-            fix = "set physics:lowerLimit and physics:upperLimit in metres"
-            raise scene.error("a sliding joint with unlimited travel", prim, allowed="finite limits", fix=fix)
+            fix = "set physics:lowerLimit and physics:upperLimit, in metres"
+            raise scene.error("the sliding joint has unlimited travel", prim, allowed="finite limits", fix=fix)
         driven = prim.HasAPI(UsdPhysics.DriveAPI, drive)
         effort = scene.number(prim, f"drive:{drive}:physics:maxForce", math.inf) if driven else math.inf
-        velocity = inward(scene.number(prim, "newton:velocityLimit", math.inf))
-        if effort <= 0.0 or velocity <= 0.0:
-            what = f"effort and velocity limits of {effort:g} {_EFFORTS[kind]} and {velocity:g} {unit}/s"
-            raise scene.error(
-                what, prim, allowed="more than zero", fix="set the joint's real limits, or leave them out"
-            )
+        speed = scene.number(prim, "newton:velocityLimit", math.inf)
+        force = "N m" if turns else "N"
+        limits = ((f"drive:{drive}:physics:maxForce", effort, force), ("newton:velocityLimit", speed, f"{unit}/s"))
+        for name, value, of in limits:
+            if value <= 0.0:
+                fix = "set it to the joint's real limit, or remove it if the joint has none"
+                raise scene.error(f"{name} is {value:g} {of}", prim, allowed=f"more than zero [{of}]", fix=fix)
         friction, damping = (scene.number(prim, f"newton:{name}", 0.0) for name in ("friction", "damping"))
-        if not (0.0 <= friction < math.inf and 0.0 <= damping < math.inf):
-            what = f"newton:friction is {friction:g} and newton:damping is {damping:g}"
-            raise scene.error(what, prim, allowed="zero or more", fix="correct them, or leave them out")
-        damping = math.degrees(damping) if turns else damping  # per degree, as everywhere in USD
-        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind, friction, damping)
+        losses = (("newton:friction", friction, force), ("newton:damping", damping, f"{force} s/{unit}"))
+        for name, value, of in losses:
+            if not 0.0 <= value < math.inf:
+                allowed = f"a finite number, zero or more [{of}]"
+                raise scene.error(f"{name} is {value:g} {of}", prim, allowed=allowed, fix="correct it, or remove it")
+        return Joint(
+            str(prim.GetPath()),
+            transform(before),
+            inward(lower),
+            inward(upper),
+            inward(speed),
+            effort,
+            kind,
+            friction,
+            math.degrees(damping) if turns else damping,  # per degree, as everywhere in USD
+        )
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
         """Returns a prim's transform in the frame of the last link, shape [7]."""
@@ -313,7 +324,7 @@ class _Chain:
                     break
                 return transform(local * placed)
         raise self.scene.error(
-            "a tool that is not on the robot's last link",
+            "the tool is not on the robot's last link, or it is scaled",
             prim,
             allowed=f"on {self.welded[0][0].GetPath()}, unscaled",
             fix="place the tip's Xform below that link, or below a body welded to it",

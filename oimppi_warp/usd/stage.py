@@ -75,7 +75,7 @@ class SceneStage:
         except Tf.ErrorException as error:
             formats = ".usda, .usd, .usdc, .usdz"
             raise self.error(
-                f"not a readable USD file ({usd_reason(error)})",
+                f"the file cannot be read as USD ({usd_reason(error)})",
                 allowed=formats,
                 fix="export it again, or correct it at the location that USD reports",
             ) from None
@@ -151,7 +151,7 @@ class SceneStage:
                 raise self.error(
                     f"{name} is {unit:g}",
                     allowed="a number above zero",
-                    fix="set it to the unit of the numbers in the file: 1 for metres or kilograms",
+                    fix="set it to the unit of the numbers in the file: 1 for metres, and 1 for kilograms",
                 )
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
@@ -172,11 +172,12 @@ class SceneStage:
         """
         found = self.prims_with(schema)
         if not found:
-            raise self.error(f"no {noun}", allowed=f"exactly one prim with {schema}", fix=f"apply {schema} to {where}")
+            fix = f"apply {schema} to {where}"
+            raise self.error(f"the scene has no {noun}", allowed=f"exactly one prim with {schema}", fix=fix)
         if len(found) > 1:
             paths = ", ".join(f"<{prim.GetPath()}>" for prim in found)
-            what = f"{len(found)} {noun}s: {paths}"
-            raise self.error(what, allowed=f"exactly one prim with {schema}", fix="keep one of them")
+            what = f"the scene has {len(found)} {noun}s: {paths}"
+            raise self.error(what, allowed=f"exactly one prim with {schema}", fix=f"keep {schema} on one of them")
         return found[0]
 
     def numbers(self, prim: Usd.Prim, name: str, shape: tuple[int, ...], meaning: str) -> np.ndarray:
@@ -215,7 +216,8 @@ class SceneStage:
         if value is None:
             return fallback
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(f"{name} is {value!r}", prim, allowed="a number", fix="give a number")
+            fix = f"declare it with a numeric type, e.g. float {name} = 0.1"
+            raise self.error(f"{name} is {value!r}", prim, allowed="a number", fix=fix)
         return shortest_decimal(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
@@ -224,7 +226,7 @@ class SceneStage:
         if not (np.abs(np.array(frame)) < MAX_LENGTH).all():
             allowed = f"finite numbers, and lengths below {MAX_LENGTH:g} m"
             raise self.error(
-                "a transform with values that are too large or not finite",
+                "the transform has values that are too large or not finite",
                 prim,
                 allowed=allowed,
                 fix="correct its xformOps or those of its ancestors",
@@ -235,9 +237,10 @@ class SceneStage:
         """Returns a rigid body's frame in the world, without scale; a scaled body is a mistake."""
         frame = self.frame(prim)
         if not is_rigid(frame):
+            mirrored = " and mirrored" if frame.GetDeterminant() < 0.0 else ""
             self.collect(
                 self.error(
-                    f"a body with the scale {format_numbers(scales(frame))}",
+                    f"the body is scaled by {format_numbers(scales(frame))}{mirrored}",
                     prim,
                     allowed="(1, 1, 1), without mirroring",
                     fix="scale its shapes instead",

@@ -49,7 +49,7 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
         done += f", tilted by {tilt:.0f} degrees" if tilt > 1.0 else ", as it was modelled"
     elif not _is_stable(mesh):
         raise SceneError(
-            "it would fall over in this pose: its centre of mass is not above its support area",
+            "the object would fall over in this pose: its centre of mass is not above its support area",
             file=file,
             allowed="a pose in which it can stand",
             fix="lay it in its most stable pose (--lay stable), or rotate it in your modelling program",

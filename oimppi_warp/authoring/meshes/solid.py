@@ -138,7 +138,7 @@ def import_mesh(
     height = float(surface.extents[2])
     if height < LOWEST:
         raise SceneError(
-            f"too flat for the stick: {1000 * height:.1f} mm high in this pose",
+            f"the object is too flat for the stick: {1000 * height:.1f} mm high in this pose",
             file=file,
             allowed=f"{1000 * LOWEST:.0f} mm or more",
             fix="make the part thicker, or stand it up in your modelling program and use --lay as-is",
@@ -173,6 +173,6 @@ def plain_name(text: str) -> str:
     name = "_".join(part for part in "".join(c if c.isascii() and c.isalnum() else " " for c in text).split()).lower()
     if not name:
         raise SceneError(
-            f"{text!r}: not a valid object name", allowed="letters, digits and underscores", fix="use --name"
+            f"{text!r} is not a valid object name", allowed="letters, digits and underscores", fix="use --name"
         )
     return name

@@ -108,11 +108,11 @@ def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
     frame = stage.body_frame(root)
     if frame.GetRow3(2)[2] < 1.0 - 1e-6:
         fix = "make an Xform the default prim, and rotate the shapes below it"
-        raise stage.error("an object that does not lie flat", root, allowed="rotation about z only", fix=fix)
+        raise stage.error("the object does not lie flat", root, allowed="rotation about z only", fix=fix)
     colliders = read_colliders(stage, root, frame)
     if not colliders:
         fix = "apply PhysicsCollisionAPI to this prim or to a shape below it"
-        raise stage.error("an object without a collider", root, allowed=ALLOWED, fix=fix)
+        raise stage.error("the object has no collider", root, allowed=ALLOWED, fix=fix)
     for prim in collider_prims(root):
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if material and not material.GetPath().HasPrefix(root.GetPath()):
@@ -163,7 +163,7 @@ def _open(file: Path) -> SceneStage:
         raise stage.error("a file without a default prim cannot be referenced", fix=fix)
     if stage.prims_with("OimppiTaskAPI"):
         allowed = "an object: a default prim with PhysicsMassAPI and colliders, as `oimppi scene import` writes them"
-        raise stage.error("a complete scene, not an object", root, allowed=allowed)
+        raise stage.error("this is a complete scene, not an object", root, allowed=allowed)
     apply_api(root, "OimppiObjectAPI")
     align_upright(stage.stage)
     return stage
@@ -198,7 +198,7 @@ def _set_mass(stage: SceneStage, mass: float | None) -> bool:
             density = _density(stage.stage.GetPrimAtPath(collider.path), root)
             if not density > 0.0:
                 fix = "set physics:mass or physics:density with PhysicsMassAPI, or use --mass"
-                raise stage.error("a body without a mass", root, allowed="a mass or a density above zero", fix=fix)
+                raise stage.error("the body has no mass", root, allowed="a mass or a density above zero", fix=fix)
             found += density * _volume(collider)
     if found:
         UsdPhysics.MassAPI.Apply(root).CreateMassAttr(found)

@@ -73,7 +73,7 @@ class Articulation:
         for link, group in zip(links[1:], chain.groups[1:], strict=True):
             if link.mass <= 0.0:
                 what, fix = f"link {group[0][0]} has no mass", "give it a mass and an inertia"
-                raise SceneError(what, file=self._file, allowed="more than zero", fix=fix)
+                raise SceneError(what, file=self._file, allowed="a mass above zero [kg]", fix=fix)
         made = []
         for number, joint in enumerate(joints):
             parent = placed[number][self._names[self._builder.joint_parent[joint]]]

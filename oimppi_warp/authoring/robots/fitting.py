@@ -24,7 +24,7 @@ def fit_collider(name: str, points: np.ndarray) -> Collider:
     try:
         ConvexHull(points)
     except QhullError:
-        raise ValueError("a mesh without a volume") from None
+        raise ValueError("a collision mesh encloses no volume") from None
     hull = trimesh.convex.convex_hull(points)
     vertices = np.asarray(hull.vertices)
     capsules = [_capsule(name, vertices, axis) for axis in _axes(hull)]

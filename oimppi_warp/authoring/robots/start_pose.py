@@ -120,10 +120,10 @@ def _check_height(robot: Robot, joints: np.ndarray, height: float, file: object)
     """Raises SceneError if a robot without vertical motion has a tilted tool, or one at a wrong height for pushing."""
     if tip_frame(robot, joints)[0][2, 2] > -1.0 + 1e-6:
         raise SceneError(
-            "its stick does not point down",
+            "the stick does not point down",
             file=file,
             allowed="a stick that points down",
-            fix="choose another --tool-axis",
+            fix="choose another axis of the flange with --tool-axis",
         )
     low, high = PUSHING
     if not low <= height <= high:
