@@ -350,7 +350,7 @@ BAD: dict[str, tuple[Callable[[], Parts], str, str]] = {
         "correct",
     ),
     "no joint that moves": (
-        lambda: {"a": link("a"), "b": link("b"), "j": joint("j", "a", "b", kind="fixed")}, "no moving joints", "a chain",
+        lambda: {"a": link("a"), "b": link("b"), "j": joint("j", "a", "b", kind="fixed")}, "no moving joint", "a chain",
     ),
 }  # fmt: skip
 
