@@ -82,17 +82,17 @@ class Result:
 
     @property
     def scene(self) -> str:
-        """Short name of the scene, without the entry's label."""
+        """Returns the short name of the scene, without the entry's label."""
         return Path(shlex.split(self.command)[2]).stem
 
     @property
     def success(self) -> bool:
-        """True if the object was held within the tolerance."""
+        """Returns whether the object was held within the tolerance."""
         return bool(self.metrics.get("success", False))
 
     @property
     def success_tight(self) -> bool:
-        """True if the object was held within the tight tolerance."""
+        """Returns whether the object was held within the tight tolerance."""
         return bool(self.metrics.get("success_tight", False))
 
     def value(self, name: str) -> float:
@@ -124,12 +124,12 @@ class ResultSet:
 
     @property
     def tasks(self) -> list[str]:
-        """Task names in the order of the suite."""
+        """Returns the task names in the order of the suite."""
         return list(dict.fromkeys(result.task for result in self.results))
 
     @property
     def methods(self) -> list[str]:
-        """Method names in the order of the suite."""
+        """Returns the method names in the order of the suite."""
         return list(dict.fromkeys(result.run.method for result in self.results))
 
     def of(self, task: str | None = None, method: str | None = None) -> list[Result]:
@@ -145,7 +145,7 @@ class ResultSet:
 
     @property
     def codes(self) -> list[str]:
-        """Hashes of the code that produced the results; more than one deserves a warning."""
+        """Returns the hashes of the code that produced the results; more than one deserves a warning."""
         return sorted({result.code for result in self.results})
 
     def save(self, path: Path) -> None:

@@ -71,7 +71,7 @@ class SuiteRun:
 
     @property
     def pending(self) -> list[Trial]:
-        """Unfinished trials, those in real time last."""
+        """Returns the unfinished trials, those in real time last."""
         return sorted((t for t in self.trials if t.key not in self.finished), key=lambda trial: trial.real_time)
 
     def execute(

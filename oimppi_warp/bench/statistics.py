@@ -30,7 +30,7 @@ class Rate:
 
     @property
     def share(self) -> float:
-        """Count divided by total; NaN without trials."""
+        """Returns the count divided by total; NaN without trials."""
         return self.count / self.total if self.total else math.nan
 
 

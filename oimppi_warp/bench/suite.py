@@ -62,7 +62,7 @@ class Entry:
 
     @property
     def numbers(self) -> range:
-        """Trial numbers of each task and method."""
+        """Returns the trial numbers of each task and method."""
         return range(self.first, self.first + self.trials)
 
     def changed(self, values: Mapping[str, Any]) -> Entry:

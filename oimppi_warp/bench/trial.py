@@ -51,17 +51,17 @@ class Trial:
 
     @property
     def real_time(self) -> bool:
-        """True if the trial runs in real time and needs exclusive use of the machine."""
+        """Returns whether the trial runs in real time and needs exclusive use of the machine."""
         return self.run.mode == "realtime"
 
     @property
     def config(self) -> Config:
-        """The complete settings."""
+        """Returns the complete settings."""
         return self.settings.config(self.run.method)
 
     @property
     def key(self) -> str:
-        """Hash of everything that affects the result: scene content, settings, start, and options of the run.
+        """Returns a hash of everything that affects the result: scene content, settings, start, and options of the run.
 
         The number of threads is included only in real time; otherwise plans are identical for any number of them.
         """
@@ -74,12 +74,12 @@ class Trial:
 
     @property
     def name(self) -> str:
-        """Name of the trial's folder."""
+        """Returns the name of the trial's folder."""
         return f"{self.task}-{self.run.method}-{self.number:03d}-{self.key[:8]}"
 
     @property
     def arguments(self) -> list[str]:
-        """Arguments for ``oimppi`` that run this trial alone, with the same result."""
+        """Returns the arguments for ``oimppi`` that run this trial alone, with the same result."""
         run, settings = self.run, self.settings
         words = ["run", self.scene, "--method", run.method, "--preset", settings.preset, "--engine", run.engine]
         words += ["--device", run.device]
@@ -97,7 +97,7 @@ class Trial:
 
     @property
     def command(self) -> str:
-        """The arguments as one shell command line."""
+        """Returns the arguments as one shell command line."""
         return shlex.join(["oimppi", *self.arguments])
 
     def row(self) -> dict[str, Any]:

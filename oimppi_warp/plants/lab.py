@@ -134,7 +134,7 @@ class LabPlant:
 
     @property
     def contact_points(self) -> np.ndarray:
-        """Contact points and forces; see :attr:`oimppi_warp.plants.plant.SimulatedPlant.contact_points`."""
+        """Returns the contact points and forces; see :attr:`oimppi_warp.plants.plant.SimulatedPlant.contact_points`."""
         return self._plant.contact_points
 
     def truth(self) -> Observation:

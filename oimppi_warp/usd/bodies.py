@@ -21,7 +21,7 @@ _WORLD = Gf.Matrix4d(1.0)
 
 
 def read_table(stage: SceneStage) -> Table:
-    """Reads the table.
+    """Reads the table: the prim with OimppiTableAPI, in the world frame.
 
     Raises:
         SceneError: There is no table or more than one, or it is not a level box with its top at z = 0.
@@ -60,7 +60,7 @@ def _level_half(collider: Collider) -> np.ndarray | None:
 
 
 def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
-    """Reads the object and its pose in the file.
+    """Reads the object, the prim with OimppiObjectAPI, and its planar pose in the file (x [m], y [m], yaw [rad]).
 
     Raises:
         SceneError: There is no object or more than one, or it cannot move, has no mass, shape or friction, or does not
@@ -105,10 +105,10 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
 
 
 def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
-    """Reads an obstacle.
+    """Reads the obstacle at ``prim``, in the world frame.
 
     Raises:
-        SceneError: It has no collider.
+        SceneError: It has no collider or an unsupported one, or part of it is a rigid body.
     """
     if not _moving_parts(stage, prim, "obstacle") and not any(collider_prims(prim)):
         raise stage.error(
@@ -172,7 +172,10 @@ def _check_resting(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_hei
 
 
 def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
-    """Returns the given centre of mass, or else that of the shapes, in the body's frame, shape [3] [m]."""
+    """Returns the centre of mass in the body's frame, shape [3] [m]: physics:centerOfMass, or that of the colliders.
+
+    The colliders are taken to have equal densities.
+    """
     given = given_center(prim)
     if given is not None:
         return given * scales(stage.frame(prim))

@@ -35,12 +35,12 @@ def collider_prims(root: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tuple[Collider, ...]:
-    """Reads the collision shapes below ``root``, skipping any with a mistake.
+    """Reads the collision shapes of ``root`` and below it; one with a mistake is noted and skipped.
 
     Args:
         scene: The stage.
         root: A body, or an obstacle.
-        body: Frame in which the shapes are expressed.
+        body: Frame in the world in which the shapes are expressed.
     """
     inverse = body.GetInverse()
     found = [scene.attempt(None, _read, scene, prim, scene.frame(prim) * inverse) for prim in collider_prims(root)]
@@ -163,7 +163,7 @@ def _faces_outwards(prim: Usd.Prim, points: np.ndarray) -> np.ndarray | None:
 
 
 def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
-    """Returns the volume [m^3] and its centre in the body's frame [m]; for a mesh, from its faces."""
+    """Returns a collider's volume [m^3] and the centre of that volume in the body's frame, shape [3] [m]."""
     size, position = collider.size, collider.transform[:3]
     if collider.kind == "box":
         return 8 * math.prod(size), position
@@ -178,7 +178,10 @@ def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
 
 
 def solid(collider: Collider) -> trimesh.Trimesh:
-    """Returns the solid that determines mass, in the body's frame; a mesh's faces enclose it, with any hollows."""
+    """Returns the solid whose volume counts for the mass, in the body's frame [m].
+
+    For a mesh, it is what the mesh's own faces enclose, not its convex hull.
+    """
     if collider.vertices is None or collider.faces is None:
         return collider_mesh(collider)
     points = transform_points(collider.transform, collider.vertices)

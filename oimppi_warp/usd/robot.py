@@ -102,7 +102,6 @@ class _Chain:
                 allowed="exactly one joint to the world, a PhysicsFixedJoint",
             )
         base = self.ends(mounts[0])[1]
-        assert base is not None
         frame = scene.body_frame(base)
         position = np.array(frame.ExtractTranslation())
         if not np.allclose(position, 0.0, atol=1e-6):
@@ -123,9 +122,13 @@ class _Chain:
         self.welded: list[tuple[Usd.Prim, Gf.Matrix4d]] = []
         self.reached: set[Sdf.Path] = set()
 
-    def ends(self, joint: UsdPhysics.Joint) -> tuple[Usd.Prim | None, Usd.Prim | None]:
-        """Returns the two bodies that a joint connects; ``None`` for the world."""
-        found = []
+    def ends(self, joint: UsdPhysics.Joint) -> tuple[Usd.Prim | None, Usd.Prim]:
+        """Returns the parent and the child body of a joint; the parent is ``None`` for the world.
+
+        Raises:
+            SceneError: The joint has no child, or connects something that is not a rigid body of the robot.
+        """
+        found: list[Usd.Prim | None] = []
         for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
             targets = relation.GetTargets()
             if targets and targets[0] not in self.bodies:
@@ -137,17 +140,22 @@ class _Chain:
                     fix="set physics:body0 and physics:body1 to links of the robot",
                 )
             found.append(self.bodies[targets[0]] if targets else None)
-        if found[1] is None:
+        parent, child = found
+        if child is None:
             raise self.scene.error(
                 "the joint moves nothing",
                 joint.GetPrim(),
                 allowed="a link as physics:body1",
                 fix="set physics:body1, or remove the joint",
             )
-        return found[0], found[1]
+        return parent, child
 
     def frames(self, joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
-        """Returns a joint's frame in its parent body and in its child body."""
+        """Returns a joint's frame in its parent body and in its child body.
+
+        Raises:
+            SceneError: A frame has numbers that are too large or not finite.
+        """
         before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
         after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
         if not (np.abs([np.array(before), np.array(after)]) < MAX_LENGTH).all():
@@ -159,7 +167,11 @@ class _Chain:
         return before, after
 
     def walk(self) -> tuple[tuple[Joint, ...], tuple[Link, ...]]:
-        """Returns the moving joints and their links, from base to flange."""
+        """Returns the moving joints and the link that each moves, from base to flange.
+
+        Raises:
+            SceneError: The arm branches, has a loop or no moving joint, or a body is welded to its base.
+        """
         joints, links = [], []
         body: Usd.Prim | None = self.base_prim
         while body is not None:
@@ -205,13 +217,18 @@ class _Chain:
         return tuple(joints), tuple(links)
 
     def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:
-        """Returns a body and everything welded to it, with relative poses, and the moving joints attached to them."""
+        """Finds everything that moves as one with a body.
+
+        Returns:
+            The body and all bodies welded to it, each with its frame in the first body's, and the moving joints whose
+            parent is one of them.
+        """
         group, moving = [(body, Gf.Matrix4d(1.0))], []
         self.visit(body)
         for part, placed in group:  # the list grows during iteration
             for joint in self.joints:
                 parent, child = self.ends(joint)
-                if parent != part or child is None:
+                if parent != part:
                     continue
                 if joint.GetPrim().IsA(UsdPhysics.FixedJoint):
                     self.visit(child)
@@ -222,7 +239,11 @@ class _Chain:
         return group, moving
 
     def visit(self, body: Usd.Prim) -> None:
-        """Marks a body of the chain as visited; raise SceneError if it already was."""
+        """Marks a body of the chain as visited.
+
+        Raises:
+            SceneError: It was visited before, since two joints move it.
+        """
         if body.GetPath() in self.reached:
             raise self.scene.error(
                 "the link has two parent joints", body, allowed="a serial arm", fix="remove one of the joints"
@@ -230,7 +251,7 @@ class _Chain:
         self.reached.add(body.GetPath())
 
     def link(self, group: list[tuple[Usd.Prim, Gf.Matrix4d]]) -> Link:
-        """Merges bodies welded together into one link, in the frame of the first."""
+        """Merges bodies welded together, as :meth:`weld` returns them, into one link in the frame of the first."""
         colliders: list[Collider] = []
         bodies: list[Welded] = []
         for body, placed in group:
@@ -245,7 +266,11 @@ class _Chain:
         return Link(first.path, mass, tuple(colliders), center, inertia, tuple(welded))
 
     def joint(self, joint: UsdPhysics.Joint) -> Joint:
-        """Reads a moving joint."""
+        """Reads a moving joint.
+
+        Raises:
+            SceneError: Its type, axis, frame, limits or losses are not allowed.
+        """
         scene, prim = self.scene, joint.GetPrim()
         turns, slides = UsdPhysics.RevoluteJoint(prim), UsdPhysics.PrismaticJoint(prim)
         if not (turns or slides):
@@ -316,7 +341,11 @@ class _Chain:
         )
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
-        """Returns a prim's transform in the frame of the last link, shape [7]."""
+        """Returns a prim's transform in the frame of the last link, shape [7].
+
+        Raises:
+            SceneError: The prim is not below the last link or a body welded to it, or it is scaled.
+        """
         for body, placed in self.welded:
             if prim.GetPath().HasPrefix(body.GetPath()):
                 local = self.scene.frame(prim) * self.scene.body_frame(body).GetInverse()

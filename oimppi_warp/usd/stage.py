@@ -103,7 +103,7 @@ class SceneStage:
             raise mistakes[-1]
 
     def collect(self, mistake: SceneError) -> None:
-        """Notes a mistake and continue, or raise it if mistakes are not being collected."""
+        """Notes a mistake, or raises it if the stage was opened without a list of mistakes."""
         if self._mistakes is None:
             raise mistake
         if str(mistake) not in map(str, self._mistakes):
@@ -113,7 +113,17 @@ class SceneStage:
     def attempt(
         self, fallback: Fallback, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
     ) -> Read | Fallback:
-        """Returns a reader's result; if it raises a mistake, note it and return ``fallback`` instead."""
+        """Calls a reader and returns its result, or ``fallback`` if it raises an error.
+
+        Args:
+            fallback: Placeholder with which reading can continue.
+            read: The reader, called with the remaining arguments.
+            *args: Its arguments.
+            **kwargs: Its keyword arguments.
+
+        Raises:
+            SceneError: The error, if the stage was opened without a list of mistakes; otherwise it is noted.
+        """
         try:
             return read(*args, **kwargs)
         except SceneError as mistake:
@@ -169,6 +179,9 @@ class SceneStage:
             schema: Name of the API schema.
             noun: Name of the role in an error.
             where: Where the schema should be applied, for the error.
+
+        Raises:
+            SceneError: There is no such prim, or more than one.
         """
         found = self.prims_with(schema)
         if not found:
@@ -188,6 +201,9 @@ class SceneStage:
             name: Name of the attribute; if it is not authored, the schema's default is used.
             shape: Required shape; -1 allows any number of rows.
             meaning: Description of the required value, for the error.
+
+        Raises:
+            SceneError: The value is missing, has another shape, or contains NaN; infinity is allowed.
         """
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute and attribute.HasAuthoredValue() else schema_default(name)
@@ -205,12 +221,16 @@ class SceneStage:
         return array
 
     def text(self, prim: Usd.Prim, name: str) -> str:
-        """Reads an attribute that holds a line of text."""
+        """Reads a text attribute of the package's schemas; the schema's default if it is not set."""
         attribute = prim.GetAttribute(name)
         return str((attribute.Get() if attribute else None) or schema_default(name))
 
     def number(self, prim: Usd.Prim, name: str, fallback: float) -> float:
-        """Reads an attribute of one of USD's own schemas, or return the fallback if it has no value."""
+        """Reads a number from an attribute of one of USD's own schemas, or returns ``fallback`` if it has no value.
+
+        Raises:
+            SceneError: The value is not a number.
+        """
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
         if value is None:
@@ -221,7 +241,11 @@ class SceneStage:
         return shortest_decimal(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """Returns a prim's frame in the world in USD's convention (row vectors, scale included)."""
+        """Returns a prim's frame in the world in USD's convention (row vectors, scale included) [m].
+
+        Raises:
+            SceneError: It has numbers that are too large or not finite.
+        """
         frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
         if not (np.abs(np.array(frame)) < MAX_LENGTH).all():
             allowed = f"finite numbers, and lengths below {MAX_LENGTH:g} m"
@@ -234,7 +258,7 @@ class SceneStage:
         return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """Returns a rigid body's frame in the world, without scale; a scaled body is a mistake."""
+        """Returns a rigid body's frame in the world without scale [m]; the mistake of a scaled or mirrored body is noted."""
         frame = self.frame(prim)
         if not is_rigid(frame):
             mirrored = " and mirrored" if frame.GetDeterminant() < 0.0 else ""
@@ -249,7 +273,11 @@ class SceneStage:
         return frame.GetOrthonormalized()
 
     def friction(self, prim: Usd.Prim) -> float | None:
-        """Returns the dynamic friction of the physics material bound to a prim; ``None`` without a material."""
+        """Returns the dynamic friction of the physics material bound to a prim; ``None`` without a material.
+
+        Raises:
+            SceneError: It is negative or not finite.
+        """
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
             return None
@@ -276,7 +304,11 @@ def _schema_layer() -> Any:
 
 @cache
 def schema_default(name: str) -> Any:
-    """Returns the default value of an attribute in the package's schema; ``None`` if the attribute is required."""
+    """Returns the default value of an attribute in the package's schema; ``None`` if the attribute is required.
+
+    Raises:
+        KeyError: The schema has no such attribute.
+    """
     for prim in _schema_layer().rootPrims:
         if name in prim.attributes:
             return prim.attributes[name].default
@@ -285,5 +317,5 @@ def schema_default(name: str) -> Any:
 
 @cache
 def schema_attributes() -> dict[str, tuple[str, ...]]:
-    """Returns the package's API schemas with the names of their attributes."""
+    """Returns the names of the attributes of each of the package's API schemas, by the schema's name."""
     return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}

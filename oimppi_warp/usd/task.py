@@ -33,12 +33,12 @@ class TaskAttributes:
     tight_tolerance: Tolerance
 
     def starts_or(self, start: PlanarPose) -> np.ndarray:
-        """Returns the listed starts, or the one in the file, shape [n, 3]."""
+        """Returns the listed starts or, if there are none, ``start`` alone, shape [n, 3]."""
         return self.starts if len(self.starts) else np.array([start])
 
 
 def read_task(stage: SceneStage) -> TaskAttributes:
-    """Reads the task.
+    """Reads the task from the prim with OimppiTaskAPI.
 
     Raises:
         SceneError: There is no task or more than one, or one of its attributes is missing or invalid.
@@ -58,7 +58,11 @@ def read_task(stage: SceneStage) -> TaskAttributes:
 def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
     """Reads the acceleration of gravity from the first PhysicsScene, in the world frame [m/s^2].
 
-    As in UsdPhysics, a missing direction means downwards, and a negative magnitude means the earth's.
+    Without a PhysicsScene it is 9.81 m/s^2 downwards, and with newton:gravityEnabled = false it is zero. As in UsdPhysics,
+    a direction of zero means downwards, and a negative magnitude the earth's.
+
+    Raises:
+        SceneError: The direction or the magnitude is not finite.
     """
     for prim in stage.prims():
         if not prim.IsA(UsdPhysics.Scene):

@@ -80,17 +80,17 @@ class Session:
 
     @property
     def running(self) -> Episode:
-        """The current episode."""
+        """Returns the current episode."""
         return self._episode
 
     @property
     def over(self) -> bool:
-        """True if the episode has ended."""
+        """Returns whether the episode has ended."""
         return self._over
 
     @property
     def rate(self) -> float:
-        """Recent rate of control steps [1/s]; 0 if there were none."""
+        """Returns the recent rate of control steps [1/s]; 0 if there were none."""
         times = list(self._times)
         return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
 

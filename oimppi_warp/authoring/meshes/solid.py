@@ -66,23 +66,23 @@ class MeshObject:
 
     @property
     def doc(self) -> str:
-        """Description of the object."""
+        """Returns the description of the object."""
         return f"{self.name}: {self.about}"
 
     @property
     def prim(self) -> str:
-        """Name of the object's prim."""
+        """Returns the name of the object's prim."""
         title = "".join(part.title() for part in self.name.split("_"))
         return title if title[0].isalpha() else f"Object{title}"
 
     @property
     def rest_height(self) -> float:
-        """Height of the object's frame when it lies on the table [m]."""
+        """Returns the height of the object's frame when it lies on the table [m]."""
         return round(-min(float(corners[:, 2].min()) for corners, _ in self.hulls), 6)
 
     @property
     def yaw_matters(self) -> bool:
-        """True if the object's yaw is visible."""
+        """Returns whether the object's yaw is visible."""
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:

@@ -67,12 +67,12 @@ class Pushable(Protocol):
     def color(self) -> Color: ...  # noqa: D102
     @property
     def rest_height(self) -> float:
-        """Height of the object's frame when it lies on the table [m]."""
+        """Returns the height of the object's frame when it lies on the table [m]."""
         ...
 
     @property
     def yaw_matters(self) -> bool:
-        """True if the object's yaw is visible."""
+        """Returns whether the object's yaw is visible."""
         ...
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
@@ -108,12 +108,12 @@ class FlatObject:
 
     @property
     def rest_height(self) -> float:
-        """Height of the object's frame when it lies on the table [m]."""
+        """Returns the height of the object's frame when it lies on the table [m]."""
         return self.height / 2
 
     @property
     def yaw_matters(self) -> bool:
-        """True if the object's yaw is visible, which a disc's is not."""
+        """Returns whether the object's yaw is visible, which a disc's is not."""
         return not all(isinstance(piece, Disc) for piece in self.pieces)
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:

@@ -39,7 +39,7 @@ class StoredObject:
         doc: Description.
         colliders: The object's collision shapes in its frame.
         friction: Largest Coulomb coefficient of its materials; 0 without a material: the table's own value is used.
-        mass: Mass assigned to the object [kg]; ``None``: the mass in its file.
+        mass: Mass used because the file gives none [kg]; ``None``: the mass in the file.
         color: Colour of its ghost at the goal.
     """
 
@@ -53,12 +53,12 @@ class StoredObject:
 
     @property
     def rest_height(self) -> float:
-        """Height of the object's frame when it lies on the table [m]."""
+        """Returns the height of the object's frame when it lies on the table [m]."""
         return round(-float(height_range(self.colliders)[0]), 6)
 
     @property
     def yaw_matters(self) -> bool:
-        """True if the object's yaw is visible."""
+        """Returns whether the object's yaw is visible."""
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
@@ -69,13 +69,16 @@ class StoredObject:
 
     @property
     def is_ready(self) -> bool:
-        """True if a scene can reference the file as it is: in SI units, z up, with a mass and without a transform."""
+        """Returns whether a scene can reference the file as it is: SI units, z up, with a mass, without a transform."""
         stage = SceneStage(self.file)
         root = stage.stage.GetDefaultPrim()
         return stage.stage.GetSessionLayer().empty and _gives_mass(root) and not _operations(root)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Writes the object as read, in one file that already has its documentation; its textures go beside it."""
+        """Writes the object as it was read to one file, with its textures in a folder beside it.
+
+        ``note`` is not used, since the file has its own documentation.
+        """
         opened = _open(self.file)
         _set_mass(opened, self.mass)
         flat = opened.stage.Flatten(addSourceFileComment=False)

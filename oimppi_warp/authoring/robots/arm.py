@@ -93,7 +93,7 @@ class Stick:
 
     @property
     def mount(self) -> np.ndarray:
-        """Pose of the stick's base in the last link's frame, shape [7]."""
+        """Returns the pose of the stick's base in the last link's frame, shape [7]."""
         return np.array([*self.position, *self.turn])
 
 
