@@ -170,7 +170,7 @@ def align_term(w: RobotWeights, s: Stage) -> float:
 
 @term("tilt")
 def tilt_term(w: RobotWeights, s: Stage) -> float:
-    """Returns the cost of tilt from vertical: ``w_tilt psi_tilt`` (equation 19), the third term of l_r (equation 17)."""
+    """Returns the cost of the tool's tilt: ``w_tilt psi_tilt`` (equation 19), the third term of l_r (equation 17)."""
     return w.w_tilt * psi_tilt(s.up)
 
 
@@ -232,8 +232,10 @@ def collision_term(w: RobotWeights, s: Stage) -> float:
 def topple_term(w: RobotWeights, s: Stage) -> float:
     """Returns the cost of motions that may tip the object over.
 
-    This is ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``, close to the object only. A stick that leans over the object touches it at its upper rim; ``lean . n``
-    times the height from tip to rim is how much nearer the stick is to the object there than at its tip.
+    This is ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``, close to the object only, with the speed v of
+    the tip towards the object. A stick that leans over the object touches it at its upper rim; the overhang is how
+    much nearer to the object the stick is there than at its tip: ``lean . n`` times the height from tip to rim, with
+    the direction n to the object.
     """
     cost = float(0.0)
     if w.w_overhang > 0.0 or w.w_rush > 0.0:
@@ -249,7 +251,7 @@ def topple_term(w: RobotWeights, s: Stage) -> float:
 
 @term("waypoint")
 def waypoint_term(w: RobotWeights, s: Stage) -> float:
-    """Returns the cost of repositioning: the waypoint's weight times the squared distance of the tip to the waypoint."""
+    """Returns the cost of repositioning: the waypoint's weight times the squared distance of the tip to it."""
     cost = float(0.0)
     if s.waypoint[3] > 0.0:
         cost = s.waypoint[3] * wp.length_sq(s.tip - wp.vec3(s.waypoint[0], s.waypoint[1], s.waypoint[2]))

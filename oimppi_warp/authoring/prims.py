@@ -1,7 +1,7 @@
 """Writes the few kinds of prims that the shipped scenes are made of.
 
-Every function takes the stage and a path and returns the prim. Inputs are in metres, kilograms and radians; output is
-in the units of UsdPhysics (degrees).
+Functions that add a prim take the stage and the path, and return the prim. Inputs are in metres, kilograms and radians;
+output is in the units of UsdPhysics (degrees).
 """
 
 from __future__ import annotations
@@ -36,17 +36,20 @@ def new_stage(file: Path, root: str, doc: str) -> Usd.Stage:
 
 
 def rounded(values: Vector, digits: int = 12) -> list[float]:
-    """Returns plain floats without rounding noise, so that files are readable and the same on every machine."""
+    """Rounds to ``digits`` decimals and returns plain floats (-0.0 becomes 0.0).
+
+    Files are then readable, and the same on every machine.
+    """
     return [round(float(v), digits) + 0.0 for v in values]
 
 
 def vec3(v: Vector) -> Gf.Vec3f:
-    """Converts to a single-precision vector."""
+    """Converts three numbers to a single-precision vector, rounded to 9 decimals."""
     return Gf.Vec3f(*rounded(v, 9))
 
 
 def quat(q: Vector) -> Gf.Quatf:
-    """Converts a quaternion xyzw to USD's (w, x, y, z)."""
+    """Converts a quaternion xyzw to USD's (w, x, y, z), in single precision and rounded to 9 decimals."""
     x, y, z, w = rounded(q, 9)
     return Gf.Quatf(w, x, y, z)
 
@@ -60,7 +63,7 @@ def set_pose(prim: Usd.Prim, position: Vector, orientation: Vector | None = None
 
 
 def set_planar_pose(prim: Usd.Prim, pose: Vector, height: float) -> None:
-    """Places a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m]."""
+    """Places a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m] in its parent's frame."""
     set_pose(prim, (pose[0], pose[1], height))
     _add_operation(prim, UsdGeom.XformOp.TypeRotateZ, round(math.degrees(pose[2]), 9))
 
@@ -81,7 +84,7 @@ def apply_api(prim: Usd.Prim, *names: str) -> None:
 
 
 def attribute(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: object) -> None:
-    """Authors an attribute of an API schema."""
+    """Authors an attribute that an API schema of the prim defines."""
     prim.CreateAttribute(name, type_name, custom=False).Set(value)
 
 
@@ -116,7 +119,7 @@ COLLIDER = Look(collide=True)
 def box(
     stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look, turn: Vector | None = None
 ) -> Usd.Prim:
-    """Adds a box with full side lengths [m], turned by a quaternion xyzw."""
+    """Adds a box at ``center`` with the side lengths ``extents`` [m], turned by ``turn``, a quaternion xyzw."""
     cube = UsdGeom.Cube.Define(stage, path)
     cube.CreateSizeAttr(1.0)
     set_pose(cube.GetPrim(), center, turn)
@@ -125,7 +128,7 @@ def box(
 
 
 def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Look) -> Usd.Prim:
-    """Adds a sphere."""
+    """Adds a sphere at ``center`` [m]."""
     gprim = UsdGeom.Sphere.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
     set_pose(gprim.GetPrim(), center)
@@ -135,7 +138,7 @@ def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Loo
 def cylinder(
     stage: Usd.Stage, path: str, center: Vector, radius: float, height: float, look: Look, turn: Vector | None = None
 ) -> Usd.Prim:
-    """Adds an upright cylinder, or one turned by a quaternion xyzw."""
+    """Adds a cylinder at ``center`` [m] along z, or turned by ``turn``, a quaternion xyzw."""
     gprim = UsdGeom.Cylinder.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
     gprim.CreateHeightAttr(height)
@@ -145,7 +148,7 @@ def cylinder(
 
 
 def capsule(stage: Usd.Stage, path: str, a: Vector, b: Vector, radius: float, look: Look) -> Usd.Prim:
-    """Adds a capsule between two points [m]."""
+    """Adds a capsule whose axis runs from point ``a`` to point ``b`` [m]."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     gprim = UsdGeom.Capsule.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
@@ -158,7 +161,7 @@ def capsule(stage: Usd.Stage, path: str, a: Vector, b: Vector, radius: float, lo
 def mesh(
     stage: Usd.Stage, path: str, points: np.ndarray, faces: Sequence[Sequence[int]], look: Look, normals: Points = ()
 ) -> Usd.Prim:
-    """Adds a polygon mesh, flat-shaded or, with ``normals`` (one per point), smooth; a collider must be convex."""
+    """Adds a polygon mesh [m], smooth if ``normals`` has one per point; a mesh that collides does so as its hull."""
     gprim = UsdGeom.Mesh.Define(stage, path)
     gprim.CreatePointsAttr(Vt.Vec3fArray([vec3(np.round(p, 5)) for p in points]))
     gprim.CreateFaceVertexCountsAttr([len(face) for face in faces])

@@ -119,7 +119,7 @@ def write_object(obj: Pushable, folder: str | Path = ".", *, force: bool = False
 
 
 def find_robot(robot: str, folder: Path) -> Path:
-    """Finds the file of a robot: one in the folder, a shipped one, or a USD file.
+    """Finds the file of a robot, by the name of one in ``robots/`` of a folder or of a shipped one, or by its path.
 
     Raises:
         SceneError: The robot does not exist.

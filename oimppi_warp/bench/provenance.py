@@ -30,7 +30,7 @@ def code_content() -> str:
 
 @cache
 def machine() -> str:
-    """Describes processor, cores and system in one line."""
+    """Describes this machine's processor, number of cores and system in one line."""
     from oimppi_warp.compute.step import core_count
     from oimppi_warp.system.doctor import processor
 

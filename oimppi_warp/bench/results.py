@@ -96,7 +96,7 @@ class Result:
         return bool(self.metrics.get("success_tight", False))
 
     def value(self, name: str) -> float:
-        """Returns a number from the metrics or from this class; NaN if it is missing."""
+        """Returns a number by its name in the metrics or in this class; NaN if it is missing."""
         found = self.metrics.get(name, getattr(self, name, None))
         return math.nan if found is None else float(found)
 
@@ -133,7 +133,7 @@ class ResultSet:
         return list(dict.fromkeys(result.run.method for result in self.results))
 
     def of(self, task: str | None = None, method: str | None = None) -> list[Result]:
-        """Returns the results of a task and a method; ``None`` selects all."""
+        """Returns the results of one task and one method, in the order of the suite; ``None`` selects all."""
         return [r for r in self.results if task in (None, r.task) and method in (None, r.run.method)]
 
     def groups(self) -> Iterator[tuple[str, str, list[Result]]]:
@@ -149,7 +149,7 @@ class ResultSet:
         return sorted({result.code for result in self.results})
 
     def save(self, path: Path) -> None:
-        """Writes the whole file."""
+        """Writes the results to a file, completely or not at all."""
         facts = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "results"}
         head = {"format": FORMAT} | to_json(facts)
         rows = ",\n".join("  " + json.dumps(result_row(result), allow_nan=False) for result in self.results)
@@ -158,10 +158,10 @@ class ResultSet:
 
 
 def load_results(path: str | Path) -> ResultSet:
-    """Loads results from a file.
+    """Loads the results of a suite from a file.
 
     Args:
-        path: The file, or its folder.
+        path: The file, or the folder that holds it.
 
     Raises:
         LogError: There are no results, or their format version is not supported.

@@ -82,11 +82,11 @@ class SuiteRun:
         cluster: str = "",
         on_result: Callable[[Result], None] | None = None,
     ) -> ResultSet:
-        """Runs the unfinished trials, and write the results.
+        """Runs the unfinished trials and writes the results.
 
         Args:
-            jobs: Number of concurrent trials; by default one per core, and one at a time in real time. With ``1`` (and
-                loky) trials run in this process, one after the other.
+            jobs: Number of concurrent trials; ``None``: one per core, and one at a time for trials in real time. With
+                ``1`` (and loky) trials run in this process, one after the other.
             backend: Back end that runs the trials.
             cluster: Address of a running cluster; without one, dask starts a local one.
             on_result: Called after each trial.
@@ -120,7 +120,7 @@ class SuiteRun:
         return found
 
     def store(self, outcome: Outcome) -> Result:
-        """Writes the outcome of a trial: its record first, and last the file that marks it as finished."""
+        """Writes the outcome of a trial (the file that marks it as finished comes last), and returns its result."""
         trial = outcome.trial
         result = make_result(
             trial,
@@ -141,7 +141,7 @@ class SuiteRun:
         return result
 
     def results(self) -> ResultSet:
-        """Collects the finished results, in the order of the suite."""
+        """Returns the results so far, in the order of the suite."""
         return ResultSet(
             suite=self.suite.name,
             title=self.suite.title,

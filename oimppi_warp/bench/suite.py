@@ -66,7 +66,7 @@ class Entry:
         return range(self.first, self.first + self.trials)
 
     def changed(self, values: Mapping[str, Any]) -> Entry:
-        """Returns the entry with other values for some keys of a suite's file."""
+        """Returns the entry with other values for some keys (those of a suite's file)."""
         values = {_FIELDS.get(key, key): value for key, value in values.items()}
 
         def part(of: Any) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class Suite:
         )
 
     def only(self, *, tasks: tuple[str, ...] = (), methods: tuple[str, ...] = ()) -> Suite:
-        """Returns the part of the suite with these tasks and methods; an empty tuple selects all.
+        """Returns the part of the suite with the given tasks and methods; an empty tuple selects all.
 
         Raises:
             ConfigError: The suite has no such task or method.
@@ -158,7 +158,7 @@ def shipped_suites() -> list[Suite]:
 
 
 def load_suite(suite: str | Path) -> Suite:
-    """Reads and check a suite.
+    """Reads and checks a suite.
 
     Args:
         suite: Name of a shipped suite, or a TOML file.
@@ -274,7 +274,16 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
 
 
 def check_value(key: str, value: Any, where: str) -> None:
-    """Raises ConfigError if a value is not valid for a key; the message begins with ``where``."""
+    """Checks the value of a key of a suite's file.
+
+    Args:
+        key: The key.
+        value: Its value.
+        where: Beginning of the error message.
+
+    Raises:
+        ConfigError: The value is not allowed for this key.
+    """
     fits, allowed = _keys()[key]
     if not fits(value):
         raise ConfigError(f"{where}{key} = {value!r} cannot be used\n  allowed: {allowed}")

@@ -56,7 +56,7 @@ class Trial:
 
     @property
     def config(self) -> Config:
-        """Returns the complete settings."""
+        """Returns the settings for the trial's method, complete and validated."""
         return self.settings.config(self.run.method)
 
     @property
@@ -97,7 +97,7 @@ class Trial:
 
     @property
     def command(self) -> str:
-        """Returns the arguments as one shell command line."""
+        """Returns the shell command that runs this trial alone, with the same result."""
         return shlex.join(["oimppi", *self.arguments])
 
     def row(self) -> dict[str, Any]:
@@ -133,10 +133,13 @@ def trial_seed(seed: int, number: int) -> int:
 
 
 def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
-    """Creates all trials of a suite, and load the scenes of its tasks, by short name.
+    """Creates all trials of a suite, and loads the scenes of its tasks.
 
     The lowest numbers use the scene's own starts, for any seed; all other starts are drawn with the trial's seed.
     Start and seed depend only on the task and the number, so that methods can be compared in pairs.
+
+    Returns:
+        The trials in the order in which the suite lists them, and the scene of each task by the task's short name.
 
     Raises:
         SceneError: A scene cannot be read, or no start can be drawn.

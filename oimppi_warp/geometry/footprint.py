@@ -38,7 +38,7 @@ class Piece:
     radius: float = 0.0
 
     def polygon(self) -> BaseGeometry:
-        """Returns the piece as a shapely geometry (rounded corners are approximated with 64 segments per full circle)."""
+        """Returns the piece as a shapely geometry (rounded corners have 64 segments per full circle)."""
         return MultiPoint(self.vertices).convex_hull.buffer(self.radius, quad_segs=16)
 
     def moved(self, pose: PlanarPose | np.ndarray) -> Piece:
@@ -66,7 +66,7 @@ class LimitSurface:
 
     @property
     def mobility(self) -> np.ndarray:
-        """Returns the diagonal of the mobility, shape [3]: ``D = diag(mu m g, mu m g, radius^2 mu m g)^-1`` (equation 5).
+        """Returns the mobility's diagonal, shape [3]: ``D = diag(mu m g, mu m g, radius^2 mu m g)^-1`` (equation 5).
 
         The units are m/(N s), m/(N s) and rad/(N m s).
         """

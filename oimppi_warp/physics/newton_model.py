@@ -93,6 +93,9 @@ def build_model(scene: Scene, *, worlds: int | None = None, device: str = "cpu")
         scene: The task.
         worlds: Number of identical batched worlds; ``None`` for a single one. Indices are those of the first.
         device: Warp device of the model.
+
+    Raises:
+        SceneError: A link of the robot has no more mass than the bodies welded to it.
     """
     start_warp()
     import newton

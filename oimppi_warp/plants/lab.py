@@ -50,7 +50,7 @@ class LabPlant:
     Args:
         world: The scene.
         config: Imperfections of the lab.
-        start: The object's start pose; default: the scene's.
+        start: The object's start pose; ``None``: the scene's.
         control_period: Control period [s], a multiple of :data:`TICK`.
         seed: Seed of noise and outliers only; the same seed and commands give the same observations.
 

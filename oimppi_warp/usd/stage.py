@@ -258,7 +258,7 @@ class SceneStage:
         return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """Returns a rigid body's frame in the world without scale [m]; the mistake of a scaled or mirrored body is noted."""
+        """Returns a rigid body's frame in the world, without scale; a scaled or mirrored body is noted as a mistake."""
         frame = self.frame(prim)
         if not is_rigid(frame):
             mirrored = " and mirrored" if frame.GetDeterminant() < 0.0 else ""

@@ -58,8 +58,8 @@ def read_task(stage: SceneStage) -> TaskAttributes:
 def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
     """Reads the acceleration of gravity from the first PhysicsScene, in the world frame [m/s^2].
 
-    Without a PhysicsScene it is 9.81 m/s^2 downwards, and with newton:gravityEnabled = false it is zero. As in UsdPhysics,
-    a direction of zero means downwards, and a negative magnitude the earth's.
+    Without a PhysicsScene it is 9.81 m/s^2 downwards, and with newton:gravityEnabled = false it is zero. As in
+    UsdPhysics, a direction of zero means downwards, and a negative magnitude the earth's.
 
     Raises:
         SceneError: The direction or the magnitude is not finite.

@@ -95,7 +95,7 @@ class Session:
         return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
 
     def change(self, *, fresh: bool = False, **fields: Any) -> None:
-        """Requests another setup.
+        """Requests another setup, which takes effect as soon as its planner is ready.
 
         Args:
             fresh: Whether to restart from the beginning; otherwise the episode continues from its current state.
@@ -111,17 +111,17 @@ class Session:
         self.change(fresh=True)
 
     def step(self) -> None:
-        """Runs a single control step while paused."""
+        """Requests a single control step while the session is paused."""
         with self._lock:
             self._single += 1
 
     def move_object(self, pose: PlanarPose) -> None:
-        """Places the object at another pose."""
+        """Requests that the object be placed at another planar pose, at rest."""
         with self._lock:
             self._moved = planar_transform(pose, self.wanted.scene.object.rest_height)
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Applies an impulse [3] [N s] to the object."""
+        """Requests an impulse [3] [N s] on the object."""
         with self._lock:
             self._knock = impulse
 

@@ -30,7 +30,7 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
 
     Args:
         mesh: A closed surface [m]; it is moved.
-        how: In its most stable pose, or with its z axis up, as modelled.
+        how: ``"stable"`` for its most stable pose, ``"as-is"`` to keep its z axis up, as it was modelled.
         file: Source file, for error messages.
 
     Returns:

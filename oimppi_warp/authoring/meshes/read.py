@@ -50,7 +50,7 @@ class Surface:
 
 
 def read_surface(file: str | Path, scale: str | None = None) -> Surface:
-    """Reads a mesh, scale it to metres, and close it.
+    """Reads a mesh, scales it to metres, and closes it.
 
     Args:
         file: The mesh; if it holds several meshes, they are merged.
@@ -59,7 +59,7 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
     Raises:
         ConfigError: The unit is unknown.
         SceneError: The file is not a mesh, has no volume, is of a size that the arm cannot push, has too many parts, or
-            is open and cannot be closed.
+            is open and cannot be closed, or has only one side.
     """
     file = Path(file).expanduser()
     if scale is not None and scale not in UNITS:

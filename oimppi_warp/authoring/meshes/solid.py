@@ -36,17 +36,17 @@ DISPLAY_FACES = 20_000
 
 @dataclass(frozen=True, eq=False)
 class MeshObject:
-    """An object made from a mesh; its frame is vertically above the centre of mass, at half the object's height.
+    """An object made from a mesh; its frame's origin is at half its height, on the vertical through the centre of mass.
 
     Attributes:
         name: Name of the object and of its file.
-        about: Its size and origin.
+        about: Its size, and the file that it was made from.
         hulls: Convex pieces in the object's frame: corners [n, 3] [m] and triangles [m, 3] each.
         surface: Display surface in the same form; empty: the pieces are displayed.
         mass: Mass [kg].
         friction: Coulomb coefficient with the table.
         center: Centre of mass, shape [3] [m].
-        inertia: About the centre of mass, shape [3, 3] [kg m^2].
+        inertia: Inertia about the centre of mass, in the object's axes, shape [3, 3] [kg m^2].
         fit: How closely the pieces match the mesh.
         notes: Changes made to the mesh, one line each.
         color: Red, green and blue.
@@ -115,7 +115,7 @@ def import_mesh(
     lay: Lay = "stable",
     color: Color = STEEL,
 ) -> MeshObject:
-    """Imports a mesh as an object: close it, lay it on the table and cut it into convex pieces.
+    """Imports a mesh as an object: closes it, lays it on the table and cuts it into convex pieces.
 
     Args:
         file: STL, OBJ, GLB, PLY or OFF; its whole content becomes one object.

@@ -35,7 +35,7 @@ class Box:
     size: Point
 
     def polygon(self) -> np.ndarray:
-        """Returns the corners, counter-clockwise."""
+        """Returns the corners, counter-clockwise, shape [4, 2] [m]."""
         half = np.array(self.size) / 2
         return np.array(self.center) + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
@@ -76,10 +76,10 @@ class Pushable(Protocol):
         ...
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Writes the object's shape below ``root``."""
+        """Writes the object's shape below the prim ``root`` of a stage, in the look ``look``."""
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Writes the object's file."""
+        """Writes the object's file, with ``note`` appended to its documentation."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class FlatObject:
         return not all(isinstance(piece, Disc) for piece in self.pieces)
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Writes the pieces below ``root``."""
+        """Writes the pieces below the prim ``root`` of a stage, in the look ``look``."""
         for number, piece in enumerate(self.pieces):
             path = f"{root}/piece{number}"
             if isinstance(piece, Box):

@@ -122,7 +122,7 @@ class Arm:
     look: Look = COLLIDER
 
     def robot(self) -> Robot:
-        """Converts to the planner's representation."""
+        """Converts the arm to the planner's :class:`oimppi_warp.scene.Robot`."""
         root = f"/{self.name}"
         tip = transform_points(self.stick.mount, np.array([0.0, 0.0, self.stick.length]))[0]
         return Robot(

@@ -20,7 +20,7 @@ def pose_robot(stage: Usd.Stage, path: str, joints: Sequence[float]) -> None:
     Args:
         stage: The scene, which is saved.
         path: The robot's prim, located at the world's origin.
-        joints: Joint positions, length dof [rad].
+        joints: Joint positions, length dof [rad; m for a sliding joint].
     """
     stage.Save()
     robot = read_robot(SceneStage(Path(stage.GetRootLayer().realPath)))

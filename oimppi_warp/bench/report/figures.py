@@ -27,7 +27,7 @@ FAILED = "#b91c1c"
 
 
 def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
-    """Draws the figures of a report; returns a caption and a figure by file name."""
+    """Draws the figures of a report, and returns the caption and the figure of each, by file name without extension."""
     with matplotlib.rc_context(STYLE):
         found = {
             "success": (

@@ -10,7 +10,7 @@ from oimppi_warp.bench.statistics import wilson
 
 
 def write_markdown(results: ResultSet, pictures: dict[str, tuple[str, str]]) -> str:
-    """Writes the whole report.
+    """Returns the whole report as Markdown.
 
     Args:
         results: The results to report.
@@ -27,7 +27,7 @@ def write_markdown(results: ResultSet, pictures: dict[str, tuple[str, str]]) -> 
 
 
 def write_comparison(table: Table, pairs: Table) -> str:
-    """Writes the comparison of two result sets, and the pairs that differ."""
+    """Returns the comparison of two result sets, and the pairs that differ, as Markdown."""
     lines = [f"# {table.title}", "", table.note, "", *markdown_table(table), ""]
     if pairs.rows:
         lines += [f"## {pairs.title}", "", pairs.note, "", *markdown_table(pairs), ""]

@@ -86,7 +86,7 @@ def success_table(results: ResultSet) -> Table:
 
 
 def paper_table(results: ResultSet, table: str) -> Table:
-    """Builds one of the paper's tables with our results next to the paper's."""
+    """Builds the paper's table ``I`` or ``II`` with our results next to the paper's."""
     rows = []
     tasks = [task for task in TABLES[table] if task in results.tasks]
     methods = shown_methods(results)
@@ -161,7 +161,7 @@ def safety_table(results: ResultSet) -> Table:
 
 
 def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[str, str]) -> Table:
-    """Tabulates paired comparisons, one per row."""
+    """Tabulates paired comparisons, one per row; ``sides`` are the column headings of the two sides."""
     rows = []
     for each in found:
         cells = [f"{each.successes[0]}", f"{each.successes[1]}", f"{len(each.only_first)}", f"{len(each.only_second)}"]
@@ -205,17 +205,17 @@ def failures(results: ResultSet) -> list[Result]:
 
 
 def rate(found: Rate) -> str:
-    """Formats a rate as count and total."""
+    """Formats a rate as count and total: ``8/10``."""
     return f"{found.count}/{found.total}"
 
 
 def interval(found: Rate) -> str:
-    """Formats a rate's interval in percent."""
+    """Formats a rate's confidence interval in percent: ``49 to 94 %``."""
     return f"{100 * found.low:.0f} to {100 * found.high:.0f} %"
 
 
 def number(value: float, digits: int) -> str:
-    """Formats a number; NaN becomes a dash."""
+    """Formats a number with ``digits`` decimals; NaN and infinity become a dash."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
