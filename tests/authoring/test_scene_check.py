@@ -8,7 +8,7 @@ import math
 
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
-from support.bad_scenes import START, TIP, add, drop, goal_to, object_to, prim, put, walls, without
+from support.bad_scenes import START, TIP, add, barrier, drop, goal_to, object_to, prim, put, vast, walls, without
 from support.foreign_scenes import flat
 from support.lint_cases import CUBE, LINT_CASES, OBJECT, ROBOT, several
 from support.messages import MANUAL, manual
@@ -206,21 +206,6 @@ def test_a_stage_without_anything_is_told_all_that_it_needs(tmp_path):
     assert not prim(Usd.Stage.Open(str(tmp_path / "variant.usda")), ROBOT)
 
 
-def barrier(gap: float):
-    """A wall across the table of task01, with one gap of this width."""
-
-    def change(stage: Usd.Stage) -> None:
-        for name, left, right in (("A", -0.25, -0.05), ("B", 0.05, 0.44), ("C", 0.44 + gap, 1.0)):
-            cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/{name}")
-            cube.CreateSizeAttr(1.0)
-            cube.AddTranslateOp().Set(Gf.Vec3d((left + right) / 2, -0.02, 0.05))
-            cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(right - left, 0.14, 0.1))
-            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
-            cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
-
-    return change
-
-
 def test_a_gap_narrower_than_the_object_is_warned_of_with_its_sides_and_by_how_much(tmp_path):
     problem = check_scene(variant(tmp_path, barrier(0.12), "task01"))[-1]
     assert problem.severity == "warning"
@@ -294,14 +279,7 @@ def test_what_is_allowed_but_hardly_meant_is_warned_of(tmp_path, case):
 
 
 def test_a_table_that_is_too_large_for_the_grid_is_a_mistake(tmp_path):
-    def change(stage: Usd.Stage) -> None:
-        for name, way in (("joint1", 40.0), ("joint2", 40.0)):
-            joint = UsdPhysics.PrismaticJoint(stage.GetPrimAtPath(f"{ROBOT}/joints/{name}"))
-            joint.GetLowerLimitAttr().Set(-way)
-            joint.GetUpperLimitAttr().Set(way)
-        put("/World/Table", "xformOp:scale", Gf.Vec3d(80.0, 80.0, 0.04))(stage)
-
-    severity, what = found(variant(tmp_path, change, "point01"))[0]
+    severity, what = found(variant(tmp_path, vast, "point01"))[0]
     assert severity == "error"
     assert what == "the arm reaches 80 x 80 m of the table"
 

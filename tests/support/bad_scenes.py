@@ -423,3 +423,27 @@ def walls(stage: Usd.Stage) -> None:
         cube.AddScaleOp().Set(Gf.Vec3f(1.0, 0.02, 0.1))
         UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
         cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+
+
+def vast(stage: Usd.Stage) -> None:
+    """A gantry and a table of 80 m, for the point robot."""
+    for name in ("joint1", "joint2"):
+        joint = UsdPhysics.PrismaticJoint(prim(stage, f"{ROBOT}/joints/{name}"))
+        joint.GetLowerLimitAttr().Set(-40.0)
+        joint.GetUpperLimitAttr().Set(40.0)
+    put("/World/Table", "xformOp:scale", Gf.Vec3d(80.0, 80.0, 0.04))(stage)
+
+
+def barrier(gap: float):
+    """A wall across the table of task01, with one gap of this width."""
+
+    def change(stage: Usd.Stage) -> None:
+        for name, left, right in (("A", -0.25, -0.05), ("B", 0.05, 0.44), ("C", 0.44 + gap, 1.0)):
+            cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/{name}")
+            cube.CreateSizeAttr(1.0)
+            cube.AddTranslateOp().Set(Gf.Vec3d((left + right) / 2, -0.02, 0.05))
+            cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(right - left, 0.14, 0.1))
+            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+            cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+
+    return change
