@@ -148,7 +148,7 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
         raise scene.error(
             "the faces of the mesh are missing, have fewer than 3 corners, or refer to points that do not exist",
             prim,
-            allowed="faceVertexCounts of 3 or more, and as many faceVertexIndices as their sum, below the number of points",
+            allowed="faceVertexCounts of 3 or more; as many faceVertexIndices as their sum, below the number of points",
             fix="correct faceVertexCounts and faceVertexIndices",
         )
     return points

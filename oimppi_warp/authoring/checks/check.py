@@ -81,7 +81,7 @@ def _too_large(scene: Scene) -> Iterator[SceneError]:
             f"the arm reaches {size[0]:.3g} x {size[1]:.3g} m of the table",
             file=scene.file,
             prim=scene.table.path,
-            allowed=f"at most {MAX_NODES / YAW_NODES * STEP**2:.0f} m^2 within reach, for the planner's grid to fit in memory",
+            allowed=f"at most {MAX_NODES / YAW_NODES * STEP**2:.0f} m^2, for the planner's grid to fit in memory",
             fix="reduce the size of the table, or the arm's links or limits",
         )
 
