@@ -379,7 +379,7 @@ MISTAKES = {
     "a mesh with a hole": (
         collider(hull_with((0, 1, 7))),
         "refer to points that do not exist",
-        "add up to",
+        "below the number of points",
     ),
     "a mesh of lines": (collider(hull_with((0, 1), 2)), "have fewer than 3 corners", "3 or more"),
     "a mesh at infinity": (
