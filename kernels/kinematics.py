@@ -20,8 +20,8 @@ class Arm:
     Attributes:
         rotation: Joint frame in the previous link's frame, at position zero, [dof].
         position: Origin of that frame [m], [dof].
-        lower, upper: Joint position limits [rad], [dof].
-        speed: Joint velocity limits [rad/s], [dof].
+        lower, upper: Joint position limits [rad; m for a sliding joint], [dof].
+        speed: Joint velocity limits [rad/s; m/s], [dof].
         tip_position: Tool tip in the last link's frame [m].
         tip_rotation: The tip's frame in the last link's frame; its z axis points out of the tool.
         sphere: Spheres along the links: centre in the link's frame [m] and radius [m], sorted by link.

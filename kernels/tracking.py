@@ -25,7 +25,7 @@ def gap_to(model: ObjectModel, pose: wp.vec3, point: wp.vec2, tool_radius: float
 
 @lru_cache
 def make_track_object(chain: str) -> wp.Kernel:
-    """Returns the kernel for a chain of joints, such as ``"RRRRRR"``."""
+    """Returns the kernel that tracks the object, for an arm with a chain of joints such as ``"RRRRRR"``."""
     dof = len(chain)
     vec = wp.types.vector(length=dof, dtype=float)
     place_arm = make_place_arm(chain)

@@ -89,5 +89,5 @@ def test_a_term_that_weighs_nothing_is_in_no_key_and_in_no_record(tmp_path):
 
 
 def test_a_term_cannot_weigh_less_than_nothing():
-    with pytest.raises(ConfigError, match="for a reward, return a negative cost"):
+    with pytest.raises(ConfigError, match="to reward something, let the function return a negative cost"):
         CostTerm(high, weight=-1.0)

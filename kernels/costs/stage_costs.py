@@ -27,7 +27,7 @@ def squared(x: float) -> float:
 
 @wp.func
 def pose_distance_squared(a: wp.vec3, b: wp.vec3, w_theta: float) -> float:
-    """Squared distance of two planar poses: ``d^2(a, b) = |p_a - p_b|^2 + w_theta angle^2`` (equation 16) [m^2].
+    """Returns the squared distance of two poses [m^2]: ``d^2(a, b) = |p_a - p_b|^2 + w_theta angle^2`` (equation 16).
 
     For planar poses, the paper's ``angle = acos((trace(R_a^T R_b) - 1) / 2)`` is the magnitude of the yaw error.
     """
@@ -81,7 +81,7 @@ def outside_ring(pose: wp.vec3, ring: wp.vec2) -> float:
 
 @wp.func
 def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, clearance: float, to_go: float) -> float:
-    """Stage cost of the object level: ``l_o = w_d d^2(x_o, g) + w_f max(lambda_2 - f_0, 0)^2`` (equation 15).
+    """Returns the object level's stage cost: ``l_o = w_d d^2(x_o, g) + w_f max(lambda_2 - f_0, 0)^2`` (equation 15).
 
     ``d^2`` is that of equation 16. We add terms of the clearance phi_2, of the cost-to-go and of the ring in
     which the arm pushes well.
@@ -99,7 +99,7 @@ _TERMS: dict[str, wp.Function] = {}
 
 
 def term(name: str):
-    """Decorator that adds a function ``(w: RobotWeights, s: Stage) -> float`` to the robot level's cost terms."""
+    """Returns a decorator that makes ``(w: RobotWeights, s: Stage) -> float`` a cost term of the robot level."""
 
     def add(function):
         _TERMS[name] = wp.func(function)
@@ -113,7 +113,7 @@ def term(name: str):
 
 @term("goal")
 def goal_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of the object's distance to its goal: ``w_d d^2(x_o, g)``, the first term of l_o (equation 15).
+    """Returns the cost of the object's distance to its goal: ``w_d d^2(x_o, g)``, the first term of l_o (equation 15).
 
     We add ``w_to_go V(x_o)``, with the cost-to-go V.
     """
@@ -122,7 +122,7 @@ def goal_term(w: RobotWeights, s: Stage) -> float:
 
 @term("contact")
 def contact_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of contact of object and obstacles: ``w_f max(lambda_2 - f_0, 0)^2``, the second term of l_o (equation 15).
+    """Returns the cost of contact with obstacles: ``w_f max(lambda_2 - f_0, 0)^2``, second term of l_o (equation 15).
 
     We add ``w_margin max(margin - phi_2, 0)^2``.
     """
@@ -131,13 +131,13 @@ def contact_term(w: RobotWeights, s: Stage) -> float:
 
 @term("reference")
 def reference_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of the distance to the object plan: ``w_reference l_c``, ``l_c = d^2(x_o, x_o*)`` (equation 14)."""
+    """Returns the cost of the distance to the plan: ``w_reference l_c``, ``l_c = d^2(x_o, x_o*)`` (equation 14)."""
     return w.w_reference * pose_distance_squared(s.pose, s.reference, w.w_theta)
 
 
 @term("approach")
 def approach_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of the tool's distance: ``w_ee max(|p_ee - p_o|^2 - r_0^2, 0)``, the first term of l_r (equation 17).
+    """Returns the cost of a distant tool: ``w_ee max(|p_ee - p_o|^2 - r_0^2, 0)``, first term of l_r (equation 17).
 
     ``p_o`` is at half the object's height. The cost is zero while repositioning.
     """
@@ -150,7 +150,9 @@ def approach_term(w: RobotWeights, s: Stage) -> float:
 
 @term("align")
 def align_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of a tool not behind the object: ``w_align psi_align`` (equation 18), the second term of l_r (equation 17).
+    """Returns the misalignment cost: ``w_align psi_align`` (equation 18), the second term of l_r (equation 17).
+
+    It penalizes a tool that is not behind the object, seen in the direction of the object's motion.
 
     Closer than ``align_fade`` to the target, where the direction becomes meaningless, the cost fades out; 0 turns
     fading off. The cost is zero while repositioning.
@@ -168,7 +170,7 @@ def align_term(w: RobotWeights, s: Stage) -> float:
 
 @term("tilt")
 def tilt_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of the tool's tilt from vertical: ``w_tilt psi_tilt`` (equation 19), the third term of l_r (equation 17)."""
+    """Returns the cost of the tool's tilt: ``w_tilt psi_tilt`` (equation 19), the third term of l_r (equation 17)."""
     return w.w_tilt * psi_tilt(s.up)
 
 
@@ -177,7 +179,7 @@ def tilt_term(w: RobotWeights, s: Stage) -> float:
 
 @term("height")
 def height_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of the tip's height error: ``w_height (z_ee - height)^2``; zero while repositioning."""
+    """Returns the cost of the tip's height error: ``w_height (z_ee - height)^2``; zero while repositioning."""
     cost = float(0.0)
     if s.waypoint[3] <= 0.0:
         cost = w.w_height * squared(s.tip[2] - w.height)
@@ -186,19 +188,23 @@ def height_term(w: RobotWeights, s: Stage) -> float:
 
 @term("arm_clearance")
 def arm_clearance_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of an arm close to obstacles or table: ``w_arm_clearance max(arm_clearance - phi_3, 0)^2``."""
+    """Returns the cost of an arm close to obstacles or table: ``w_arm_clearance max(arm_clearance - phi_3, 0)^2``."""
     return w.w_arm_clearance * shortfall(s.arm_clearance, w.arm_clearance)
 
 
 @term("above")
 def above_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of a tip above the object: ``w_above`` per step."""
+    """Returns the cost of a tip above the object: ``w_above`` per step."""
     return w.w_above * s.above
 
 
 @term("push_ring")
 def push_ring_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of an object off the ring or at the table's edge: ``w_push_ring`` and ``w_edge`` times the distance [m]."""
+    """Returns the cost of an object off the push ring or at the table's edge: ``w_push_ring d_ring + w_edge d_edge``.
+
+    ``d_ring`` is the distance of the object's centre to the ring, ``d_edge`` that to the rectangle in which the whole
+    object is on the table [m].
+    """
     along = wp.max(w.edge_lower[0] - s.pose[0], 0.0) + wp.max(s.pose[0] - w.edge_upper[0], 0.0)
     across = wp.max(w.edge_lower[1] - s.pose[1], 0.0) + wp.max(s.pose[1] - w.edge_upper[1], 0.0)
     return w.w_push_ring * outside_ring(s.pose, w.push_ring) + w.w_edge * (along + across)
@@ -206,28 +212,30 @@ def push_ring_term(w: RobotWeights, s: Stage) -> float:
 
 @term("press")
 def press_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of a tool that presses into the object or rises as it pushes: ``w_press depth^2 + w_lift rise^2``."""
+    """Returns the cost of pressing into the object and of rising while pushing: ``w_press depth^2 + w_lift rise^2``."""
     return w.w_press * squared(s.pressed) + w.w_lift * squared(s.rise)
 
 
 @term("control")
 def control_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of control effort: ``w_control |u|^2``."""
+    """Returns the cost of control effort: ``w_control |u|^2``."""
     return w.w_control * s.speed_squared
 
 
 @term("collision")
 def collision_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of contact forces of arm and tool on obstacles and table: ``w_collision max(lambda_3 - f_0, 0)``."""
+    """Returns the cost of forces of the robot on obstacles and table: ``w_collision max(lambda_3 - f_0, 0)``."""
     return w.w_collision * wp.max(s.collision - w.f_0, 0.0)
 
 
 @term("topple")
 def topple_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of motions that may tip the object over: ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``.
+    """Returns the cost of motions that may tip the object over.
 
-    It applies close to the object only. A stick that leans over the object touches it at its upper rim; ``lean . n``
-    times the height from tip to rim is how much nearer the stick is to the object there than at its tip.
+    This is ``w_overhang overhang^2 + w_rush max(v - topple_speed, 0)^2``, close to the object only, with the speed v of
+    the tip towards the object. A stick that leans over the object touches it at its upper rim; the overhang is how
+    much nearer to the object the stick is there than at its tip: ``lean . n`` times the height from tip to rim, with
+    the direction n to the object.
     """
     cost = float(0.0)
     if w.w_overhang > 0.0 or w.w_rush > 0.0:
@@ -243,7 +251,7 @@ def topple_term(w: RobotWeights, s: Stage) -> float:
 
 @term("waypoint")
 def waypoint_term(w: RobotWeights, s: Stage) -> float:
-    """Cost of the tip's distance to its waypoint while repositioning: the waypoint's weight times its square."""
+    """Returns the cost of repositioning: the waypoint's weight times the squared distance of the tip to it."""
     cost = float(0.0)
     if s.waypoint[3] > 0.0:
         cost = s.waypoint[3] * wp.length_sq(s.tip - wp.vec3(s.waypoint[0], s.waypoint[1], s.waypoint[2]))

@@ -46,7 +46,7 @@ class TravelCost:
 
 @wp.func
 def cost_per_metre(travel: TravelCost, clearance: float, distance: float) -> float:
-    """Returns the cost per metre at a clearance and a distance from the base's axis."""
+    """Returns the cost of a metre of path at a clearance [m] and a distance from the base's axis [m]."""
     lack = wp.clamp((travel.comfort - clearance) / travel.comfort, 0.0, 1.0)
     cost = 1.0 + travel.crowded * lack * lack
     if distance < travel.ring_inner or distance > travel.ring_outer:
@@ -147,7 +147,7 @@ def sweep_to_go(
 
 @wp.func
 def turned_distance(a: wp.vec3, b: wp.vec3, yaw_length: float) -> float:
-    """Returns the distance between two poses, yaw included [m]."""
+    """Returns the distance between two poses [m], a radian of yaw counted as ``yaw_length`` [m]."""
     d = b - a
     return wp.length(wp.vec3(d[0], d[1], yaw_length * wrap_angle(d[2])))
 
@@ -211,7 +211,7 @@ def descend(
     """Computes the path from a pose to the goal, at constant speed: onto a plan and along it (one thread).
 
     Off the plan it descends the cost-to-go. On the plan, which is within ``ON_PLAN`` of one of its poses, it continues
-    from the last of those. Within ``HOME`` of the goal, it is straight. Shapes: ``plan`` [m] or empty,
+    from the last of those. Within ``HOME`` of the goal, the path is straight. Shapes: ``plan`` [m] or empty,
     ``start`` and ``goal`` [1], ``way`` [1, n].
     """
     pose = start[0]

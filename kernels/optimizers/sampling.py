@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False})
 
 @lru_cache
 def make_sample_controls(size: int) -> wp.Kernel:
-    """Returns the sampling kernel for controls of ``size`` numbers."""
+    """Returns the kernel that samples controls of ``size`` numbers around a nominal."""
     vec = wp.types.vector(length=size, dtype=float)
     mat = wp.types.matrix(shape=(size, size), dtype=float)
 

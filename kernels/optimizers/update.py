@@ -105,7 +105,7 @@ def weigh_samples(
 
 @lru_cache
 def make_update_nominal(size: int) -> wp.Kernel:
-    """Returns the update kernel for controls of ``size`` numbers."""
+    """Returns the kernel that updates a nominal of controls of ``size`` numbers."""
     vec = wp.types.vector(length=size, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.update_nominal_{size}", enable_backward=False)

@@ -120,7 +120,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
 
 @lru_cache
 def make_pick_trace(count: int) -> wp.Kernel:
-    """Returns the kernel for ``count`` cost terms."""
+    """Returns the kernel that copies the trace of the cheapest sample, for ``count`` cost terms."""
     vector = wp.types.vector(length=count, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.pick_trace_{count}", enable_backward=False)

@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False})
 
 @lru_cache
 def make_expand_controls(dof: int) -> wp.Kernel:
-    """Returns the kernel for an arm of ``dof`` joints."""
+    """Returns the kernel that converts joint velocities to drive commands, for an arm of ``dof`` joints."""
     vec = wp.types.vector(length=dof, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.expand_controls_{dof}", enable_backward=False)

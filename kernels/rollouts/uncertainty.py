@@ -36,9 +36,9 @@ def combine_costs(
 ):
     """Computes each sample's cost: the mean of the ``worst`` costliest of its ``draws`` rollouts.
 
-    With ``worst = draws`` that is the mean of all, with 1 the worst, and in between the conditional value at risk
-    (CVaR). A sample with a rollout whose cost is not finite is lost. Shapes: ``rolled`` [sample * draws], ``costs``
-    [sample].
+    With ``worst = draws`` that is the mean over all rollouts, with ``worst = 1`` the largest cost, and in between the
+    conditional value at risk (CVaR). A sample with a rollout whose cost is not finite is lost. Shapes: ``rolled``
+    [sample * draws], ``costs`` [sample].
     """
     k = first + wp.tid()
     begin = k * draws

@@ -30,7 +30,7 @@ class Places:
 
 @lru_cache
 def make_place_worlds(dof: int) -> wp.Kernel:
-    """Returns the kernel for an arm of ``dof`` joints."""
+    """Returns the kernel that sets the states of all worlds, for an arm of ``dof`` joints."""
     vec = wp.types.vector(length=dof, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.place_worlds_{dof}", enable_backward=False)
@@ -80,7 +80,7 @@ def make_place_worlds(dof: int) -> wp.Kernel:
 
 @lru_cache
 def make_drive_worlds(dof: int) -> wp.Kernel:
-    """Returns the kernel for an arm of ``dof`` joints."""
+    """Returns the kernel that sets the commands of all worlds, for an arm of ``dof`` joints."""
     vec = wp.types.vector(length=dof, dtype=float)
 
     @wp.kernel(module=f"oimppi_warp.kernels.drive_worlds_{dof}", enable_backward=False)

@@ -27,10 +27,9 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
         scene: The task.
 
     Returns:
-        None if the robot's own start is clear of the object and the obstacles; otherwise joint positions [rad] with the
-        tip at the same height, as close to its original place as possible, and the tool pointing down.
-
-    If no such start is found, the robot's own is kept, and ``feasibility.check_task`` reports the problem.
+        Joint positions [rad; m] with the tip at the height of the robot's own start, as close to it as possible, and
+        the tool pointing down. ``None`` if the robot's own start is clear of the object and the obstacles, or if no
+        clear one is found; ``feasibility.check_task`` then reports the problem.
     """
     robot = scene.robot
     if _is_clear(scene, robot.start):

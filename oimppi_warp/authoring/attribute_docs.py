@@ -14,14 +14,14 @@ _STANDARD = {
     "physics:dynamicFriction": "Coefficient of sliding friction; for a pair of shapes, the larger one applies.",
     "physics:staticFriction": "Coefficient of static friction; the planner uses dynamicFriction instead.",
     "physics:restitution": "Coefficient of restitution, 0 to 1; not used.",
-    "physics:gravityDirection": "Down.",
-    "physics:gravityMagnitude": "[m/s^2]",
+    "physics:gravityDirection": "Direction of gravity: downwards.",
+    "physics:gravityMagnitude": "Acceleration of gravity [m/s^2].",
     "physics:approximation": "The collision shape is the convex hull of the points.",
     "xformOp:translate": "Position (x, y, z) [m]; the table's top is at z = 0, the arm's base at the origin.",
     "xformOp:rotateZ": "Yaw [degrees].",
     "xformOp:scale": "Side lengths (x, y, z) [m], as `size` is 1.",
-    "radius": "[m]",
-    "height": "[m], along z",
+    "radius": "Radius [m].",
+    "height": "Height, along z [m].",
 }
 
 _OURS = {a.name: f"{a.doc}{f' [{a.unit}]' if a.unit else ''}" for schema in SCHEMAS for a in schema.attributes}
@@ -39,7 +39,7 @@ _PLACES = {
 
 
 def write_attribute_docs(stage: Usd.Stage) -> None:
-    """Write documentation for prims and attributes into a stage's root layer, with units in square brackets.
+    """Writes documentation for prims and attributes into a stage's root layer, with units in square brackets.
 
     Prims that override part of another file, such as the links of a posed arm, are left unchanged.
     """

@@ -17,7 +17,7 @@ _ASSETS = "textures"
 
 
 def dependencies_of(file: Path) -> list[Path]:
-    """Return a USD file and every layer, texture and mesh that it depends on.
+    """Returns a USD file and every layer, texture and mesh that it depends on.
 
     Raises:
         SceneError: A dependency is missing.
@@ -30,7 +30,7 @@ def dependencies_of(file: Path) -> list[Path]:
 
 
 def copy_bundle(file: Path, folder: Path) -> Path:
-    """Copy a USD file and its dependencies into a folder, keeping their paths relative to the file.
+    """Copies a USD file and its dependencies into a folder, keeping their paths relative to the file.
 
     Raises:
         SceneError: A dependency is missing or is outside the file's folder.
@@ -39,7 +39,7 @@ def copy_bundle(file: Path, folder: Path) -> Path:
     for dependency in dependencies_of(file):
         if not dependency.is_relative_to(file.parent):
             raise SceneError(
-                f"it depends on {os.path.relpath(dependency, file.parent)}, which is outside its folder",
+                f"the file depends on {os.path.relpath(dependency, file.parent)}, which is outside its folder",
                 file=file,
                 allowed="files in its own folder or below it, which can be copied with it",
                 fix="move them there, or combine everything in one file with usdcat --flatten",
@@ -51,7 +51,7 @@ def copy_bundle(file: Path, folder: Path) -> Path:
 
 
 def write_flattened(layer: Sdf.Layer, file: Path, source: Path) -> None:
-    """Write a flattened stage, with its textures in a folder beside it.
+    """Writes a flattened stage, with its textures in a folder beside it.
 
     Each texture's name includes part of a hash of its contents, so textures of different files cannot be confused.
 
@@ -82,4 +82,4 @@ def write_flattened(layer: Sdf.Layer, file: Path, source: Path) -> None:
 
 def _missing(path: str, file: Path) -> SceneError:
     fix = "correct the reference; its path is relative to the file that contains it"
-    return SceneError(f"it depends on {path}, which does not exist", file=file, fix=fix)
+    return SceneError(f"the file depends on {path}, which does not exist", file=file, fix=fix)

@@ -232,11 +232,6 @@ def objects() -> str:
     return f"{', '.join(usages())}, or the USD file of an object"
 
 
-def obstacles() -> str:
-    """Lists the shapes available as obstacles, for help and messages."""
-    return f"OBJECT@X,Y[,YAW], as in box:0.1x0.1x0.1@0.5,0.05, where OBJECT is one of these: {objects()}"
-
-
 def shapes_taking(option: str, by: Callable[[str, Shape], str] = lambda name, shape: shape.noun or name) -> list[str]:
     """Lists the shapes that accept an option, by their display names."""
     from oimppi_warp.registries import SHAPES

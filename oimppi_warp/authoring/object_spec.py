@@ -16,7 +16,6 @@ from oimppi_warp.authoring.named_shapes import (
     Arguments,
     Shape,
     objects,
-    obstacles,
     prim_name,
     shapes_taking,
 )
@@ -25,7 +24,9 @@ from oimppi_warp.authoring.objects.stored import ENDINGS, is_object_file, read_o
 from oimppi_warp.authoring.task import Obstacle, Pose, StaticObject
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import SHAPES
-from oimppi_warp.runtime.request import parse_pose
+from oimppi_warp.runtime.request import POSE, parse_pose
+
+_PLACED = "OBJECT@X,Y[,YAW] in metres and radians"
 
 
 @dataclass(frozen=True)
@@ -112,11 +113,14 @@ def parse_obstacle(spec: str, options: ShapeOptions = ShapeOptions(), *, name: s
     """
     what, at, pose_text = spec.rpartition("@")
     if not at:
-        raise ConfigError(f"--obstacle {spec}: no position\n  allowed: {obstacles()}")
+        raise ConfigError(
+            f"--obstacle {spec}: it has no position\n  allowed: {_PLACED}\n"
+            f"  to do:   append a position, e.g. {spec}@0.5,0.05"
+        )
     numbers = pose_text.split(",")
     if len(numbers) == 2:
         numbers.append("0")
-    pose = checked_pose(f"--obstacle {what}@", ",".join(numbers))
+    pose = checked_pose("--obstacle", ",".join(numbers), given=f"--obstacle {spec}", allowed=_PLACED)
     named = _find_shape(what)
     if named is not None and named.shape.make_obstacle is not None:
         return named.shape.make_obstacle(name, pose, *named.shape.parse(spec, named.name, named.text))
@@ -152,16 +156,19 @@ def check_used(options: ShapeOptions, specs: Iterable[str]) -> None:
             raise ConfigError(f"--{option} {value}: does not apply to any of the objects\n  allowed: with {what} only")
 
 
-def checked_pose(option: str, text: str) -> Pose:
+def checked_pose(option: str, text: str, *, given: str = "", allowed: str = POSE) -> Pose:
     """Parses a planar pose "x,y,yaw"; a yaw so large that it must be in degrees is refused.
+
+    Args:
+        option, text, given, allowed: As for :func:`oimppi_warp.runtime.request.parse_pose`.
 
     Raises:
         ConfigError: The text is not a valid pose.
     """
-    x, y, yaw = parse_pose(option, text)
+    x, y, yaw = parse_pose(option, text, given=given, allowed=allowed)
     if abs(yaw) > 2.0 * math.pi + 1e-3:
         raise ConfigError(
-            f"{option} {text}: a yaw of {yaw:g} radians is more than a full turn\n"
+            f"{given or f'{option} {text}'}: a yaw of {yaw:g} radians is more than a full turn\n"
             f"  allowed: -6.283 to 6.283 rad; {yaw:g} degrees are {math.radians(yaw):.4g} rad"
         )
     return x, y, yaw

@@ -1,7 +1,7 @@
 """Writes the few kinds of prims that the shipped scenes are made of.
 
-Every function takes the stage and a path and returns the prim. Inputs are in metres, kilograms and radians; output is
-in the units of UsdPhysics (degrees).
+Functions that add a prim take the stage and the path, and return the prim. Inputs are in metres, kilograms and radians;
+output is in the units of UsdPhysics (degrees).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Color = tuple[float, float, float]
 
 
 def new_stage(file: Path, root: str, doc: str) -> Usd.Stage:
-    """Create an empty stage in metres and kilograms, z up, with one component ``/root`` as its default prim."""
+    """Creates an empty stage in metres and kilograms, z up, with one component ``/root`` as its default prim."""
     file.parent.mkdir(parents=True, exist_ok=True)
     file.unlink(missing_ok=True)
     stage = Usd.Stage.CreateNew(str(file))
@@ -36,23 +36,26 @@ def new_stage(file: Path, root: str, doc: str) -> Usd.Stage:
 
 
 def rounded(values: Vector, digits: int = 12) -> list[float]:
-    """Return plain floats without rounding noise, so that files are readable and the same on every machine."""
+    """Rounds to ``digits`` decimals and returns plain floats (-0.0 becomes 0.0).
+
+    Files are then readable, and the same on every machine.
+    """
     return [round(float(v), digits) + 0.0 for v in values]
 
 
 def vec3(v: Vector) -> Gf.Vec3f:
-    """Convert to a single-precision vector."""
+    """Converts three numbers to a single-precision vector, rounded to 9 decimals."""
     return Gf.Vec3f(*rounded(v, 9))
 
 
 def quat(q: Vector) -> Gf.Quatf:
-    """Convert a quaternion xyzw to USD's (w, x, y, z)."""
+    """Converts a quaternion xyzw to USD's (w, x, y, z), in single precision and rounded to 9 decimals."""
     x, y, z, w = rounded(q, 9)
     return Gf.Quatf(w, x, y, z)
 
 
 def set_pose(prim: Usd.Prim, position: Vector, orientation: Vector | None = None) -> None:
-    """Place a prim at a position [m] and, if given, an orientation (quaternion xyzw) in its parent's frame."""
+    """Places a prim at a position [m] and, if given, an orientation (quaternion xyzw) in its parent's frame."""
     UsdGeom.Xformable(prim).ClearXformOpOrder()
     _add_operation(prim, UsdGeom.XformOp.TypeTranslate, Gf.Vec3d(*rounded(position)))
     if orientation is not None:
@@ -60,7 +63,7 @@ def set_pose(prim: Usd.Prim, position: Vector, orientation: Vector | None = None
 
 
 def set_planar_pose(prim: Usd.Prim, pose: Vector, height: float) -> None:
-    """Place a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m]."""
+    """Places a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m] in its parent's frame."""
     set_pose(prim, (pose[0], pose[1], height))
     _add_operation(prim, UsdGeom.XformOp.TypeRotateZ, round(math.degrees(pose[2]), 9))
 
@@ -75,13 +78,13 @@ def _add_operation(prim: Usd.Prim, kind: UsdGeom.XformOp.Type, value: Gf.Vec3d |
 
 
 def apply_api(prim: Usd.Prim, *names: str) -> None:
-    """Apply API schemas by name; the package's own and Newton's need not be registered to be written."""
+    """Applies API schemas by name; the package's own and Newton's need not be registered to be written."""
     for name in names:
         prim.AddAppliedSchema(name)
 
 
 def attribute(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: object) -> None:
-    """Author an attribute of an API schema."""
+    """Authors an attribute that an API schema of the prim defines."""
     prim.CreateAttribute(name, type_name, custom=False).Set(value)
 
 
@@ -116,7 +119,7 @@ COLLIDER = Look(collide=True)
 def box(
     stage: Usd.Stage, path: str, center: Vector, extents: Vector, look: Look, turn: Vector | None = None
 ) -> Usd.Prim:
-    """Add a box with full side lengths [m], turned by a quaternion xyzw."""
+    """Adds a box at ``center`` with the side lengths ``extents`` [m], turned by ``turn``, a quaternion xyzw."""
     cube = UsdGeom.Cube.Define(stage, path)
     cube.CreateSizeAttr(1.0)
     set_pose(cube.GetPrim(), center, turn)
@@ -125,7 +128,7 @@ def box(
 
 
 def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Look) -> Usd.Prim:
-    """Add a sphere."""
+    """Adds a sphere at ``center`` [m]."""
     gprim = UsdGeom.Sphere.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
     set_pose(gprim.GetPrim(), center)
@@ -135,7 +138,7 @@ def sphere(stage: Usd.Stage, path: str, center: Vector, radius: float, look: Loo
 def cylinder(
     stage: Usd.Stage, path: str, center: Vector, radius: float, height: float, look: Look, turn: Vector | None = None
 ) -> Usd.Prim:
-    """Add an upright cylinder, or one turned by a quaternion xyzw."""
+    """Adds a cylinder at ``center`` [m] along z, or turned by ``turn``, a quaternion xyzw."""
     gprim = UsdGeom.Cylinder.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
     gprim.CreateHeightAttr(height)
@@ -145,7 +148,7 @@ def cylinder(
 
 
 def capsule(stage: Usd.Stage, path: str, a: Vector, b: Vector, radius: float, look: Look) -> Usd.Prim:
-    """Add a capsule between two points [m]."""
+    """Adds a capsule whose axis runs from point ``a`` to point ``b`` [m]."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     gprim = UsdGeom.Capsule.Define(stage, path)
     gprim.CreateRadiusAttr(radius)
@@ -158,7 +161,7 @@ def capsule(stage: Usd.Stage, path: str, a: Vector, b: Vector, radius: float, lo
 def mesh(
     stage: Usd.Stage, path: str, points: np.ndarray, faces: Sequence[Sequence[int]], look: Look, normals: Points = ()
 ) -> Usd.Prim:
-    """Add a polygon mesh, flat-shaded or, with ``normals`` (one per point), smooth; a collider must be convex."""
+    """Adds a polygon mesh [m], smooth if ``normals`` has one per point; a mesh that collides does so as its hull."""
     gprim = UsdGeom.Mesh.Define(stage, path)
     gprim.CreatePointsAttr(Vt.Vec3fArray([vec3(np.round(p, 5)) for p in points]))
     gprim.CreateFaceVertexCountsAttr([len(face) for face in faces])
@@ -174,7 +177,7 @@ def mesh(
 
 
 def prism(stage: Usd.Stage, path: str, polygon: np.ndarray, height: float, look: Look) -> Usd.Prim:
-    """Add a convex polygon (counter-clockwise, [n, 2]) extruded upwards and downwards by half its height."""
+    """Adds a convex polygon (counter-clockwise, [n, 2]) extruded upwards and downwards by half its height."""
     n = len(polygon)
     points = np.vstack([np.c_[polygon, np.full(n, z)] for z in (-height / 2, height / 2)])
     sides = [[i, (i + 1) % n, n + (i + 1) % n, n + i] for i in range(n)]
@@ -182,12 +185,12 @@ def prism(stage: Usd.Stage, path: str, polygon: np.ndarray, height: float, look:
 
 
 def about_z(yaw: float) -> np.ndarray | None:
-    """Return a rotation about z [rad] as a quaternion xyzw; ``None`` for no rotation."""
+    """Returns a rotation about z [rad] as a quaternion xyzw; ``None`` for no rotation."""
     return np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]) if yaw else None
 
 
 def z_to(direction: Vector) -> np.ndarray:
-    """Return the shortest rotation that turns z into ``direction``, as a quaternion xyzw."""
+    """Returns the shortest rotation that turns z into ``direction``, as a quaternion xyzw."""
     d = np.asarray(direction, float) / np.linalg.norm(direction)
     if d[2] < -1.0 + 1e-9:
         return np.array([1.0, 0.0, 0.0, 0.0])
@@ -196,7 +199,7 @@ def z_to(direction: Vector) -> np.ndarray:
 
 
 def physics_material(stage: Usd.Stage, path: str, friction: float) -> UsdShade.Material:
-    """Add a material with equal static and dynamic friction, and no restitution."""
+    """Adds a material with equal static and dynamic friction, and no restitution."""
     material = UsdShade.Material.Define(stage, path)
     api = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
     api.CreateStaticFrictionAttr(friction)
@@ -206,7 +209,7 @@ def physics_material(stage: Usd.Stage, path: str, friction: float) -> UsdShade.M
 
 
 def bind_physics(root: Usd.Prim, material: UsdShade.Material) -> None:
-    """Bind a physics material to each collider at and below a prim, since not every reader inherits bindings."""
+    """Binds a physics material to each collider at and below a prim, since not every reader inherits bindings."""
     for prim in Usd.PrimRange(root):
         if prim.HasAPI(UsdPhysics.CollisionAPI):
             binding = UsdShade.MaterialBindingAPI.Apply(prim)
@@ -214,7 +217,7 @@ def bind_physics(root: Usd.Prim, material: UsdShade.Material) -> None:
 
 
 def mass_properties(prim: Usd.Prim, mass: float, center: Vector, inertia: np.ndarray) -> None:
-    """Author mass [kg], centre of mass [m] and inertia about it (3 x 3 matrix in the prim's axes) [kg m^2]."""
+    """Authors mass [kg], centre of mass [m] and inertia about it (3 x 3 matrix in the prim's axes) [kg m^2]."""
     moments, axes = np.linalg.eigh(inertia)
     axes = axes[:, np.argsort(np.abs(axes).argmax(axis=0), kind="stable")] if _is_diagonal(inertia) else axes
     moments = np.diag(axes.T @ inertia @ axes)
@@ -233,7 +236,7 @@ def _is_diagonal(matrix: np.ndarray) -> bool:
 
 
 def matrix_quat(matrix: np.ndarray) -> np.ndarray:
-    """Return the quaternion (xyzw) of a rotation matrix.
+    """Returns the quaternion (xyzw) of a rotation matrix.
 
     Of the two equivalent ones it is the one with w > 0, or for half a turn the one whose first non-zero number is
     negative, so that the result is the same on every machine.

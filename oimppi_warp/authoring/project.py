@@ -50,7 +50,7 @@ class WrittenTask:
 
 
 def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> WrittenTask:
-    """Write a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
+    """Writes a task's scene to a folder, with the object in ``objects/`` and the robot in ``robots/`` beside it.
 
     The files are first written to a draft folder, read back and checked, and moved only if they are valid. A robot or
     an object that is already in the folder is used as it is. If a different object has the same name, the new one is
@@ -88,7 +88,7 @@ def write_task(task: Task, folder: str | Path = ".", *, force: bool = False) -> 
 
 
 def write_object(obj: Pushable, folder: str | Path = ".", *, force: bool = False, picture: bool = False) -> Path:
-    """Write an object to ``objects/`` in a folder, with its attributes documented.
+    """Writes an object to ``objects/`` in a folder, with its attributes documented.
 
     Args:
         obj: The object.
@@ -119,7 +119,7 @@ def write_object(obj: Pushable, folder: str | Path = ".", *, force: bool = False
 
 
 def find_robot(robot: str, folder: Path) -> Path:
-    """Find the file of a robot: one in the folder, a shipped one, or a USD file.
+    """Finds the file of a robot, by the name of one in ``robots/`` of a folder or of a shipped one, or by its path.
 
     Raises:
         SceneError: The robot does not exist.
@@ -139,12 +139,12 @@ def find_robot(robot: str, folder: Path) -> Path:
 def _check_target(name: str, file: Path, force: bool) -> None:
     """Raises SceneError for invalid file names, existing files, and folders that are not writable."""
     if not re.fullmatch(r"[A-Za-z0-9][\w-]*", name, flags=re.ASCII):
-        raise SceneError(f"{name!r}: not a valid name", allowed="letters, digits, - and _, as in push_s")
+        raise SceneError(f"{name!r} is not a valid name", allowed="letters, digits, - and _, as in push_s")
     if file.exists() and not force:
-        raise SceneError("it already exists", file=file, allowed="a new name", fix="use --force to overwrite it")
+        raise SceneError("the file already exists", file=file, allowed="a new name", fix="use --force to overwrite it")
     parent = next(place for place in (file.absolute(), *file.absolute().parents) if place.is_dir())
     if not os.access(parent, os.W_OK) or (file.parent.exists() and not file.parent.is_dir()):
-        raise SceneError("not a writable folder", file=file.parent, fix="choose another one with --out")
+        raise SceneError("the folder is not writable", file=file.parent, fix="choose another one with --out")
 
 
 def _own_objects(scene: Path, task: str) -> frozenset[Path]:

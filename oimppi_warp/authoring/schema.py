@@ -9,7 +9,14 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Attribute:
-    """An attribute of a schema; without a default it is required."""
+    """An attribute of a schema.
+
+    Attributes:
+        name, type: Its name, and its USD type.
+        default: Its default as USD text; empty: the attribute is required.
+        unit: Its unit; empty: none.
+        doc: Description.
+    """
 
     name: str
     type: str
@@ -20,7 +27,14 @@ class Attribute:
 
 @dataclass(frozen=True)
 class Schema:
-    """An API schema: the role that it gives a prim, and its attributes."""
+    """An API schema, which gives a prim its role.
+
+    Attributes:
+        name: Its name.
+        where: Prims that it is applied to, and how many of them a scene has.
+        doc: Description of the role.
+        attributes: Its attributes.
+    """
 
     name: str
     where: str
@@ -32,8 +46,9 @@ SCHEMAS = (
     Schema(
         "OimppiTaskAPI",
         "the scene's default prim; exactly one in a scene",
-        "The task. Planar poses are (x, y, yaw) in the world frame, whose origin is the centre of the arm's base; "
-        "z points up, and the table's top is at z = 0. The object's start is its pose in the file.",
+        "The task: push the object to the goal. Planar poses are (x, y, yaw) in the world frame, whose origin is the "
+        "centre of the arm's base; z points up, and the table's top is at z = 0. The object's start is its pose in the "
+        "file.",
         (
             Attribute("oimppi:title", "string", '""', "", "One-line description of the task."),
             Attribute(
@@ -41,69 +56,73 @@ SCHEMAS = (
                 "double3",
                 "",
                 "m, m, rad",
-                "Goal of the object: planar pose of its frame.",
+                "Goal of the object: planar pose of the object's frame.",
             ),
             Attribute(
                 "oimppi:starts",
                 "double3[]",
                 "[]",
                 "m, m, rad",
-                "Starts that the task is evaluated with, one planar pose each. If omitted, the one in the file.",
+                "Starts that the task is evaluated with: planar poses of the object's frame. If omitted, the object's "
+                "pose in the file is the only one.",
             ),
             Attribute(
                 "oimppi:spread",
                 "double2",
                 "(0, 0)",
                 "m, rad",
-                "Half-widths of the box around the start from which a seed draws a start: of x and y, and of the yaw.",
+                "Half-widths of the range around the object's start in the file from which starts are drawn "
+                "(`--seed`): of x and y, and of the yaw.",
             ),
             Attribute(
                 "oimppi:tolerance",
                 "double2",
                 "(0.2, 0.5)",
                 "m, rad",
-                "Largest distance and absolute yaw error at the goal for success; `inf` for the yaw accepts any yaw.",
+                "Largest distance from the goal and largest absolute yaw error for success; `inf` as the yaw error "
+                "accepts any yaw.",
             ),
             Attribute(
                 "oimppi:tightTolerance",
                 "double2",
                 "(0.05, 0.1)",
                 "m, rad",
-                "A stricter tolerance; success within it is also reported.",
+                "A stricter tolerance, in the same form; success within it is reported too.",
             ),
         ),
     ),
     Schema(
         "OimppiRobotAPI",
         "the root prim of the arm's articulation; exactly one in a scene",
-        "The arm: a serial chain of PhysicsRevoluteJoints and PhysicsPrismaticJoints, each about or along its local z "
-        "axis and with its frame at the link that it moves. The base is at the world's origin, fixed to the world by a "
-        "PhysicsFixedJoint. Position limits are those of UsdPhysics; the effort limit is the `physics:maxForce` of the "
-        "angular or linear drive, and the velocity limit is `newton:velocityLimit` of NewtonJointAPI (in degrees per "
-        "second, like all angles in UsdPhysics, or metres per second; unlimited if not given). A sliding joint must "
-        "have position limits.",
+        "The arm: a serial chain of PhysicsRevoluteJoints and PhysicsPrismaticJoints, each of which turns about or "
+        "slides along its local z axis; its frame is that of the link that it moves. The base is at the world's "
+        "origin, fixed to the world by a PhysicsFixedJoint. Position limits are those of UsdPhysics; the effort limit "
+        "is the `physics:maxForce` of the angular or linear drive, and the velocity limit is `newton:velocityLimit` of "
+        "NewtonJointAPI (in degrees per second, like all angles in UsdPhysics, or in metres per second). A limit that "
+        "is not given is infinite; a sliding joint must have position limits.",
         (
             Attribute(
                 "oimppi:startJoints",
                 "double[]",
                 "",
                 "rad, m",
-                "Joint positions at the start of an episode, from base to flange.",
+                "Joint positions at the start of an episode, from base to flange: in radians, or in metres for a "
+                "sliding joint.",
             ),
         ),
     ),
     Schema(
         "OimppiToolAPI",
         "an Xform at the tip of the stick, below the robot's last link or a body welded to it; exactly one in a scene",
-        "The tip of the tool; its z axis points out of the tool.",
+        "The tip of the tool, the stick that pushes the object; its z axis points out of the tool.",
         (Attribute("oimppi:radius", "double", "", "m", "Radius of the stick."),),
     ),
     Schema(
         "OimppiObjectAPI",
         "a rigid body; exactly one in a scene",
-        "The object to be pushed. It must have a mass, at least one collider and a physics material, lie on the "
-        "table, and be rotated about z only. Its friction with the table and with the tool is the larger of the two "
-        "materials' `physics:dynamicFriction`, as MuJoCo combines them.",
+        "The object to be pushed. It must have a mass, at least one collider and a physics material, lie on the table, "
+        "and be rotated about z only. Its coefficient of friction with the table, and with the tool, is the larger of "
+        "the two materials' `physics:dynamicFriction`, as in MuJoCo.",
     ),
     Schema(
         "OimppiObstacleAPI",
@@ -113,14 +132,14 @@ SCHEMAS = (
     Schema(
         "OimppiTableAPI",
         "a static prim with a box collider on itself or below it; exactly one in a scene",
-        "The surface that the object slides on: a box aligned with the world's axes, with its top at z = 0. The "
-        "object must stay within its edges.",
+        "The surface that the object slides on: a box aligned with the world's axes, with its top at z = 0. The object "
+        "must stay within the edges of its top.",
     ),
 )
 
 
 def write(folder: Path) -> None:
-    """Write ``generatedSchema.usda`` and ``plugInfo.json``, which USD reads, to ``folder``."""
+    """Writes ``generatedSchema.usda`` and ``plugInfo.json``, which USD reads, to ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "generatedSchema.usda").write_text(_schema_file())
     types = {
@@ -158,13 +177,13 @@ converted when it is read (`docs/scene-check.md` lists everything that is conver
 and friction are described with the standard UsdPhysics schemas, so that other tools can read them too. Everything that
 USD has no schema for is described with six API schemas of this package. They are codeless: `scenes/schema/` contains
 their complete definition. The package registers it automatically, and other USD tools find it if `PXR_PLUGINPATH_NAME`
-names that folder. The package's own attributes are in metres and radians and refer to the frame with z up, whatever the
-stage's units; angles in UsdPhysics are in degrees.
+names that folder. The package's own attributes (`oimppi:...`) are in metres and radians and refer to the frame with z
+up, whatever the stage's units; angles in UsdPhysics are in degrees.
 
 Everything that collides or moves must have a role; otherwise the scene is refused, because the planner would not know
 about it. A collider may be a `Cube`, `Sphere`, `Cylinder` or `Capsule`, or a `Mesh` that is convex or has
 `physics:approximation` `convexHull`, `boundingCube` or `boundingSphere`. Other shapes must be cut into convex pieces,
-like the letters in `scenes/objects/`.
+like the letters in `scenes/objects/` are.
 
 [`authoring.md`](authoring.md) shows how to write a scene with a command, by hand and in Python. The smallest one refers
 to the shipped arm and objects:
@@ -213,7 +232,7 @@ def Xform "World" (
 
 
 def page() -> str:
-    """Return the manual's page about the schemas."""
+    """Returns the text of `docs/schema.md`."""
     lines = [_HEAD]
     for schema in SCHEMAS:
         lines += [f"## {schema.name}", "", f"On {schema.where}.", "", schema.doc, ""]

@@ -87,7 +87,7 @@ class Task:
         start, goal: Start and goal pose of the object.
         obstacles: Static obstacles.
         tolerance, tight: Tolerance for success, and a stricter one reported beside it: position [m] and yaw [rad].
-        robot_start: Joint positions at the start [rad]; none: the robot's own.
+        robot_start: Joint positions at the start [rad; m]; empty: the robot's own.
         robot: Name of the robot's file in ``robots/``; the extension defaults to ``.usda``.
     """
 
@@ -106,7 +106,7 @@ class Task:
 def write(
     task: Task, folder: Path, *, note: str = "", find_arm_start: Callable[[Scene], Sequence[float] | None] | None = None
 ) -> Path:
-    """Write a task's scene to ``folder``, which must already contain ``robots`` and ``objects``.
+    """Writes a task's scene to ``folder``, which must already contain ``robots`` and ``objects``.
 
     Args:
         task: The task.
@@ -166,10 +166,14 @@ def write(
 
 
 def add_starts(stage: Usd.Stage, file: Path) -> None:
-    """List the start with nine others drawn around it, from a smaller spread where there is less room.
+    """Writes ``oimppi:starts`` (the start, and nine others drawn around it) and ``oimppi:spread`` to a scene.
 
-    They are drawn from the scene as written to its file. `oimppi run --seed` draws from seed 0 upwards, so it draws
-    others.
+    The spread is reduced where there is too little room. Seeds 1001 to 1009 are used, so that `oimppi run --seed`, with
+    lower seeds, draws others.
+
+    Args:
+        stage: The scene, which is saved.
+        file: Its file.
 
     Raises:
         SceneError: The task is not feasible from its own start.

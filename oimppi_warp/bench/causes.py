@@ -43,7 +43,7 @@ RAISED = "an error was raised"
 
 
 def likely_cause(log: EpisodeLog, *, reach: float = math.inf) -> Cause:
-    """Return the likely cause of a failure.
+    """Returns the likely cause of a failure.
 
     Args:
         log: Log of an episode that did not succeed.

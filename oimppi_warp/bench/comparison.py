@@ -64,7 +64,7 @@ class Comparison:
 
 
 def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
-    """Compare two result sets: all pairs together, then by task and method.
+    """Compares two result sets: first all pairs together, then those of each task and method.
 
     Raises:
         ConfigError: The sets have no combination of task, method and start in common.
@@ -83,7 +83,7 @@ def compare_sets(first: ResultSet, second: ResultSet) -> tuple[Comparison, ...]:
 
 
 def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
-    """Compare the methods of one set with each other, over all its tasks.
+    """Compares the methods of one set with each other, over all its tasks.
 
     A scene listed under several labels is counted once, under the first, as its starts are the same under all.
     """
@@ -102,7 +102,7 @@ def compare_methods(results: ResultSet) -> tuple[Comparison, ...]:
 
 
 def compare_labels(results: ResultSet) -> tuple[Comparison, ...]:
-    """Compare each labelled entry of one set with the first entry of the same scene and method."""
+    """Compares each labelled entry of one set with the first entry of the same scene and method."""
     groups: dict[tuple[str, str], dict[str, list[Result]]] = {}
     for result in results.results:
         groups.setdefault((result.scene, result.run.method), {}).setdefault(result.task, []).append(result)
@@ -116,7 +116,12 @@ def compare_labels(results: ResultSet) -> tuple[Comparison, ...]:
 
 
 def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
-    """Compare paired trials."""
+    """Compares paired trials.
+
+    Args:
+        name: Name of the comparison.
+        pairs: Pairs of results with the same task and start.
+    """
     only_first = tuple((a, b) for a, b in pairs if a.success and not b.success)
     only_second = tuple((a, b) for a, b in pairs if b.success and not a.success)
     return Comparison(
@@ -131,9 +136,12 @@ def compare(name: str, pairs: Sequence[Pair]) -> Comparison:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """Return the p value of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947).
+    """Returns the p value of McNemar's exact test (Q. McNemar, Psychometrika 12, 1947).
 
     Under its null hypothesis, either side is equally likely to be the one that succeeds in a differing pair.
+
+    Args:
+        only_first, only_second: Numbers of pairs in which only that side succeeded.
     """
     if only_first + only_second == 0:
         return 1.0
@@ -143,7 +151,10 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def signed_rank(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the p value of the two-sided Wilcoxon signed-rank test; pairs without a difference are dropped."""
+    """Returns the p value of the two-sided Wilcoxon signed-rank test of paired values, shape [n] each.
+
+    Pairs without a difference are dropped. 1 if no pair differs; NaN without pairs.
+    """
     if not len(first):
         return math.nan
     if not np.any(first != second):

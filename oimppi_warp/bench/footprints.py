@@ -17,7 +17,10 @@ from oimppi_warp.scene import Collider, Scene
 
 
 def scene_footprints(scene: Scene) -> dict[str, Any]:
-    """Return the displayed parts of a scene, in a form that can be written as JSON."""
+    """Returns the outlines of a scene's parts seen from above, and its goal [m, rad], as JSON-serializable lists.
+
+    Its title, its position tolerance [m] and the reach of the arm [m] are included.
+    """
     return {
         "title": scene.title,
         "table": [list(scene.table.lower), list(scene.table.upper)],
@@ -31,7 +34,7 @@ def scene_footprints(scene: Scene) -> dict[str, Any]:
 
 
 def transformed(rings: Iterable[Any], pose: Any) -> list[np.ndarray]:
-    """Transform rings from an object's frame to its planar pose, shape [n, 2] each."""
+    """Transforms rings [n, 2] [m] from an object's frame to the world, with the object at a planar pose [3]."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[c, s], [-s, c]])
     return [np.asarray(ring) @ turn + np.asarray(pose[:2]) for ring in rings]

@@ -16,7 +16,7 @@ are included in the hash. Scenes are hashed individually, as part of a trial's k
 
 @cache
 def code_content() -> str:
-    """Return a hash of the source code that affects results, including kernels.
+    """Returns a hash of the source code that affects results, including kernels.
 
     It covers this package only; methods, engines and plants from other packages are not included.
     """
@@ -30,7 +30,7 @@ def code_content() -> str:
 
 @cache
 def machine() -> str:
-    """Describe processor, cores and system in one line."""
+    """Describes this machine's processor, number of cores and system in one line."""
     from oimppi_warp.compute.step import core_count
     from oimppi_warp.system.doctor import processor
 
@@ -38,7 +38,7 @@ def machine() -> str:
 
 
 def without_paths(text: str) -> str:
-    """Shorten the paths in a traceback to start at the package or at Python, hiding the user's folders."""
+    """Shortens the paths in a traceback to start at the package or at Python, hiding the user's folders."""
     for folder, name in ((_PACKAGE.parent, "."), (Path(sys.prefix), "(python)"), (Path(sys.base_prefix), "(python)")):
         text = text.replace(str(folder), name)
     return text

@@ -82,21 +82,21 @@ class Result:
 
     @property
     def scene(self) -> str:
-        """Short name of the scene, without the entry's label."""
+        """Returns the short name of the scene, without the entry's label."""
         return Path(shlex.split(self.command)[2]).stem
 
     @property
     def success(self) -> bool:
-        """True if the object was held within the tolerance."""
+        """Returns whether the object was held within the tolerance."""
         return bool(self.metrics.get("success", False))
 
     @property
     def success_tight(self) -> bool:
-        """True if the object was held within the tight tolerance."""
+        """Returns whether the object was held within the tight tolerance."""
         return bool(self.metrics.get("success_tight", False))
 
     def value(self, name: str) -> float:
-        """Return a number from the metrics or from this class; NaN if it is missing."""
+        """Returns a number by its name in the metrics or in this class; NaN if it is missing."""
         found = self.metrics.get(name, getattr(self, name, None))
         return math.nan if found is None else float(found)
 
@@ -124,20 +124,20 @@ class ResultSet:
 
     @property
     def tasks(self) -> list[str]:
-        """Task names in the order of the suite."""
+        """Returns the task names in the order of the suite."""
         return list(dict.fromkeys(result.task for result in self.results))
 
     @property
     def methods(self) -> list[str]:
-        """Method names in the order of the suite."""
+        """Returns the method names in the order of the suite."""
         return list(dict.fromkeys(result.run.method for result in self.results))
 
     def of(self, task: str | None = None, method: str | None = None) -> list[Result]:
-        """Return the results of a task and a method; ``None`` selects all."""
+        """Returns the results of one task and one method, in the order of the suite; ``None`` selects all."""
         return [r for r in self.results if task in (None, r.task) and method in (None, r.run.method)]
 
     def groups(self) -> Iterator[tuple[str, str, list[Result]]]:
-        """Yield task, method and results for each combination that has results."""
+        """Yields task, method and results for each combination that has results."""
         for task in self.tasks:
             for method in self.methods:
                 if found := self.of(task, method):
@@ -145,11 +145,11 @@ class ResultSet:
 
     @property
     def codes(self) -> list[str]:
-        """Hashes of the code that produced the results; more than one deserves a warning."""
+        """Returns the hashes of the code that produced the results; more than one deserves a warning."""
         return sorted({result.code for result in self.results})
 
     def save(self, path: Path) -> None:
-        """Write the whole file."""
+        """Writes the results to a file, completely or not at all."""
         facts = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "results"}
         head = {"format": FORMAT} | to_json(facts)
         rows = ",\n".join("  " + json.dumps(result_row(result), allow_nan=False) for result in self.results)
@@ -158,10 +158,10 @@ class ResultSet:
 
 
 def load_results(path: str | Path) -> ResultSet:
-    """Load results from a file.
+    """Loads the results of a suite from a file.
 
     Args:
-        path: The file, or its folder.
+        path: The file, or the folder that holds it.
 
     Raises:
         LogError: There are no results, or their format version is not supported.
@@ -182,7 +182,7 @@ def load_results(path: str | Path) -> ResultSet:
 
 
 def result_from(row: dict[str, Any]) -> Result:
-    """Create a result from its JSON, the inverse of :func:`result_row`."""
+    """Creates a result from its JSON, the inverse of :func:`result_row`."""
     row = _options_of_command(row["command"]) | row  # rows of earlier versions lack the device and the threads
     row["run"] = RunSpec(**{item.name: row.pop(item.name) for item in fields(RunSpec)})
     row["start"] = tuple(row["start"])
@@ -192,7 +192,7 @@ def result_from(row: dict[str, Any]) -> Result:
 
 
 def result_row(result: Result) -> dict[str, Any]:
-    """Convert a result to JSON types, with the options of its run inlined."""
+    """Converts a result to JSON types, with the options of its run inlined."""
     return to_json(flatten(result))
 
 
@@ -207,7 +207,7 @@ def _options_of_command(command: str) -> dict[str, Any]:
 def make_result(
     trial: Trial, log: EpisodeLog | None, *, error: str, wall_s: float, code: str, machine: str, reach: float
 ) -> Result:
-    """Create the stored result of a trial.
+    """Creates the stored result of a trial.
 
     Args:
         trial: The trial.

@@ -71,7 +71,7 @@ class SuiteRun:
 
     @property
     def pending(self) -> list[Trial]:
-        """Unfinished trials, those in real time last."""
+        """Returns the unfinished trials, those in real time last."""
         return sorted((t for t in self.trials if t.key not in self.finished), key=lambda trial: trial.real_time)
 
     def execute(
@@ -82,11 +82,11 @@ class SuiteRun:
         cluster: str = "",
         on_result: Callable[[Result], None] | None = None,
     ) -> ResultSet:
-        """Run the unfinished trials, and write the results.
+        """Runs the unfinished trials and writes the results.
 
         Args:
-            jobs: Number of concurrent trials; by default one per core, and one at a time in real time. With ``1`` (and
-                loky) trials run in this process, one after the other.
+            jobs: Number of concurrent trials; ``None``: one per core, and one at a time for trials in real time. With
+                ``1`` (and loky) trials run in this process, one after the other.
             backend: Back end that runs the trials.
             cluster: Address of a running cluster; without one, dask starts a local one.
             on_result: Called after each trial.
@@ -120,7 +120,7 @@ class SuiteRun:
         return found
 
     def store(self, outcome: Outcome) -> Result:
-        """Write the outcome of a trial: its record first, and last the file that marks it as finished."""
+        """Writes the outcome of a trial (the file that marks it as finished comes last), and returns its result."""
         trial = outcome.trial
         result = make_result(
             trial,
@@ -141,7 +141,7 @@ class SuiteRun:
         return result
 
     def results(self) -> ResultSet:
-        """Collect the finished results, in the order of the suite."""
+        """Returns the results so far, in the order of the suite."""
         return ResultSet(
             suite=self.suite.name,
             title=self.suite.title,
@@ -170,7 +170,7 @@ class SuiteRun:
 
 
 def prepare(trials: Iterable[Trial]) -> None:
-    """Compile the kernels that the trials need, once instead of in every worker; does nothing if they are cached."""
+    """Compiles the kernels that the trials need, once instead of in every worker; does nothing if they are cached."""
     from oimppi_warp.bench.trial import make_episode
     from oimppi_warp.compute.device import kernels_are_cached
 

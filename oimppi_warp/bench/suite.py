@@ -62,11 +62,11 @@ class Entry:
 
     @property
     def numbers(self) -> range:
-        """Trial numbers of each task and method."""
+        """Returns the trial numbers of each task and method."""
         return range(self.first, self.first + self.trials)
 
     def changed(self, values: Mapping[str, Any]) -> Entry:
-        """Return the entry with other values for some keys of a suite's file."""
+        """Returns the entry with other values for some keys (those of a suite's file)."""
         values = {_FIELDS.get(key, key): value for key, value in values.items()}
 
         def part(of: Any) -> dict[str, Any]:
@@ -76,7 +76,7 @@ class Entry:
         return replace(self, **part(self), run=run, settings=settings)
 
     def row(self) -> dict[str, Any]:
-        """Return the entry as it would appear in a file, in JSON types."""
+        """Returns the entry as it would appear in a file, in JSON types."""
         names = {name: key for key, name in _FIELDS.items()}
         found = {names.get(name, name): value for name, value in flatten(self).items()}
         del found["method"]
@@ -104,7 +104,7 @@ class Suite:
     entries: tuple[Entry, ...]
 
     def changed(self, **changes: Any) -> Suite:
-        """Return the suite with other values for some keys in all entries; values of ``None`` are ignored.
+        """Returns the suite with other values for some keys in all entries; values of ``None`` are ignored.
 
         Raises:
             ConfigError: The suite cannot be run with these values.
@@ -113,7 +113,7 @@ class Suite:
         return self._checked(entry.changed(wanted) for entry in self.entries)
 
     def assigned(self, assignments: tuple[str, ...]) -> Suite:
-        """Return the suite with settings (``NAME=VALUE``) changed in all entries, overriding their own.
+        """Returns the suite with settings (``NAME=VALUE``) changed in all entries, overriding their own.
 
         Raises:
             ConfigError: There is no such setting, or the value is not allowed for it.
@@ -123,7 +123,7 @@ class Suite:
         )
 
     def only(self, *, tasks: tuple[str, ...] = (), methods: tuple[str, ...] = ()) -> Suite:
-        """Return the part of the suite with these tasks and methods; an empty tuple selects all.
+        """Returns the part of the suite with the given tasks and methods; an empty tuple selects all.
 
         Raises:
             ConfigError: The suite has no such task or method.
@@ -153,12 +153,12 @@ class Suite:
 
 
 def shipped_suites() -> list[Suite]:
-    """Return the suites shipped with the package, ordered by name."""
+    """Returns the suites shipped with the package, ordered by name."""
     return [load_suite(path) for path in sorted(SUITES.glob("*.toml"))]
 
 
 def load_suite(suite: str | Path) -> Suite:
-    """Read and check a suite.
+    """Reads and checks a suite.
 
     Args:
         suite: Name of a shipped suite, or a TOML file.
@@ -274,7 +274,16 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
 
 
 def check_value(key: str, value: Any, where: str) -> None:
-    """Raise ConfigError if a value is not valid for a key; the message begins with ``where``."""
+    """Checks the value of a key of a suite's file.
+
+    Args:
+        key: The key.
+        value: Its value.
+        where: Beginning of the error message.
+
+    Raises:
+        ConfigError: The value is not allowed for this key.
+    """
     fits, allowed = _keys()[key]
     if not fits(value):
         raise ConfigError(f"{where}{key} = {value!r} cannot be used\n  allowed: {allowed}")

@@ -51,17 +51,17 @@ class Trial:
 
     @property
     def real_time(self) -> bool:
-        """True if the trial runs in real time and needs exclusive use of the machine."""
+        """Returns whether the trial runs in real time and needs exclusive use of the machine."""
         return self.run.mode == "realtime"
 
     @property
     def config(self) -> Config:
-        """The complete settings."""
+        """Returns the settings for the trial's method, complete and validated."""
         return self.settings.config(self.run.method)
 
     @property
     def key(self) -> str:
-        """Hash of everything that affects the result: scene content, settings, start, and options of the run.
+        """Returns a hash of everything that affects the result: scene content, settings, start, and options of the run.
 
         The number of threads is included only in real time; otherwise plans are identical for any number of them.
         """
@@ -74,12 +74,12 @@ class Trial:
 
     @property
     def name(self) -> str:
-        """Name of the trial's folder."""
+        """Returns the name of the trial's folder."""
         return f"{self.task}-{self.run.method}-{self.number:03d}-{self.key[:8]}"
 
     @property
     def arguments(self) -> list[str]:
-        """Arguments for ``oimppi`` that run this trial alone, with the same result."""
+        """Returns the arguments for ``oimppi`` that run this trial alone, with the same result."""
         run, settings = self.run, self.settings
         words = ["run", self.scene, "--method", run.method, "--preset", settings.preset, "--engine", run.engine]
         words += ["--device", run.device]
@@ -97,16 +97,16 @@ class Trial:
 
     @property
     def command(self) -> str:
-        """The arguments as one shell command line."""
+        """Returns the shell command that runs this trial alone, with the same result."""
         return shlex.join(["oimppi", *self.arguments])
 
     def row(self) -> dict[str, Any]:
-        """Return the trial in JSON types, with its options and settings inlined."""
+        """Returns the trial in JSON types, with its options and settings inlined."""
         return to_json(flatten(self))
 
 
 def make_episode(trial: Trial) -> Episode:
-    """Create the episode of a trial, as ``oimppi run`` does."""
+    """Creates the episode of a trial, as ``oimppi run`` does."""
     from oimppi_warp.compute.device import pick_device
     from oimppi_warp.runtime.episode import Episode
 
@@ -115,7 +115,7 @@ def make_episode(trial: Trial) -> Episode:
 
 
 def trial_seed(seed: int, number: int) -> int:
-    """Return the seed of a trial's noise and, if its start is drawn, of its start.
+    """Returns the seed of a trial's noise and, if its start is drawn, of its start.
 
     For a suite's seed up to 100000 and a number below 10000 it is ``10000 * seed + number``. All others are hashed with
     NumPy's ``SeedSequence`` into the 32-bit numbers above those, so that a hashed seed never equals an arithmetic one.
@@ -133,10 +133,13 @@ def trial_seed(seed: int, number: int) -> int:
 
 
 def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
-    """Create all trials of a suite, and load the scenes of its tasks, by short name.
+    """Creates all trials of a suite, and loads the scenes of its tasks.
 
     The lowest numbers use the scene's own starts, for any seed; all other starts are drawn with the trial's seed.
     Start and seed depend only on the task and the number, so that methods can be compared in pairs.
+
+    Returns:
+        The trials in the order in which the suite lists them, and the scene of each task by the task's short name.
 
     Raises:
         SceneError: A scene cannot be read, or no start can be drawn.

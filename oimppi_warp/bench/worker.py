@@ -38,7 +38,7 @@ class Outcome:
 
 
 def run_trial(trial: Trial, leader: int) -> Outcome:
-    """Run a trial.
+    """Runs a trial and returns its log, or the traceback of an exception.
 
     Args:
         trial: The trial.

@@ -65,7 +65,7 @@ class Compute:
 
     Args:
         device: Warp device; ``"auto"`` takes the first GPU, or the CPU if there is none.
-        threads: Number of threads on the CPU; default: the number of cores that the process may use.
+        threads: Number of threads on the CPU; ``None``: the number of cores that the process may use.
 
     Attributes:
         name: The device's name, as a run is recorded with it.
@@ -161,7 +161,7 @@ class Stopwatch:
             self._at = time.perf_counter()
 
     def take(self) -> float:
-        """Returns when it last ran, by ``time.perf_counter``; NaN if it has not run since the last call."""
+        """Returns the ``time.perf_counter`` of the latest run; NaN if there was none since the last call."""
         at, self._at = self._at, math.nan
         return at
 

@@ -78,14 +78,14 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
 def sample_start(scene: Scene, seed: int) -> PlanarPose:
     """Draws a start from the scene's spread around its start; the same seed gives the same start.
 
-    It leaves :data:`START_CLEARANCE` around the object, and the arm can reach all around it.
+    There the object has :data:`START_CLEARANCE` around it, and the arm can reach all around it.
 
     Args:
         scene: The task.
-        seed: Any number from zero.
+        seed: A whole number, zero or more.
 
     Raises:
-        SceneError: No such start was found.
+        SceneError: :data:`MAX_DRAWS` draws gave no such start.
     """
     position, yaw = scene.spread
     if position == 0.0 and yaw == 0.0:
@@ -114,7 +114,7 @@ def sample_start(scene: Scene, seed: int) -> PlanarPose:
 
 
 def object_outline(scene: Scene, pose: PlanarPose) -> shapely.Geometry:
-    """Returns the area that the object covers at a pose."""
+    """Returns the area that the object covers at a planar pose, seen from above, in the world frame [m]."""
     shape = affinity.rotate(outline(footprint(scene.object.colliders)), pose[2], origin=(0.0, 0.0), use_radians=True)
     return affinity.translate(shape, pose[0], pose[1])
 

@@ -45,7 +45,7 @@ FURTHEST = 0.15
 BODY_STEP = 0.002
 """Grid step of the object's own distance field [m]."""
 NEAR = 0.05
-"""Height above all obstacles from which shapes are not looked up [m]."""
+"""Height above the highest obstacle from which the distance to obstacles is not looked up [m]."""
 SPACE_STEP = 0.01
 """Grid step of the obstacles' distance field [m]."""
 
@@ -85,7 +85,13 @@ class Geometry:
 
 
 def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None = None) -> float:
-    """Looks up a pose field on the host, trilinearly as the kernels do; NaN if the pose is not finite."""
+    """Looks up a pose field on the host, trilinearly as the kernels do; NaN if the pose is not finite.
+
+    Args:
+        field: The field.
+        pose: A planar pose, shape [3].
+        values: The field's values on the host, if they are at hand; ``None``: they are copied from the device.
+    """
     if not np.isfinite(pose).all():
         return float("nan")
     values = field.values.numpy() if values is None else values
@@ -139,7 +145,7 @@ def _translated(pose: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 def pack_pieces(pieces: Iterable[Piece], device: str) -> kernels.Pieces:
-    """Packs convex pieces for the kernels."""
+    """Packs convex pieces for the kernels, as arrays on a device."""
     pieces = list(pieces)
     centers = np.array([piece.vertices.mean(axis=0) for piece in pieces]).reshape(-1, 2)
     radii = [

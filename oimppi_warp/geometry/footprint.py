@@ -38,7 +38,7 @@ class Piece:
     radius: float = 0.0
 
     def polygon(self) -> BaseGeometry:
-        """Returns the piece as a shapely geometry (arcs as 64-sided circles)."""
+        """Returns the piece as a shapely geometry (rounded corners have 64 segments per full circle)."""
         return MultiPoint(self.vertices).convex_hull.buffer(self.radius, quad_segs=16)
 
     def moved(self, pose: PlanarPose | np.ndarray) -> Piece:
@@ -66,7 +66,7 @@ class LimitSurface:
 
     @property
     def mobility(self) -> np.ndarray:
-        """Diagonal of the mobility ``D = diag(mu m g, mu m g, radius^2 mu m g)^-1`` (equation 5), shape [3].
+        """Returns the mobility's diagonal, shape [3]: ``D = diag(mu m g, mu m g, radius^2 mu m g)^-1`` (equation 5).
 
         The units are m/(N s), m/(N s) and rad/(N m s).
         """
@@ -107,12 +107,12 @@ def wrap_angle(angle: float | np.ndarray) -> np.ndarray:
 
 
 def core_points(collider: Collider) -> tuple[np.ndarray, float]:
-    """Returns points and a radius such that their hull, grown by it, is the collider, in its body's frame.
+    """Returns points and a radius that describe a collider: the convex hull of the points, grown by the radius.
 
-    Cylinders have 32 points on each rim, inscribed: at most 0.5 % of the radius is lost.
+    A cylinder is replaced by an inscribed prism with 32 points on each rim, which loses at most 0.5 % of the radius.
 
     Returns:
-        Points [n, 3] [m] and the radius [m].
+        Points in the body's frame [n, 3] [m], and the radius [m].
     """
     radius = 0.0
     if collider.kind == "box":
@@ -132,7 +132,7 @@ def core_points(collider: Collider) -> tuple[np.ndarray, float]:
 
 
 def collider_mesh(collider: Collider) -> trimesh.Trimesh:
-    """Returns the collider as a closed mesh in its body's frame (round ones with 32 sides)."""
+    """Returns the collider as a closed convex mesh in its body's frame [m]; cylinders have 32 sides."""
     points, radius = core_points(collider)
     if radius > 0.0:
         ball = trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices
@@ -178,7 +178,7 @@ def footprint(colliders: Iterable[Collider], *, lower: float = -np.inf, upper: f
 
 
 def outline(pieces: Iterable[Piece]) -> BaseGeometry:
-    """Returns the union of the pieces as a shapely geometry."""
+    """Returns the union of the pieces, in their frame, as a shapely geometry [m]."""
     return shapely.union_all([piece.polygon() for piece in pieces])
 
 
@@ -190,6 +190,10 @@ def limit_surface(body: PushedObject, *, support: Literal["corners", "area"] = "
     of the pressure ``p``: a rigid body on a rigid table rests on the corners of its pieces, as it does in contact
     engines; the other common assumption is uniform pressure over the area. For the T block they give 0.085 and 0.057 m;
     pushes of the simulated T agree best with 0.08 to 0.09 m (``tests/planning/test_parity.py``).
+
+    Args:
+        body: The object.
+        support: Points that carry the object with equal pressure: the corners of its pieces, or their whole area.
     """
     center = np.asarray(body.center_of_mass[:2], dtype=float)
     pieces = footprint(body.colliders)

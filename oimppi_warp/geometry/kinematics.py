@@ -20,7 +20,7 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
     Args:
         robot: The arm.
-        joints: Joint positions, shape [dof] [rad].
+        joints: Joint positions, shape [dof] [rad; m for a sliding joint].
 
     Returns:
         Rotations [dof, 3, 3] and positions [dof, 3] in the world frame [m].
@@ -39,7 +39,7 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 @lru_cache(maxsize=8)
 def revolute_joints(robot: Robot) -> np.ndarray:
-    """Returns a mask of the joints that turn; the others slide. Shape [dof]."""
+    """Returns whether each joint turns (otherwise it slides), shape [dof]."""
     return np.array([joint.kind == "revolute" for joint in robot.joints])
 
 
@@ -54,13 +54,13 @@ def _rest_transforms(robot: Robot) -> np.ndarray:
 
 
 def tip_frame(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns rotation [3, 3] and position [3] of the tool's tip in the world frame [m]."""
+    """Returns rotation [3, 3] and position [3] [m] of the tool's tip in the world frame, at joint positions [dof]."""
     rotations, positions = link_frames(robot, joints)
     return rotations[-1] @ rotation_matrix(robot.tip[3:]), positions[-1] + rotations[-1] @ robot.tip[:3]
 
 
 def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
-    """Returns the tip's Jacobian (linear, angular; world frame), shape [6, dof]."""
+    """Returns the Jacobian of the tip's linear and angular velocity in the world frame, shape [6, dof]."""
     rotations, positions = link_frames(robot, joints)
     tip = positions[-1] + rotations[-1] @ robot.tip[:3]
     axes, revolute = rotations[:, :, 2], revolute_joints(robot)[:, None]

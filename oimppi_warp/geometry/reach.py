@@ -26,7 +26,7 @@ class Reach:
     """Region that the tip reaches at table height with the tool pointing down.
 
     Attributes:
-        radius: Largest distance from the base's axis [m].
+        radius: Largest distance of the tip from the base's axis [m].
         border: Corners of the region, shape [n, 2] [m]; ``None`` for an arm that turns about the base's axis, which
             reaches all around.
     """
@@ -112,12 +112,12 @@ def can_lift(robot: Robot) -> bool:
 
 
 def inverse_kinematics(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
-    """Finds joint positions with the tip at a point [3] [m] and the tool pointing down; ``None`` if it fails.
+    """Finds joint positions [dof] with the tip at a point and the tool pointing down; ``None`` if it fails.
 
     Args:
         robot: The robot.
-        joints: Initial joint positions, shape [dof] [rad].
-        tip: Desired position of the tip.
+        joints: Initial joint positions, shape [dof] [rad; m for a sliding joint].
+        tip: Desired position of the tip in the world frame, shape [3] [m].
     """
     return _solve_ik(robot, joints, lambda at: (np.eye(3), at - tip))
 
@@ -164,7 +164,7 @@ def _solve_ik(
 ) -> np.ndarray | None:
     """Solves for joint positions without tip errors and with the tool pointing down, by damped Gauss-Newton.
 
-    Joint limits are kept. Only the joints that are free [dof] move; default: all.
+    Joint limits are kept. Only the joints marked in ``free`` [dof] move; ``None``: all.
     """
     lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
     q = np.array(joints, dtype=float)

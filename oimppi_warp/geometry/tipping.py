@@ -14,7 +14,7 @@ from oimppi_warp.scene import PushedObject
 
 
 def support_margin(body: PushedObject) -> float:
-    """Returns the distance of the centre of mass, seen from above, to the edge of the object's support [m]."""
+    """Returns the distance of the centre of mass to the edge of the footprint's hull, from above [m]; 0 outside it."""
     hull = cast(Polygon, outline(footprint(body.colliders)).convex_hull)
     center = shapely.Point(np.asarray(body.center_of_mass[:2], dtype=float))
     return float(shapely.distance(hull.exterior, center)) if hull.contains(center) else 0.0
@@ -30,7 +30,7 @@ def tipping_height(body: PushedObject) -> float:
 
 
 def can_tip(body: PushedObject) -> bool:
-    """Returns whether the object can be touched above its :func:`tipping_height`."""
+    """Returns whether the object's top is above its :func:`tipping_height`, so that a push there tips it over."""
     return body.rest_height + height_range(body.colliders)[1] > tipping_height(body)
 
 

@@ -93,6 +93,9 @@ def build_model(scene: Scene, *, worlds: int | None = None, device: str = "cpu")
         scene: The task.
         worlds: Number of identical batched worlds; ``None`` for a single one. Indices are those of the first.
         device: Warp device of the model.
+
+    Raises:
+        SceneError: A link of the robot has no more mass than the bodies welded to it.
     """
     start_warp()
     import newton
@@ -278,7 +281,7 @@ def _set_robot_masses(builder: newton.ModelBuilder, robot: Robot, bodies: dict[s
         if not own > 0.0:
             parts = " and ".join(f"<{part.path}> of {part.mass:g} kg" for part in link.welded) or "nothing welded to it"
             raise SceneError(
-                f"a link of {link.mass:g} kg with {parts}",
+                f"the link has a mass of {link.mass:g} kg, with {parts}",
                 prim=link.path,
                 allowed="more than the mass of the bodies welded to it",
                 fix="give the link a larger mass; it includes that of the welded bodies",

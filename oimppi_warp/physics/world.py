@@ -21,15 +21,15 @@ class World:
 
     @cached_property
     def newton(self) -> NewtonModel:
-        """The Newton model of the scene."""
+        """Returns the Newton model of the scene."""
         return build_model(self.scene)
 
     @cached_property
     def mujoco(self) -> MujocoModel:
-        """The model for MuJoCo's C engine, as translated by Newton's SolverMuJoCo."""
+        """Returns the model for MuJoCo's C engine, as translated by Newton's SolverMuJoCo."""
         return translate_scene(self.scene, sensing=False)
 
     @cached_property
     def mujoco_sensing(self) -> MujocoModel:
-        """The model :attr:`mujoco` with contact force sensors, for rollouts."""
+        """Returns the model :attr:`mujoco` with contact force sensors, for rollouts."""
         return translate_scene(self.scene, sensing=True)

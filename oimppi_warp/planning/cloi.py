@@ -40,7 +40,11 @@ class ClosedLoopPlanner(Planner):
         self.object_one_graph = self._object.optimizer.one_graph
 
     def start(self, observation: Observation) -> float:
-        """Prepares for an episode that begins with ``observation``; returns the wall time of the cost-to-go [s]."""
+        """Prepares for an episode that begins with ``observation``; see :meth:`Planner.start`.
+
+        Returns:
+            Wall time of computing or reading the cost-to-go [s].
+        """
         self._object.optimizer.reset()
         return super().start(observation) + self._object.setup_seconds
 
@@ -53,7 +57,10 @@ class ClosedLoopPlanner(Planner):
         return self._object.path.host[0].astype(float)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance that the object still has to go from a pose [3], turning counted [m]."""
+        """Returns the distance that the object still has to travel from a pose [3] [m].
+
+        A radian of yaw counts as the setting ``object.yaw_length``.
+        """
         return self._object.to_go_from(pose)
 
     def object_statistics(self) -> Update | None:
@@ -61,5 +68,5 @@ class ClosedLoopPlanner(Planner):
         return self._object.optimizer.found()
 
     def object_finished(self) -> float:
-        """Returns when the object level finished this step, by ``time.perf_counter``; NaN if not known."""
+        """Returns the ``time.perf_counter`` at which the object level finished the latest step; NaN if unknown."""
         return self._watch.take()

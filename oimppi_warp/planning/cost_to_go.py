@@ -41,13 +41,13 @@ def build_to_go(
 ) -> PoseField:
     """Builds the cost-to-go: the length of the shortest free path to a goal, or to a path that leads there [m].
 
-    A metre along a known path counts as half. Elsewhere it counts up to four times close to obstacles, ten times where
-    the arm pushes badly, and forty times inside obstacles, so that there is a path out of them. The field is computed
+    A metre along a known path costs 0.5. Elsewhere it costs 1, up to 4 close to obstacles, 10 where the arm pushes
+    badly, and 40 inside obstacles, so that there is a path out of them. The field is computed
     on the CPU by fast sweeping; the one to a goal alone is kept in the cache.
 
     Args:
         clearance: phi_2.
-        way: Poses [n, 3] of the friction centre that lead to the goal, which is the last; one pose is the goal alone.
+        way: Known path: poses [n, 3] of the friction centre, of which the last is the goal; one pose is the goal alone.
         yaw_length: Length that a radian of yaw counts as [m].
         push_ring: Distances from the base's axis between which the arm can push well [m].
         bound: The cost-to-go to the goal alone, if known: an initial bound that saves most sweeps.
@@ -92,7 +92,7 @@ def build_to_go(
 
 
 def path_lengths(path: np.ndarray, yaw_length: float) -> np.ndarray:
-    """Returns the length of each step of a path [n, 3], turning counted by ``yaw_length``, shape [n - 1] [m]."""
+    """Returns the length of each step of a path [n, 3], shape [n - 1] [m]; a radian counts as ``yaw_length`` [m]."""
     steps = np.diff(path, axis=0)
     steps[:, 2] = yaw_length * wrap_angle(steps[:, 2])
     return np.linalg.norm(steps, axis=1)

@@ -28,7 +28,7 @@ class Rehearsable(Protocol):
         ...
 
     def rehearse(self) -> None:
-        """Makes one plan from the task's start."""
+        """Plans once from the task's start and discards the plan."""
         ...
 
 
@@ -41,8 +41,8 @@ class EngineChoice(Generic[P]):
 
     Attributes:
         engine: Its name.
-        reason: One line.
-        planner: A planner with it, warmed up.
+        reason: The reason, in one line.
+        planner: A planner with this engine, warmed up.
     """
 
     engine: str
@@ -98,7 +98,7 @@ def choose_engine(method: str, period: float, make: Callable[[str], P]) -> Engin
 def plan_seconds(planner: Rehearsable, period: float) -> float:
     """Times a plan [s]: the median of a few, or the first that takes longer than ``period``.
 
-    The planner is warmed up before, which is not counted.
+    The planner is warmed up first; this is not timed.
     """
     planner.warm_up()
     found: list[float] = []

@@ -25,7 +25,7 @@ def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **op
         **options: Fields of ``spec`` to change, for example ``method="soi"``.
 
     Raises:
-        ConfigError: Unknown method or engine, or a setting that cannot be used.
+        ConfigError: The method or the engine does not exist, or a setting cannot be used.
         DeviceError: There is no such device.
     """
     spec = (spec or RunSpec()).changed(**options)

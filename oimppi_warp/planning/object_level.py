@@ -53,5 +53,5 @@ class ObjectLevel:
 
 
 def distance(a: np.ndarray, b: np.ndarray, yaw_length: float) -> float:
-    """Returns the straight distance of two planar poses [3], a radian of yaw counted as ``yaw_length`` [m]."""
+    """Returns the straight distance of two planar poses [3] [m], a radian of yaw counted as ``yaw_length`` [m]."""
     return float(np.linalg.norm([*(b - a)[:2], yaw_length * wrap_angle((b - a)[2])]))

@@ -60,7 +60,8 @@ class Planner:
         optimizer: The robot level's optimizer.
         object_launches: Launches of a step before the robot level; complete before the first plan.
         object_one_graph: Whether these can be captured in a CUDA graph.
-        object_plan: The object plan made at the start, poses [n, 3]; ``None`` for methods that make none.
+        object_plan: The object plan made at the start, poses [n, 3] of the object's frame; ``None`` if the method makes
+            none.
     """
 
     method: str = "mppi"
@@ -138,14 +139,17 @@ class Planner:
         self.rehearse()
 
     def rehearse(self) -> None:
-        """Runs one control step from the task's start."""
+        """Plans once from the task's start and discards the plan."""
         start = np.array(self.scene.start)
         joints = self.scene.robot.start
         transform = planar_transform(self.scene.start, self.scene.object.rest_height)
         self.plan(Observation(0.0, joints, np.zeros_like(joints), start, transform))
 
     def start(self, observation: Observation) -> float:
-        """Prepares for an episode that begins with ``observation``; returns the wall time that planning took [s].
+        """Prepares for an episode that begins with ``observation``.
+
+        Returns:
+            Wall time of planning and of computing the cost-to-go before the first control step [s].
 
         Raises:
             ObservationError: An array has the wrong length, or the observation is implausible.
@@ -194,7 +198,9 @@ class Planner:
         )
 
     def samples(self, count: int) -> Samples:
-        """Returns samples of the latest plan for display: those with the largest weights, and as many of the others.
+        """Returns samples of the latest plan for display, sorted by decreasing weight.
+
+        Half of them are those with the largest weights; the others are spread evenly over the rest.
 
         Args:
             count: Number of samples.
@@ -225,11 +231,11 @@ class Planner:
         )
 
     def set_reference(self, pose: np.ndarray) -> None:
-        """Prepares the reference for the object's pose [3] (friction centre), before a plan."""
+        """Sets the reference of the next plan, given the object's pose [3] (of its friction centre)."""
         self.track(self.goal[None])
 
     def track(self, reference: np.ndarray) -> None:
-        """Gives the robot level the reference [n, 3]; its last pose is held."""
+        """Sets the reference of the robot level: poses [n, 3] of the friction centre, of which the last is held."""
         host = self.dynamics.reference.host
         self._tracked = reference
         host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
@@ -239,7 +245,10 @@ class Planner:
         return self._tracked
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance that the object still has to go from a pose [3], turning counted [m]."""
+        """Returns the distance that the object still has to travel from a pose [3] [m].
+
+        A radian of yaw counts as the setting ``object.yaw_length``.
+        """
         if self._to_go is not None:
             return pose_field_at(self._to_go, pose, self._to_go_values)
         return distance(pose, self.goal, self.config.object.yaw_length)
@@ -249,7 +258,7 @@ class Planner:
         return None
 
     def object_finished(self) -> float:
-        """Returns when the object level finished this step, by ``time.perf_counter``; NaN if not known."""
+        """Returns the ``time.perf_counter`` at which the object level finished the latest step; NaN if unknown."""
         return math.nan
 
     def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:

@@ -92,5 +92,5 @@ class PlanFollower:
         return self._path.host[0].astype(float)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the cost-to-go at a pose [3], a metre along the plan counted as half [m]."""
+        """Returns the cost-to-go at a pose [3] [m], in which a metre along the plan counts as half a metre."""
         return pose_field_at(self._to_go, pose, self._to_go_values)

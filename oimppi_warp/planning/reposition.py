@@ -198,7 +198,7 @@ class Repositioner:
         return best
 
     def _blocked(self, positions: np.ndarray) -> np.ndarray:
-        """Returns whether positions [n, 2] of the tool are blocked, shape [n]."""
+        """Returns whether positions [n, 2] of the tool are next to an obstacle or at the edge of reach, shape [n]."""
         points = shapely.points(positions)
         near = shapely.distance(points, self._blocks) < self._radius + _MARGIN if self._blocks else False
         return near | (self._reach.margin(positions) < _ROOM)

@@ -18,7 +18,7 @@ from oimppi_warp.planning.progress import PlanFollower
 from oimppi_warp.scene import Scene
 
 _ARRIVED = 0.01
-"""Distance from the goal, turning counted, at which the object plan has converged [m]."""
+"""Distance from the goal at which the object plan has converged [m]; a radian counts as ``object.yaw_length``."""
 
 
 class SequentialPlanner(Planner):
@@ -59,7 +59,7 @@ class SequentialPlanner(Planner):
 
     @property
     def object_plan(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Returns the object plan made at the start, poses [n, 3]."""
+        """Returns the object plan made at the start, poses [n, 3] of the object's frame."""
         return from_center(self.geometry.surface, self._path)
 
     def warm_up(self) -> None:
@@ -69,9 +69,10 @@ class SequentialPlanner(Planner):
         wp.load_module(cost_to_go, device="cpu")
 
     def start(self, observation: Observation) -> float:
-        """Plans the object's motion to the goal; returns the wall time, the cost-to-go included [s].
+        """Plans the object's motion from its observed pose to the goal: part (A) of Algorithm 3.
 
-        This is part (A) of Algorithm 3, from the object's pose as it is observed.
+        Returns:
+            Wall time of planning and of computing or reading the cost-to-go [s].
         """
         super().start(observation)
         began = time.perf_counter()
@@ -115,5 +116,8 @@ class SequentialPlanner(Planner):
         return super().tracked() if self._follower is None else self._follower.tracked()
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance that the object still has to go from a pose [3], turning counted [m]."""
+        """Returns the distance that the object still has to travel from a pose [3] [m].
+
+        A radian of yaw counts as the setting ``object.yaw_length``.
+        """
         return super().to_go_from(pose) if self._follower is None else self._follower.to_go_from(pose)

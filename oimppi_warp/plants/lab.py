@@ -50,7 +50,7 @@ class LabPlant:
     Args:
         world: The scene.
         config: Imperfections of the lab.
-        start: The object's start pose; default: the scene's.
+        start: The object's start pose; ``None``: the scene's.
         control_period: Control period [s], a multiple of :data:`TICK`.
         seed: Seed of noise and outliers only; the same seed and commands give the same observations.
 
@@ -134,7 +134,7 @@ class LabPlant:
 
     @property
     def contact_points(self) -> np.ndarray:
-        """Contact points and forces; see :attr:`oimppi_warp.plants.plant.SimulatedPlant.contact_points`."""
+        """Returns the contact points and forces; see :attr:`oimppi_warp.plants.plant.SimulatedPlant.contact_points`."""
         return self._plant.contact_points
 
     def truth(self) -> Observation:

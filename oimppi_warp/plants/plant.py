@@ -128,7 +128,7 @@ class SimulatedPlant:
 
     Args:
         world: The scene; many plants can share it.
-        start: The object's start pose; default: the scene's.
+        start: The object's start pose; ``None``: the scene's.
         control_period: Control period [s].
         substeps: Physics steps per control period.
 

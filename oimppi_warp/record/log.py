@@ -125,7 +125,9 @@ class EpisodeLog:
 
     @property
     def run(self) -> RunSpec:
-        """Returns the options of the run, with engine, device and threads as chosen (threads ``None`` if not recorded).
+        """Returns the run's options with engine, device and threads resolved (never ``auto``).
+
+        ``threads`` is ``None`` if not recorded.
 
         Raises:
             KeyError: The header lacks the method, engine, device or seed.
@@ -175,7 +177,7 @@ class EpisodeLog:
         self._rows += 1
 
     def add_reference(self, path: np.ndarray, step: int | None = None) -> None:
-        """Stores a copy of an object plan, planar poses [length, 3], made before ``step`` (default: the next step)."""
+        """Stores a copy of an object plan, planar poses [length, 3], made before ``step``; ``None``: the next step."""
         self.references.append((self._rows if step is None else step, np.array(path, dtype=float).reshape(-1, 3)))
 
     def save(self, folder: str | Path) -> Path:

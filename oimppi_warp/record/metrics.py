@@ -20,7 +20,7 @@ class Metrics:
 
     Attributes:
         scene, preset: Names of the scene and the preset.
-        run: The options of the run, with engine, device and threads as chosen. In JSON its fields are inlined.
+        run: The options of the run, with engine, device and threads resolved. In JSON its fields are inlined.
         start, goal: Planar poses of the object (x, y [m], yaw [rad]).
         ended: Reason for the end of the episode, see :mod:`oimppi_warp.record.log`.
         success: Whether the object stayed within tolerance for the hold time.

@@ -27,7 +27,7 @@ class SupportsPlanning(Protocol):
     """The methods that the loop needs of a planner."""
 
     def start(self, observation: Observation) -> float:
-        """Prepares for an episode; returns the wall time that planning took [s]."""
+        """Prepares for an episode that begins with ``observation``; returns the wall time of planning before it [s]."""
         ...
 
     def plan(self, observation: Observation) -> Plan:
@@ -151,7 +151,7 @@ def real_time(
         dof: Number of joints.
         expires: Time for which a command is held when the next plan is late [s].
         clock, sleep: Functions of the wall clock [s].
-        executor: Executor that the planner runs in; default: one thread.
+        executor: Executor that the planner runs in; ``None``: a single thread.
     """
     period, timed_planner, still = plant.control_period, _TimedPlanner(planner), np.zeros(dof)
     before, command, age = still, still, 0

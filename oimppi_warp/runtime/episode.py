@@ -76,7 +76,7 @@ class Episode:
 
     Attributes:
         scene: As given.
-        spec: The options of the run, with the engine, the device and the number of threads that were chosen.
+        spec: The options of the run, with engine, device and threads resolved (never ``auto``).
         config: The settings as resolved for this task.
         plant: The plant.
         planner: The planner.

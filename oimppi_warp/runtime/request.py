@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 RANDOMIZED_DRAWS = 4
 """Number of draws of the world that ``--randomize`` sets."""
 
+POSE = "x,y,yaw in metres and radians, e.g. 0.3,-0.45,3.14"
+"""Description of a planar pose on the command line."""
+
 
 @dataclass(frozen=True)
 class SettingsRequest:
@@ -90,30 +93,38 @@ def prepare_scene(
     return loaded
 
 
-def parse_pose(option: str, text: str) -> PlanarPose:
+def parse_pose(option: str, text: str, *, given: str = "", allowed: str = POSE) -> PlanarPose:
     """Parses a planar pose from "x,y,yaw", in metres and radians.
 
+    Args:
+        option: Name of the option that the text was given for.
+        text: The text.
+        given: The option and its value as typed, for the error; empty: ``option`` and ``text``.
+        allowed: Description of the allowed values, for the error.
+
     Raises:
-        ConfigError: The text is not a pose; the message names the option.
+        ConfigError: The text is not a pose; the message shows ``given`` and ``allowed``.
     """
     try:
         x, y, yaw = (float(part) for part in text.split(","))
     except ValueError:
         x = y = yaw = math.nan
     if not all(map(math.isfinite, (x, y, yaw))):
-        raise ConfigError(f"{option} {text}: not a pose\n  allowed: x,y,yaw in metres and radians, e.g. 0.3,-0.45,3.14")
+        raise ConfigError(f"{given or f'{option} {text}'}: not a pose\n  allowed: {allowed}")
     return x, y, yaw
 
 
 def parse_start(text: str | None) -> PlanarPose | int | None:
-    """Parses the number of a start, or a pose.
+    """Parses the value of ``--start``: the number of one of a scene's starts, or a planar pose; ``None`` is kept.
 
     Raises:
         ConfigError: The text is neither.
     """
     if text is None:
         return None
-    return int(text) if text.strip().isdecimal() else parse_pose("--start", text)
+    if text.strip().isdecimal():
+        return int(text)
+    return parse_pose("--start", text, allowed=f"the number of one of the scene's starts, or {POSE}")
 
 
 def _listed_start(scene: Scene, index: int) -> PlanarPose:

@@ -38,7 +38,7 @@ class ShippedScene:
 
 
 def shipped_scenes() -> list[ShippedScene]:
-    """Return the scenes shipped with the package, ordered by name."""
+    """Returns the scenes shipped with the package, ordered by name."""
     scenes = []
     for path in sorted(SCENES.glob("*.usda")):
         layer = Sdf.Layer.FindOrOpen(str(path))
@@ -65,13 +65,13 @@ class Inspection:
 
 
 def load_scene(scene: str | Path) -> Scene:
-    """Read and check a scene.
+    """Reads and checks a scene.
 
     Args:
         scene: A USD file, or the name of a shipped scene (``"task02"``).
 
     Raises:
-        SceneError: The scene cannot be run; the message says what is wrong, where, what is allowed and how to fix it.
+        SceneError: The scene cannot be run; the message gives the mistake, its place, the allowed values and a fix.
             Whether the arm can do the task is checked separately: :func:`oimppi_warp.geometry.feasibility.check_task`.
     """
     found = inspect_scene(scene)
@@ -82,7 +82,7 @@ def load_scene(scene: str | Path) -> Scene:
 
 
 def inspect_scene(scene: str | Path) -> Inspection:
-    """Read a scene and collect every mistake in it.
+    """Reads a scene and collects every mistake in it.
 
     Args:
         scene: A USD file, or the name of a shipped scene.
@@ -131,7 +131,9 @@ def _read(stage: SceneStage) -> Scene | None:
 
 
 def scene_content(file: Path) -> str:
-    """Return a hash of a scene's file and of every USD file that it refers to, independent of their location.
+    """Returns a hash of the contents of a scene's file and of every USD file that it refers to.
+
+    The hash does not depend on the names and folders of the files.
 
     Raises:
         SceneError: The file is not USD.

@@ -21,7 +21,7 @@ _WORLD = Gf.Matrix4d(1.0)
 
 
 def read_table(stage: SceneStage) -> Table:
-    """Read the table.
+    """Reads the table: the prim with OimppiTableAPI, in the world frame.
 
     Raises:
         SceneError: There is no table or more than one, or it is not a level box with its top at z = 0.
@@ -42,9 +42,9 @@ def read_table(stage: SceneStage) -> Table:
             tops.append(f"{top:.4g} m")
     if moving or len(colliders) < len(list(collider_prims(prim))):
         return Table(str(prim.GetPath()), (0.0, 0.0), (0.0, 0.0))  # its mistakes are reported already
-    found = f"; level tops found at {', '.join(tops)}" if tops else ""
+    found = f"; its level tops are at {', '.join(tops)}" if tops else ""
     raise stage.error(
-        f"a table without a flat top at z = 0{found}",
+        f"the table has no flat top at z = 0{found}",
         prim,
         allowed=allowed,
         fix="use a level box, and move it so that its top is at z = 0",
@@ -60,7 +60,7 @@ def _level_half(collider: Collider) -> np.ndarray | None:
 
 
 def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
-    """Read the object and its pose in the file.
+    """Reads the object, the prim with OimppiObjectAPI, and its planar pose in the file (x [m], y [m], yaw [rad]).
 
     Raises:
         SceneError: There is no object or more than one, or it cannot move, has no mass, shape or friction, or does not
@@ -70,9 +70,9 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
     if not prim.HasAPI(UsdPhysics.RigidBodyAPI) or not UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
         stage.collect(
             stage.error(
-                "an object that cannot move",
+                "the object cannot move",
                 prim,
-                fix="apply PhysicsRigidBodyAPI to it",
+                fix="apply PhysicsRigidBodyAPI to it, with physics:rigidBodyEnabled = true",
                 allowed="an enabled rigid body",
             )
         )
@@ -82,7 +82,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
     center, rest_height, friction, tool_friction = np.zeros(3), 0.0, math.nan, math.nan
     if not any(collider_prims(prim)):
         fix = "apply PhysicsCollisionAPI to this prim or to a shape below it"
-        stage.collect(stage.error("an object without a collider", prim, allowed=ALLOWED, fix=fix))
+        stage.collect(stage.error("the object has no collider", prim, allowed=ALLOWED, fix=fix))
     elif len(colliders) == len(list(collider_prims(prim))):
         rest_height = round(-float(height_range(colliders)[0]), 6)
         _check_resting(stage, prim, transform(frame), rest_height)
@@ -105,14 +105,14 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
 
 
 def read_obstacle(stage: SceneStage, prim: Usd.Prim) -> Obstacle:
-    """Read an obstacle.
+    """Reads the obstacle at ``prim``, in the world frame.
 
     Raises:
-        SceneError: It has no collider.
+        SceneError: It has no collider or an unsupported one, or part of it is a rigid body.
     """
     if not _moving_parts(stage, prim, "obstacle") and not any(collider_prims(prim)):
         raise stage.error(
-            "an obstacle without a collider",
+            "the obstacle has no collider",
             prim,
             allowed=ALLOWED,
             fix="apply PhysicsCollisionAPI to this prim or to a shape below it",
@@ -137,7 +137,7 @@ def check_roles(stage: SceneStage) -> None:
         if prim.HasAPI(UsdPhysics.CollisionAPI) or prim.HasAPI(UsdPhysics.RigidBodyAPI):
             unknown.append(path)
             mistake = stage.error(
-                "a prim that collides or moves but has no role in the task",
+                "this prim collides or moves but has no role in the task",
                 prim,
                 allowed="robot, object, obstacle or table",
                 fix="apply OimppiObstacleAPI to it, or remove its physics schemas",
@@ -150,7 +150,7 @@ def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
     frame = stage.frame(prim)
     if not is_orthogonal(frame) or scales(frame).min() < 1e-9 or frame.GetDeterminant() <= 0.0:
         raise stage.error(
-            "an object that is mirrored, sheared or scaled to zero",
+            "the object is mirrored, sheared or scaled to zero",
             prim,
             allowed="translation, rotation, and scale along its own axes",
             fix="scale its shapes instead",
@@ -162,17 +162,20 @@ def _check_resting(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_hei
     """Checks that an object lies flat on the table, neither above nor inside it."""
     if abs(pose[3]) > 1e-4 or abs(pose[4]) > 1e-4:
         fix = "rotate it so that one of its axes points up; if its shapes are tilted within it, rotate them"
-        stage.collect(stage.error("an object that does not lie flat", prim, allowed="rotation about z only", fix=fix))
+        stage.collect(stage.error("the object does not lie flat", prim, allowed="rotation about z only", fix=fix))
         return
     above = float(pose[2]) - rest_height
     if abs(above) > FLOATING:
         where = f"{above * 1000:.1f} mm above" if above > 0 else f"{-above * 1000:.1f} mm inside"
         fix = f"set its z to {rest_height:.4g} m"
-        stage.collect(stage.error(f"an object {where} the table", prim, allowed="on the table", fix=fix))
+        stage.collect(stage.error(f"the object is {where} the table", prim, allowed="on the table", fix=fix))
 
 
 def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> np.ndarray:
-    """Return the given centre of mass, or else that of the shapes, in the body's frame, shape [3] [m]."""
+    """Returns the centre of mass in the body's frame, shape [3] [m]: physics:centerOfMass, or that of the colliders.
+
+    The colliders are taken to have equal densities.
+    """
     given = given_center(prim)
     if given is not None:
         return given * scales(stage.frame(prim))
@@ -188,12 +191,15 @@ def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
     pairs = float(np.maximum(own, table)), float(np.maximum(own, tool))
     if any(friction <= 0.0 for friction in pairs):
         fix = "bind a material with PhysicsMaterialAPI and a physics:dynamicFriction to its colliders"
-        stage.collect(stage.error("an object without friction", prim, allowed="a coefficient above zero", fix=fix))
+        stage.collect(stage.error("the object has no friction", prim, allowed="a coefficient above zero", fix=fix))
     return pairs
 
 
 def largest_friction(stage: SceneStage, bodies: list[Usd.Prim]) -> float:
-    """Return the largest friction of the materials of the bodies' colliders; NaN without bodies, or after a mistake."""
+    """Returns the largest dynamic friction of the materials bound to the bodies' colliders, 0 if none has a material.
+
+    NaN if there are no bodies, or if a coefficient is invalid (the stage then has the mistake).
+    """
     shapes = [shape for body in bodies for shape in collider_prims(body)]
     found = [stage.attempt(math.nan, stage.friction, shape) for shape in shapes]
     return float(np.max([0.0 if bodies else math.nan, *(value or 0.0 for value in found)]))
@@ -206,10 +212,10 @@ def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:
         allowed = "static shapes: CollisionAPI without RigidBodyAPI"
         stage.collect(
             stage.error(
-                f"a rigid body in the {noun}",
+                f"the {noun} contains a rigid body",
                 part,
                 allowed=allowed,
-                fix="remove PhysicsRigidBodyAPI, or the role's API schema",
+                fix="remove PhysicsRigidBodyAPI from this prim, or the role's API schema from the prim that has it",
             )
         )
     return bool(moving)

@@ -48,7 +48,7 @@ def define_collider(stage: Usd.Stage, path: str, collider: Collider) -> Usd.Prim
 
 
 def _define_mesh(stage: Usd.Stage, path: str, collider: Collider) -> UsdGeom.Mesh:
-    """Defines a mesh that collides as its hull; without its own faces, it has those of the hull."""
+    """Defines a mesh that collides as its convex hull; a collider without faces is drawn with those of its hull."""
     points, faces = collider.vertices, collider.faces
     if points is None or faces is None:
         hull = collider_mesh(Collider(collider.path, "mesh", _HERE, (), points))

@@ -35,12 +35,12 @@ def collider_prims(root: Usd.Prim) -> Iterator[Usd.Prim]:
 
 
 def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tuple[Collider, ...]:
-    """Read the collision shapes below ``root``, skipping any with a mistake.
+    """Reads the collision shapes of ``root`` and below it; one with a mistake is noted and skipped.
 
     Args:
         scene: The stage.
         root: A body, or an obstacle.
-        body: Frame in which the shapes are expressed.
+        body: Frame in the world in which the shapes are expressed.
     """
     inverse = body.GetInverse()
     found = [scene.attempt(None, _read, scene, prim, scene.frame(prim) * inverse) for prim in collider_prims(root)]
@@ -51,14 +51,14 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
     path, scale = str(prim.GetPath()), scales(frame)
     if scale.min() < 1e-9 or frame.GetDeterminant() <= 0.0:
         raise scene.error(
-            "a shape with a zero or negative scale",
+            "the shape has a zero or negative scale",
             prim,
             allowed="a positive scale",
             fix="scale it by positive numbers; to mirror a mesh, mirror its points",
         )
     if not is_orthogonal(frame):
         raise scene.error(
-            "a sheared shape",
+            "the shape is sheared",
             prim,
             allowed="translation, rotation, and scale along its own axes",
             fix="apply the scale first (xformOp:scale last in xformOpOrder), and scale its ancestors uniformly",
@@ -74,7 +74,9 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         kind = "cylinder" if prim.IsA(UsdGeom.Cylinder) else "capsule"
         axis = prim.GetAttribute("axis").Get()
         if axis not in _TO_Z:
-            raise scene.error(f"axis is {axis}", prim, allowed=", ".join(_TO_Z), fix="set axis to one of them")
+            raise scene.error(
+                f"axis is {axis}", prim, allowed=", ".join(_TO_Z), fix="set axis to the direction of the shape's height"
+            )
         frame = _TO_Z[axis] * frame
         x, y, z = scales(frame)
         across = _uniform(scene, prim, np.array([x, y, z] if kind == "capsule" else [x, y]))
@@ -84,7 +86,7 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         points = _mesh_points(scene, prim) * scale
         return Collider(path, "mesh", transform(frame), (), points, _faces_outwards(prim, points))
     raise scene.error(
-        f"a collider of type {prim.GetTypeName() or 'none'}",
+        f"the collider's type is {prim.GetTypeName() or 'not set'}",
         prim,
         allowed=ALLOWED,
         fix="use one of these as the collider, and keep this prim for display only",
@@ -95,10 +97,10 @@ def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
     value = scene.number(prim, name, 0.0)
     if not 0.0 < value < MAX_LENGTH:
         raise scene.error(
-            f"{name} is {value:g}",
+            f"{name} is {value:g} m",
             prim,
             allowed=f"more than zero and less than {MAX_LENGTH:g} m",
-            fix="correct its size",
+            fix=f"set {name} to a length above zero",
         )
     return value
 
@@ -106,7 +108,7 @@ def _positive(scene: SceneStage, prim: Usd.Prim, name: str) -> float:
 def _uniform(scene: SceneStage, prim: Usd.Prim, scale: np.ndarray) -> float:
     if np.ptp(scale) > 1e-5 * scale.max():
         raise scene.error(
-            "a round shape with a non-uniform scale",
+            "the round shape has a non-uniform scale",
             prim,
             allowed="the same scale for all of its radii",
             fix="scale it uniformly, or use a Mesh",
@@ -116,18 +118,20 @@ def _uniform(scene: SceneStage, prim: Usd.Prim, scale: np.ndarray) -> float:
 
 def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
     """Returns the points of a mesh that is represented by its convex hull, shape [n, 3]."""
-    if approximation(prim) != UsdPhysics.Tokens.convexHull:
+    kind = approximation(prim)
+    if kind != UsdPhysics.Tokens.convexHull:
+        reason = ", but the mesh is not a closed convex surface" if kind == UsdPhysics.Tokens.none else ""
         raise scene.error(
-            f"a mesh that is not convex, with physics:approximation = {approximation(prim)}",
+            f"physics:approximation is {kind}{reason}",
             prim,
-            allowed="convexHull, boundingCube, boundingSphere, or a closed convex surface",
-            fix="set physics:approximation to one of these; `oimppi scene import` cuts other shapes into convex pieces",
+            allowed="convexHull, boundingCube, boundingSphere, or none for a closed convex surface",
+            fix="set physics:approximation to convexHull; or cut it into convex pieces with `oimppi scene import`",
         )
     points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
     if not (np.abs(points) < MAX_LENGTH).all():
         allowed = f"finite coordinates below {MAX_LENGTH:g} m"
         raise scene.error(
-            "a mesh collider with points that are too far away or not finite",
+            "the mesh has points that are too far away or not finite",
             prim,
             allowed=allowed,
             fix="correct its points",
@@ -135,17 +139,17 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) >= 4 else np.zeros(3)
     if spread[-1] < 1e-6:
         raise scene.error(
-            f"a mesh collider without volume ({len(points)} points)",
+            f"the {len(points)} points of the mesh span no volume",
             prim,
             allowed="a solid shape",
             fix="give it some thickness",
         )
     if triangles(prim) is None:
         raise scene.error(
-            "a mesh collider whose faces are missing or refer to points that do not exist",
+            "the faces of the mesh are missing, have fewer than 3 corners, or refer to points that do not exist",
             prim,
-            allowed="a closed surface: faceVertexCounts of 3 or more, faceVertexIndices below the number of points",
-            fix="correct its faces",
+            allowed="faceVertexCounts of 3 or more; as many faceVertexIndices as their sum, below the number of points",
+            fix="correct faceVertexCounts and faceVertexIndices",
         )
     return points
 
@@ -159,7 +163,7 @@ def _faces_outwards(prim: Usd.Prim, points: np.ndarray) -> np.ndarray | None:
 
 
 def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
-    """Returns the volume [m^3] and its centre in the body's frame [m]; for a mesh, from its faces."""
+    """Returns a collider's volume [m^3] and the centre of that volume in the body's frame, shape [3] [m]."""
     size, position = collider.size, collider.transform[:3]
     if collider.kind == "box":
         return 8 * math.prod(size), position
@@ -174,7 +178,10 @@ def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
 
 
 def solid(collider: Collider) -> trimesh.Trimesh:
-    """Returns the solid that determines mass, in the body's frame; a mesh's faces enclose it, with any hollows."""
+    """Returns the solid whose volume counts for the mass, in the body's frame [m].
+
+    For a mesh, it is what the mesh's own faces enclose, not its convex hull.
+    """
     if collider.vertices is None or collider.faces is None:
         return collider_mesh(collider)
     points = transform_points(collider.transform, collider.vertices)

@@ -43,7 +43,7 @@ def save_scene(scene: Scene, file: str | Path) -> Path:
     file = Path(file)
     if file.suffix not in (".usda", ".usdc"):
         raise SceneError(
-            f"{file.name}: not a valid name for a scene", file=file, allowed="a name that ends in .usda or .usdc"
+            f"{file.name} is not a valid name for a scene", file=file, allowed="a name that ends in .usda or .usdc"
         )
     stage = _edited(scene, SceneStage(scene.file), load_scene(scene.file))
     partial = file.with_name(f"{file.stem}.part{file.suffix}")
@@ -234,7 +234,7 @@ def _set_transform(prim: Usd.Prim, transform: list[float]) -> None:
 
 
 def _set_world(prim: Usd.Prim, world: Gf.Matrix4d) -> None:
-    """Give a prim a world transform, written as translation, orientation and scale."""
+    """Gives a prim a world transform, written as translation, orientation and scale."""
     xform = UsdGeom.Xformable(prim)
     parent = xform.ComputeParentToWorldTransform(Usd.TimeCode.Default())
     local = Gf.Transform(world * parent.GetInverse())

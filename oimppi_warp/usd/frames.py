@@ -31,16 +31,16 @@ def transform(frame: Gf.Matrix4d) -> np.ndarray:
 
 
 def matrix(position: Any, orientation: Any) -> Gf.Matrix4d:
-    """Returns the frame with a position and an orientation (quaternion of any precision)."""
+    """Returns the frame at a position [3] with an orientation (a Gf quaternion of any precision)."""
     q = Gf.Quatd(float(orientation.GetReal()), Gf.Vec3d(orientation.GetImaginary())).GetNormalized()
     return Gf.Matrix4d().SetTransform(Gf.Rotation(q), Gf.Vec3d(*map(shortest_decimal, position)))
 
 
 def shortest_decimal(value: float) -> float:
-    """Returns the decimal behind a value that USD stores in single precision: 0.4 and not 0.4000000059604645."""
+    """Returns the shortest decimal that rounds to a single-precision value: 0.4, not 0.4000000059604645."""
     return float(str(np.float32(value)))
 
 
 def format_numbers(values: np.ndarray) -> str:
-    """Formats numbers for a message."""
+    """Formats numbers for a message, to 4 significant digits: ``(0.1, -2)``."""
     return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

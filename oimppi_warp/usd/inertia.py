@@ -17,27 +17,28 @@ from oimppi_warp.usd.stage import SceneStage
 
 
 def read_mass(scene: SceneStage, body: Usd.Prim) -> float:
-    """Read the mass of a rigid body [kg].
+    """Reads the mass of a rigid body [kg].
 
     Raises:
-        SceneError: It is missing, or not positive.
+        SceneError: The mass is missing, not finite, or not above zero.
     """
     mass = scene.number(body, "physics:mass", 0.0) if body.HasAPI(UsdPhysics.MassAPI) else 0.0
     if not (math.isfinite(mass) and mass > 0.0):
-        what = f"a mass of {mass:g} kg" if mass else "a body without a mass"
-        raise scene.error(what, body, allowed="more than zero", fix="apply PhysicsMassAPI and set physics:mass")
+        what = f"the mass is {mass:g} kg" if mass else "the body has no mass"
+        fix = "apply PhysicsMassAPI and set physics:mass"
+        raise scene.error(what, body, allowed="a finite mass above zero", fix=fix)
     return mass
 
 
 def given_center(body: Usd.Prim) -> np.ndarray | None:
-    """Return the centre of mass given for a body, in its frame before scaling, shape [3] [m]."""
+    """Returns a body's physics:centerOfMass, in its frame before scaling, shape [3] [m]; ``None`` if it has none."""
     value = UsdPhysics.MassAPI(body).GetCenterOfMassAttr().Get()
     center = np.array([shortest_decimal(c) for c in value or [math.nan]])
     return center if np.isfinite(center).all() else None
 
 
 def given_moments(body: Usd.Prim) -> np.ndarray | None:
-    """Return the principal moments given for a body, shape [3] [kg m^2]; ``None`` if they follow from the shapes."""
+    """Returns a body's physics:diagonalInertia, shape [3] [kg m^2]; ``None`` if it is to follow from the shapes."""
     if not body.HasAPI(UsdPhysics.MassAPI):
         return None
     value = UsdPhysics.MassAPI(body).GetDiagonalInertiaAttr().Get()
@@ -46,7 +47,7 @@ def given_moments(body: Usd.Prim) -> np.ndarray | None:
 
 
 def unit_inertia(body: Usd.Prim, mass: float) -> np.ndarray | None:
-    """Return the rotational inertia given for a body about its centre of mass, divided by its mass.
+    """Returns the inertia about the centre of mass that the file gives for a body, divided by its mass.
 
     ``newton:inertia`` takes precedence over principal moments and axes, as in Newton.
 
@@ -55,7 +56,7 @@ def unit_inertia(body: Usd.Prim, mass: float) -> np.ndarray | None:
         mass: Its mass [kg].
 
     Returns:
-        In the axes of the body's frame, shape [3, 3] [m^2]; ``None`` if it follows from the shapes.
+        Inertia per mass in the axes of the body's frame, shape [3, 3] [m^2]; ``None`` if the file gives none.
     """
     inertia = _tensor(body)
     if inertia is None:

@@ -38,7 +38,7 @@ def _misspelt_schemas(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
     for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
         if name.lower().startswith(_OURS) and name not in known:
             yield stage.warning(
-                f"an unknown API schema: {name}",
+                f"the API schema {name} is unknown",
                 prim,
                 allowed=", ".join(known),
                 fix=_suggestion(name, known),
@@ -65,7 +65,7 @@ def _unused_attributes(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
         else:
             allowed = ", ".join(here) or "none on this prim"
             fix = _suggestion(name, here or everywhere)
-            yield stage.warning(f"an unknown attribute: {name}", prim, allowed=allowed, fix=fix)
+            yield stage.warning(f"the attribute {name} is unknown", prim, allowed=allowed, fix=fix)
 
 
 def _suggestion(name: str, known: Iterable[str]) -> str:
@@ -81,7 +81,7 @@ def _moving_in_time(stage: SceneStage, prim: Usd.Prim) -> Iterator[Problem]:
         timed += ["points"] * (UsdGeom.PointBased(prim).GetPointsAttr().GetNumTimeSamples() > 0)
     if timed:
         yield stage.warning(
-            f"{', '.join(timed)} with time samples, which are ignored",
+            f"time samples are ignored: {', '.join(timed)}",
             prim,
             allowed="a default value",
             fix="set the intended value as the default value",

@@ -21,7 +21,7 @@ CONVEX = 1e-3
 
 
 def approximation(prim: Usd.Prim) -> str:
-    """Return the approximation of a mesh for collisions; "none" is the mesh itself."""
+    """Returns a mesh's physics:approximation; "none", the mesh itself, if it is not set."""
     if not prim.HasAPI(UsdPhysics.MeshCollisionAPI):
         return _TOKENS.none
     return UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() or _TOKENS.none

@@ -14,13 +14,12 @@ from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
 from oimppi_warp.usd.stage import MAX_LENGTH, SceneStage
 
 _UNITS: dict[JointKind, str] = {"revolute": "rad", "prismatic": "m"}
-_EFFORTS: dict[JointKind, str] = {"revolute": "N m", "prismatic": "N"}
 _UNREAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 """Placeholder for a frame with a mistake, so that reading can continue."""
 
 
 def read_robot(scene: SceneStage) -> Robot:
-    """Read the scene's robot.
+    """Reads the scene's robot.
 
     Raises:
         SceneError: There is no robot or more than one, it is not a serial arm of joints about or along their local z
@@ -30,7 +29,7 @@ def read_robot(scene: SceneStage) -> Robot:
     if not any(prim.HasAPI(UsdPhysics.ArticulationRootAPI) for prim in scene.prims(root)):
         scene.collect(
             scene.error(
-                "a robot without an articulation",
+                "the robot has no articulation root",
                 root,
                 fix="apply PhysicsArticulationRootAPI to it",
                 allowed="PhysicsArticulationRootAPI on the robot or on a prim below it",
@@ -65,7 +64,7 @@ def _tip(scene: SceneStage, root: Usd.Prim) -> Usd.Prim:
     tip = scene.single_prim("OimppiToolAPI", "tool", "the Xform at the tip of the robot's stick")
     if not tip.GetPath().HasPrefix(root.GetPath()):
         raise scene.error(
-            "a tool that is not part of the robot",
+            "the tool is not part of the robot",
             tip,
             allowed=f"a prim below <{root.GetPath()}>",
             fix="place the tip's Xform below the link that carries the stick",
@@ -103,7 +102,6 @@ class _Chain:
                 allowed="exactly one joint to the world, a PhysicsFixedJoint",
             )
         base = self.ends(mounts[0])[1]
-        assert base is not None
         frame = scene.body_frame(base)
         position = np.array(frame.ExtractTranslation())
         if not np.allclose(position, 0.0, atol=1e-6):
@@ -113,7 +111,7 @@ class _Chain:
         if not np.allclose(np.array(at.GetInverse() * held), np.array(frame), atol=1e-5):
             fix = "set physics:localPos0 and physics:localRot0 to the base's frame in the world, or move the base"
             raise scene.error(
-                "a joint that fixes the base at a pose other than the base's own",
+                "the joint fixes the base at a pose other than the base's own",
                 mounts[0].GetPrim(),
                 fix=fix,
                 allowed="the base's frame in the world",
@@ -124,13 +122,17 @@ class _Chain:
         self.welded: list[tuple[Usd.Prim, Gf.Matrix4d]] = []
         self.reached: set[Sdf.Path] = set()
 
-    def ends(self, joint: UsdPhysics.Joint) -> tuple[Usd.Prim | None, Usd.Prim | None]:
-        """Return the two bodies that a joint connects; ``None`` for the world."""
-        found = []
+    def ends(self, joint: UsdPhysics.Joint) -> tuple[Usd.Prim | None, Usd.Prim]:
+        """Returns the parent and the child body of a joint; the parent is ``None`` for the world.
+
+        Raises:
+            SceneError: The joint has no child, or connects something that is not a rigid body of the robot.
+        """
+        found: list[Usd.Prim | None] = []
         for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()):
             targets = relation.GetTargets()
             if targets and targets[0] not in self.bodies:
-                what = f"a joint to <{targets[0]}>, which is not a rigid body of the robot"
+                what = f"the joint connects <{targets[0]}>, which is not a rigid body of the robot"
                 raise self.scene.error(
                     what,
                     joint.GetPrim(),
@@ -138,29 +140,38 @@ class _Chain:
                     fix="set physics:body0 and physics:body1 to links of the robot",
                 )
             found.append(self.bodies[targets[0]] if targets else None)
-        if found[1] is None:
+        parent, child = found
+        if child is None:
             raise self.scene.error(
-                "a joint that moves nothing",
+                "the joint moves nothing",
                 joint.GetPrim(),
                 allowed="a link as physics:body1",
                 fix="set physics:body1, or remove the joint",
             )
-        return found[0], found[1]
+        return parent, child
 
     def frames(self, joint: UsdPhysics.Joint) -> tuple[Gf.Matrix4d, Gf.Matrix4d]:
-        """Return a joint's frame in its parent body and in its child body."""
+        """Returns a joint's frame in its parent body and in its child body.
+
+        Raises:
+            SceneError: A frame has numbers that are too large or not finite.
+        """
         before = matrix(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get())
         after = matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
         if not (np.abs([np.array(before), np.array(after)]) < MAX_LENGTH).all():
             allowed = f"finite numbers, and lengths below {MAX_LENGTH:g} m"
-            what = "a joint with frames that are too far away or not finite"
+            what = "the joint's frames are too far away or not finite"
             raise self.scene.error(
                 what, joint.GetPrim(), allowed=allowed, fix="correct physics:localPos0 and physics:localPos1"
             )
         return before, after
 
     def walk(self) -> tuple[tuple[Joint, ...], tuple[Link, ...]]:
-        """Return the moving joints and their links, from base to flange."""
+        """Returns the moving joints and the link that each moves, from base to flange.
+
+        Raises:
+            SceneError: The arm branches, has a loop or no moving joint, or a body is welded to its base.
+        """
         joints, links = [], []
         body: Usd.Prim | None = self.base_prim
         while body is not None:
@@ -188,7 +199,7 @@ class _Chain:
                 if self.ends(moving[0])[0] != group[0][0]:
                     prim = moving[0].GetPrim()
                     raise self.scene.error(
-                        "a moving joint on a welded body",
+                        "the moving joint is attached to a welded body",
                         prim,
                         allowed="moving joints on links only",
                         fix="attach the joint to the link that the body is welded to",
@@ -198,7 +209,7 @@ class _Chain:
                 body = self.ends(moving[0])[1]
         if not joints:
             raise self.scene.error(
-                "a robot without moving joints",
+                "the robot has no moving joints",
                 self.base_prim,
                 allowed="at least one joint that moves a link",
                 fix="set physics:body0 and physics:body1 of its joints, from the base outwards",
@@ -206,13 +217,18 @@ class _Chain:
         return tuple(joints), tuple(links)
 
     def weld(self, body: Usd.Prim) -> tuple[list[tuple[Usd.Prim, Gf.Matrix4d]], list[UsdPhysics.Joint]]:
-        """Return a body and everything welded to it, with relative poses, and the moving joints attached to them."""
+        """Finds everything that moves as one with a body.
+
+        Returns:
+            The body and all bodies welded to it, each with its frame in the first body's, and the moving joints whose
+            parent is one of them.
+        """
         group, moving = [(body, Gf.Matrix4d(1.0))], []
         self.visit(body)
         for part, placed in group:  # the list grows during iteration
             for joint in self.joints:
                 parent, child = self.ends(joint)
-                if parent != part or child is None:
+                if parent != part:
                     continue
                 if joint.GetPrim().IsA(UsdPhysics.FixedJoint):
                     self.visit(child)
@@ -223,15 +239,19 @@ class _Chain:
         return group, moving
 
     def visit(self, body: Usd.Prim) -> None:
-        """Mark a body of the chain as visited; raise SceneError if it already was."""
+        """Marks a body of the chain as visited.
+
+        Raises:
+            SceneError: It was visited before, since two joints move it.
+        """
         if body.GetPath() in self.reached:
             raise self.scene.error(
-                "a link with two parent joints", body, allowed="a serial arm", fix="remove one of the joints"
+                "the link has two parent joints", body, allowed="a serial arm", fix="remove one of the joints"
             )
         self.reached.add(body.GetPath())
 
     def link(self, group: list[tuple[Usd.Prim, Gf.Matrix4d]]) -> Link:
-        """Merge bodies welded together into one link, in the frame of the first."""
+        """Merges bodies welded together, as :meth:`weld` returns them, into one link in the frame of the first."""
         colliders: list[Collider] = []
         bodies: list[Welded] = []
         for body, placed in group:
@@ -246,13 +266,17 @@ class _Chain:
         return Link(first.path, mass, tuple(colliders), center, inertia, tuple(welded))
 
     def joint(self, joint: UsdPhysics.Joint) -> Joint:
-        """Read a moving joint."""
+        """Reads a moving joint.
+
+        Raises:
+            SceneError: Its type, axis, frame, limits or losses are not allowed.
+        """
         scene, prim = self.scene, joint.GetPrim()
         turns, slides = UsdPhysics.RevoluteJoint(prim), UsdPhysics.PrismaticJoint(prim)
         if not (turns or slides):
             allowed = "PhysicsRevoluteJoint or PhysicsPrismaticJoint"
             raise scene.error(
-                f"a joint of type {prim.GetTypeName()}",
+                f"the joint is of type {prim.GetTypeName()}",
                 prim,
                 allowed=allowed,
                 fix="change its type; use a PhysicsFixedJoint to weld the tool on",
@@ -260,7 +284,7 @@ class _Chain:
         axis = (turns or slides).GetAxisAttr().Get()
         if axis != UsdPhysics.Tokens.z:
             raise scene.error(
-                f"a joint {'about' if turns else 'along'} its {axis} axis",
+                f"the joint {'turns about' if turns else 'slides along'} its {axis} axis",
                 prim,
                 allowed="physics:axis = Z",
                 fix="rotate the frames of the joint and of its links so that z is its axis",
@@ -270,42 +294,58 @@ class _Chain:
             before = before * self.base_frame
         if not np.allclose(np.array(after), np.eye(4), atol=1e-6):
             raise scene.error(
-                "a joint whose frame differs from that of the link it moves",
+                "the joint's frame differs from that of the link that it moves",
                 prim,
                 allowed="physics:localPos1 = 0 and physics:localRot1 = 1",
                 fix="move the link's frame to the joint, and keep its shapes and mass in place in the world",
             )
         kind, drive, inward = ("revolute", "angular", math.radians) if turns else ("prismatic", "linear", float)
-        unit = _UNITS[kind]
-        lower = inward(scene.number(prim, "physics:lowerLimit", -math.inf))
-        upper = inward(scene.number(prim, "physics:upperLimit", math.inf))
+        unit = "deg" if turns else "m"  # as in the file
+        lower = scene.number(prim, "physics:lowerLimit", -math.inf)
+        upper = scene.number(prim, "physics:upperLimit", math.inf)
         if not lower < upper:
             raise scene.error(
-                f"limits of {lower:.4g} and {upper:.4g} {unit}",
+                f"the lower limit ({lower:.4g} {unit}) is not below the upper limit ({upper:.4g} {unit})",
                 prim,
                 allowed="a lower limit below the upper one",
-                fix="set physics:lowerLimit and physics:upperLimit",
+                fix=f"set physics:lowerLimit and physics:upperLimit, in {'degrees' if turns else 'metres'}",
             )
         if slides and not max(abs(lower), abs(upper)) < MAX_LENGTH:
-            fix = "set physics:lowerLimit and physics:upperLimit in metres"
-            raise scene.error("a sliding joint with unlimited travel", prim, allowed="finite limits", fix=fix)
+            fix = "set physics:lowerLimit and physics:upperLimit, in metres"
+            raise scene.error("the sliding joint has unlimited travel", prim, allowed="finite limits", fix=fix)
         driven = prim.HasAPI(UsdPhysics.DriveAPI, drive)
         effort = scene.number(prim, f"drive:{drive}:physics:maxForce", math.inf) if driven else math.inf
-        velocity = inward(scene.number(prim, "newton:velocityLimit", math.inf))
-        if effort <= 0.0 or velocity <= 0.0:
-            what = f"effort and velocity limits of {effort:g} {_EFFORTS[kind]} and {velocity:g} {unit}/s"
-            raise scene.error(
-                what, prim, allowed="more than zero", fix="set the joint's real limits, or leave them out"
-            )
+        speed = scene.number(prim, "newton:velocityLimit", math.inf)
+        force = "N m" if turns else "N"
+        limits = ((f"drive:{drive}:physics:maxForce", effort, force), ("newton:velocityLimit", speed, f"{unit}/s"))
+        for name, value, of in limits:
+            if value <= 0.0:
+                fix = "set it to the joint's real limit, or remove it if the joint has none"
+                raise scene.error(f"{name} is {value:g} {of}", prim, allowed=f"more than zero [{of}]", fix=fix)
         friction, damping = (scene.number(prim, f"newton:{name}", 0.0) for name in ("friction", "damping"))
-        if not (0.0 <= friction < math.inf and 0.0 <= damping < math.inf):
-            what = f"newton:friction is {friction:g} and newton:damping is {damping:g}"
-            raise scene.error(what, prim, allowed="zero or more", fix="correct them, or leave them out")
-        damping = math.degrees(damping) if turns else damping  # per degree, as everywhere in USD
-        return Joint(str(prim.GetPath()), transform(before), lower, upper, velocity, effort, kind, friction, damping)
+        losses = (("newton:friction", friction, force), ("newton:damping", damping, f"{force} s/{unit}"))
+        for name, value, of in losses:
+            if not 0.0 <= value < math.inf:
+                allowed = f"a finite number, zero or more [{of}]"
+                raise scene.error(f"{name} is {value:g} {of}", prim, allowed=allowed, fix="correct it, or remove it")
+        return Joint(
+            str(prim.GetPath()),
+            transform(before),
+            inward(lower),
+            inward(upper),
+            inward(speed),
+            effort,
+            kind,
+            friction,
+            math.degrees(damping) if turns else damping,  # per degree, as everywhere in USD
+        )
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
-        """Return a prim's transform in the frame of the last link, shape [7]."""
+        """Returns a prim's transform in the frame of the last link, shape [7].
+
+        Raises:
+            SceneError: The prim is not below the last link or a body welded to it, or it is scaled.
+        """
         for body, placed in self.welded:
             if prim.GetPath().HasPrefix(body.GetPath()):
                 local = self.scene.frame(prim) * self.scene.body_frame(body).GetInverse()
@@ -313,7 +353,7 @@ class _Chain:
                     break
                 return transform(local * placed)
         raise self.scene.error(
-            "a tool that is not on the robot's last link",
+            "the tool is not on the robot's last link, or it is scaled",
             prim,
             allowed=f"on {self.welded[0][0].GetPath()}, unscaled",
             fix="place the tip's Xform below that link, or below a body welded to it",

@@ -75,7 +75,7 @@ class SceneStage:
         except Tf.ErrorException as error:
             formats = ".usda, .usd, .usdc, .usdz"
             raise self.error(
-                f"not a readable USD file ({usd_reason(error)})",
+                f"the file cannot be read as USD ({usd_reason(error)})",
                 allowed=formats,
                 fix="export it again, or correct it at the location that USD reports",
             ) from None
@@ -103,7 +103,7 @@ class SceneStage:
             raise mistakes[-1]
 
     def collect(self, mistake: SceneError) -> None:
-        """Note a mistake and continue, or raise it if mistakes are not being collected."""
+        """Notes a mistake, or raises it if the stage was opened without a list of mistakes."""
         if self._mistakes is None:
             raise mistake
         if str(mistake) not in map(str, self._mistakes):
@@ -113,7 +113,17 @@ class SceneStage:
     def attempt(
         self, fallback: Fallback, read: Callable[P, Read], *args: P.args, **kwargs: P.kwargs
     ) -> Read | Fallback:
-        """Return a reader's result; if it raises a mistake, note it and return ``fallback`` instead."""
+        """Calls a reader and returns its result, or ``fallback`` if it raises an error.
+
+        Args:
+            fallback: Placeholder with which reading can continue.
+            read: The reader, called with the remaining arguments.
+            *args: Its arguments.
+            **kwargs: Its keyword arguments.
+
+        Raises:
+            SceneError: The error, if the stage was opened without a list of mistakes; otherwise it is noted.
+        """
         try:
             return read(*args, **kwargs)
         except SceneError as mistake:
@@ -128,12 +138,12 @@ class SceneStage:
         return self.error(what, allowed="valid USD", fix="correct the error that OpenUSD reports")
 
     def error(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> SceneError:
-        """Create a :class:`SceneError` at a prim of this file."""
+        """Creates a :class:`SceneError` at a prim of this file."""
         place = prim if isinstance(prim, str) else prim.GetPath()
         return SceneError(what, file=self.file, prim=place, allowed=allowed, fix=fix)
 
     def warning(self, what: str, prim: Usd.Prim | str = "", *, allowed: str = "", fix: str = "") -> Problem:
-        """Create a warning at a prim of this file."""
+        """Creates a warning at a prim of this file."""
         place = prim if isinstance(prim, str) else str(prim.GetPath())
         return Problem(str(self.file), "warning", place, what, allowed, fix)
 
@@ -151,42 +161,49 @@ class SceneStage:
                 raise self.error(
                     f"{name} is {unit:g}",
                     allowed="a number above zero",
-                    fix="set it to the unit of the numbers in the file: 1 for metres or kilograms",
+                    fix="set it to the unit of the numbers in the file: 1 for metres, and 1 for kilograms",
                 )
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
-        """Iterate over all active prims below ``root`` (inclusive), those in instances too, in file order."""
+        """Iterates over all active prims below ``root`` (inclusive), those in instances too, in file order."""
         yield from Usd.PrimRange(root or self.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
 
     def prims_with(self, schema: str) -> list[Usd.Prim]:
-        """Return the prims with one of the package's API schemas applied."""
+        """Returns the prims with one of the package's API schemas applied."""
         return [prim for prim in self.prims() if schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
 
     def single_prim(self, schema: str, noun: str, where: str) -> Usd.Prim:
-        """Return the only prim with a role.
+        """Returns the only prim with a role.
 
         Args:
             schema: Name of the API schema.
             noun: Name of the role in an error.
             where: Where the schema should be applied, for the error.
+
+        Raises:
+            SceneError: There is no such prim, or more than one.
         """
         found = self.prims_with(schema)
         if not found:
-            raise self.error(f"no {noun}", allowed=f"exactly one prim with {schema}", fix=f"apply {schema} to {where}")
+            fix = f"apply {schema} to {where}"
+            raise self.error(f"the scene has no {noun}", allowed=f"exactly one prim with {schema}", fix=fix)
         if len(found) > 1:
             paths = ", ".join(f"<{prim.GetPath()}>" for prim in found)
-            what = f"{len(found)} {noun}s: {paths}"
-            raise self.error(what, allowed=f"exactly one prim with {schema}", fix="keep one of them")
+            what = f"the scene has {len(found)} {noun}s: {paths}"
+            raise self.error(what, allowed=f"exactly one prim with {schema}", fix=f"keep {schema} on one of them")
         return found[0]
 
     def numbers(self, prim: Usd.Prim, name: str, shape: tuple[int, ...], meaning: str) -> np.ndarray:
-        """Read a numeric attribute.
+        """Reads a numeric attribute.
 
         Args:
             prim: The prim.
             name: Name of the attribute; if it is not authored, the schema's default is used.
             shape: Required shape; -1 allows any number of rows.
             meaning: Description of the required value, for the error.
+
+        Raises:
+            SceneError: The value is missing, has another shape, or contains NaN; infinity is allowed.
         """
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute and attribute.HasAuthoredValue() else schema_default(name)
@@ -204,27 +221,36 @@ class SceneStage:
         return array
 
     def text(self, prim: Usd.Prim, name: str) -> str:
-        """Read an attribute that holds a line of text."""
+        """Reads a text attribute of the package's schemas; the schema's default if it is not set."""
         attribute = prim.GetAttribute(name)
         return str((attribute.Get() if attribute else None) or schema_default(name))
 
     def number(self, prim: Usd.Prim, name: str, fallback: float) -> float:
-        """Read an attribute of one of USD's own schemas, or return the fallback if it has no value."""
+        """Reads a number from an attribute of one of USD's own schemas, or returns ``fallback`` if it has no value.
+
+        Raises:
+            SceneError: The value is not a number.
+        """
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
         if value is None:
             return fallback
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(f"{name} is {value!r}", prim, allowed="a number", fix="give a number")
+            fix = f"declare it with a numeric type, e.g. float {name} = 0.1"
+            raise self.error(f"{name} is {value!r}", prim, allowed="a number", fix=fix)
         return shortest_decimal(value)
 
     def frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """Return a prim's frame in the world in USD's convention (row vectors, scale included)."""
+        """Returns a prim's frame in the world in USD's convention (row vectors, scale included) [m].
+
+        Raises:
+            SceneError: It has numbers that are too large or not finite.
+        """
         frame = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
         if not (np.abs(np.array(frame)) < MAX_LENGTH).all():
             allowed = f"finite numbers, and lengths below {MAX_LENGTH:g} m"
             raise self.error(
-                "a transform with values that are too large or not finite",
+                "the transform has values that are too large or not finite",
                 prim,
                 allowed=allowed,
                 fix="correct its xformOps or those of its ancestors",
@@ -232,12 +258,13 @@ class SceneStage:
         return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """Return a rigid body's frame in the world, without scale; a scaled body is a mistake."""
+        """Returns a rigid body's frame in the world, without scale; a scaled or mirrored body is noted as a mistake."""
         frame = self.frame(prim)
         if not is_rigid(frame):
+            mirrored = " and mirrored" if frame.GetDeterminant() < 0.0 else ""
             self.collect(
                 self.error(
-                    f"a body with the scale {format_numbers(scales(frame))}",
+                    f"the body is scaled by {format_numbers(scales(frame))}{mirrored}",
                     prim,
                     allowed="(1, 1, 1), without mirroring",
                     fix="scale its shapes instead",
@@ -246,7 +273,11 @@ class SceneStage:
         return frame.GetOrthonormalized()
 
     def friction(self, prim: Usd.Prim) -> float | None:
-        """Return the dynamic friction of the physics material bound to a prim; ``None`` without a material."""
+        """Returns the dynamic friction of the physics material bound to a prim; ``None`` without a material.
+
+        Raises:
+            SceneError: It is negative or not finite.
+        """
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
             return None
@@ -262,7 +293,7 @@ class SceneStage:
 
 
 def file_of(layer: Sdf.Layer) -> Path:
-    """Return the file that contains a layer; for a layer in a USDZ package, the package."""
+    """Returns the file that contains a layer; for a layer in a USDZ package, the package."""
     return Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0])
 
 
@@ -273,7 +304,11 @@ def _schema_layer() -> Any:
 
 @cache
 def schema_default(name: str) -> Any:
-    """Return the default value of an attribute in the package's schema; ``None`` if the attribute is required."""
+    """Returns the default value of an attribute in the package's schema; ``None`` if the attribute is required.
+
+    Raises:
+        KeyError: The schema has no such attribute.
+    """
     for prim in _schema_layer().rootPrims:
         if name in prim.attributes:
             return prim.attributes[name].default
@@ -282,5 +317,5 @@ def schema_default(name: str) -> Any:
 
 @cache
 def schema_attributes() -> dict[str, tuple[str, ...]]:
-    """Return the package's API schemas with the names of their attributes."""
+    """Returns the names of the attributes of each of the package's API schemas, by the schema's name."""
     return {prim.name: tuple(prim.attributes.keys()) for prim in _schema_layer().rootPrims}

@@ -33,12 +33,12 @@ class TaskAttributes:
     tight_tolerance: Tolerance
 
     def starts_or(self, start: PlanarPose) -> np.ndarray:
-        """Return the listed starts, or the one in the file, shape [n, 3]."""
+        """Returns the listed starts or, if there are none, ``start`` alone, shape [n, 3]."""
         return self.starts if len(self.starts) else np.array([start])
 
 
 def read_task(stage: SceneStage) -> TaskAttributes:
-    """Read the task.
+    """Reads the task from the prim with OimppiTaskAPI.
 
     Raises:
         SceneError: There is no task or more than one, or one of its attributes is missing or invalid.
@@ -56,9 +56,13 @@ def read_task(stage: SceneStage) -> TaskAttributes:
 
 
 def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
-    """Read the acceleration of gravity from the first PhysicsScene, in the world frame [m/s^2].
+    """Reads the acceleration of gravity from the first PhysicsScene, in the world frame [m/s^2].
 
-    As in UsdPhysics, a missing direction means downwards, and a negative magnitude means the earth's.
+    Without a PhysicsScene it is 9.81 m/s^2 downwards, and with newton:gravityEnabled = false it is zero. As in
+    UsdPhysics, a direction of zero means downwards, and a negative magnitude the earth's.
+
+    Raises:
+        SceneError: The direction or the magnitude is not finite.
     """
     for prim in stage.prims():
         if not prim.IsA(UsdPhysics.Scene):
@@ -85,9 +89,8 @@ def read_gravity(stage: SceneStage) -> tuple[float, float, float]:
 def _goal(stage: SceneStage, world: Usd.Prim) -> PlanarPose:
     x, y, yaw = map(float, stage.numbers(world, "oimppi:goal", (3,), f"{_POSE} of the object's goal"))
     if not all(map(math.isfinite, (x, y, yaw))):
-        raise stage.error(
-            f"oimppi:goal is not finite: ({x:g}, {y:g}, {yaw:g})", world, allowed=_POSE, fix="use finite numbers"
-        )
+        what = f"oimppi:goal is not finite: ({x:g}, {y:g}, {yaw:g})"
+        raise stage.error(what, world, allowed=f"{_POSE}, all finite", fix="correct oimppi:goal")
     return x, y, yaw
 
 
@@ -95,7 +98,7 @@ def _starts(stage: SceneStage, world: Usd.Prim) -> np.ndarray:
     starts = stage.numbers(world, "oimppi:starts", (-1, 3), f"a list of {_POSE}")
     for number in np.flatnonzero(~np.isfinite(starts).all(axis=1)):
         what = f"oimppi:starts[{number}] is not finite: {tuple(starts[number].tolist())}"
-        stage.collect(stage.error(what, world, allowed=_POSE, fix="use finite numbers"))
+        stage.collect(stage.error(what, world, allowed=f"{_POSE}, all finite", fix="correct oimppi:starts"))
     return starts
 
 
@@ -106,7 +109,7 @@ def _spread(stage: SceneStage, world: Usd.Prim) -> tuple[float, float]:
         raise stage.error(
             f"oimppi:spread is ({position:g}, {yaw:g})",
             world,
-            allowed="finite numbers, zero or more",
+            allowed="(position [m], yaw [rad]), both finite and zero or more",
             fix="set it to the half-widths of the box of starts, or leave it out",
         )
     return position, yaw
@@ -118,7 +121,7 @@ def _tolerance(stage: SceneStage, world: Usd.Prim, name: str) -> Tolerance:
         raise stage.error(
             f"{name} is ({position:g}, {yaw:g})",
             world,
-            allowed="numbers above zero",
+            allowed="(position [m], yaw [rad]), both above zero",
             fix="correct it, or leave it out; use inf for a yaw that does not matter",
         )
     return Tolerance(position, yaw)

@@ -12,7 +12,7 @@ EYE, TARGET = (1.7, -0.95, 1.15), (0.42, 0.12, 0.05)
 
 
 def open_viewer(*, host: str = "127.0.0.1", port: int = 8080, paused: bool = False) -> Any:
-    """Open a :class:`newton.viewer.ViewerViser`, on the next free port if the given one is taken.
+    """Opens a :class:`newton.viewer.ViewerViser`, on the next free port if the given one is taken.
 
     Args:
         host: Address to listen on.

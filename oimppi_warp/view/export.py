@@ -108,7 +108,7 @@ def export(folder: Path, to: str, output: Path | None = None) -> Path:
     Args:
         folder: A record's folder, as written by ``--record``.
         to: One of :data:`EXPORTS`.
-        output: File to write; default: ``episode`` with the format's suffix, in the record's folder.
+        output: File to write; ``None``: ``episode`` with the format's suffix, in the record's folder.
 
     Returns:
         The file that was written.

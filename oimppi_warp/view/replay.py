@@ -96,7 +96,7 @@ class ReplayView:
 
     @property
     def row(self) -> int:
-        """Control step currently shown."""
+        """Returns the number of the control step shown."""
         return int(self._row)
 
     def run(self) -> None:

@@ -67,12 +67,12 @@ class Session:
         self._thread = threading.Thread(target=self._loop, name="oimppi-control", daemon=True)
 
     def start(self) -> None:
-        """Start the control loop, unless it is already running."""
+        """Starts the control loop, unless it is already running."""
         if not self._thread.is_alive():
             self._thread.start()
 
     def close(self) -> None:
-        """Stop the control loop."""
+        """Stops the control loop."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -80,22 +80,22 @@ class Session:
 
     @property
     def running(self) -> Episode:
-        """The current episode."""
+        """Returns the current episode."""
         return self._episode
 
     @property
     def over(self) -> bool:
-        """True if the episode has ended."""
+        """Returns whether the episode has ended."""
         return self._over
 
     @property
     def rate(self) -> float:
-        """Recent rate of control steps [1/s]; 0 if there were none."""
+        """Returns the recent rate of control steps [1/s]; 0 if there were none."""
         times = list(self._times)
         return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
 
     def change(self, *, fresh: bool = False, **fields: Any) -> None:
-        """Request another setup.
+        """Requests another setup, which takes effect as soon as its planner is ready.
 
         Args:
             fresh: Whether to restart from the beginning; otherwise the episode continues from its current state.
@@ -107,21 +107,21 @@ class Session:
             self._fresh |= fresh
 
     def restart(self) -> None:
-        """Restart the episode from the beginning."""
+        """Restarts the episode from the beginning."""
         self.change(fresh=True)
 
     def step(self) -> None:
-        """Run a single control step while paused."""
+        """Requests a single control step while the session is paused."""
         with self._lock:
             self._single += 1
 
     def move_object(self, pose: PlanarPose) -> None:
-        """Place the object at another pose."""
+        """Requests that the object be placed at another planar pose, at rest."""
         with self._lock:
             self._moved = planar_transform(pose, self.wanted.scene.object.rest_height)
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Apply an impulse [3] [N s] to the object."""
+        """Requests an impulse [3] [N s] on the object."""
         with self._lock:
             self._knock = impulse
 

@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pxr import Usd, UsdValidation
-from support.meshes import L_SHAPE, bracket, prism, saved
+from support.meshes import L_SHAPE, bracket, one_sided, prism, saved
 
 from oimppi_warp.authoring import import_mesh, write_object
 from oimppi_warp.authoring.meshes.convex import PIECES, compare, decompose, signed_depths
@@ -227,6 +227,8 @@ REFUSED = {
         ),
         "300 separate parts",
     ),
+    "a surface with one side": (lambda: one_sided(0), "the faces cannot be oriented consistently"),
+    "a surface with one side and a hole": (lambda: one_sided(1), "the faces cannot be oriented consistently"),
     "a washer": (lambda: trimesh.creation.box((0.1, 0.1, 0.003)), "too flat for the stick"),
 }
 
@@ -274,7 +276,7 @@ def test_the_file_has_convex_colliders_a_surface_and_what_everything_means(tmp_p
     registry = UsdValidation.ValidationRegistry()
     errors = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators()).Validate(stage)
     assert [e.GetErrorAsString() for e in errors if e.GetType() == UsdValidation.ValidationErrorType.Error] == []
-    with pytest.raises(OimppiError, match="it already exists"):
+    with pytest.raises(OimppiError, match="the file already exists"):
         write_object(solid, tmp_path)
 
 

@@ -284,7 +284,11 @@ IMPOSSIBLE = {
     "no sizes": (["--object", "box:0.1x0.1"], "3 lengths above zero"),
     "too large": (["--object", "box:3x0.1x0.1"], "out of range"),
     "no mesh": (["--object", "mesh:nowhere.stl"], "there is no such file"),
-    "no place": (["--obstacle", "box:0.1,0.1,0.1"], "no position"),
+    "no place": (["--obstacle", "box:0.1,0.1,0.1"], "append a position, e.g. box:0.1,0.1,0.1@0.5,0.05"),
+    "no place but a letter": (
+        ["--obstacle", "box:0.1,0.1,0.1@0.5,a"],
+        "--obstacle box:0.1,0.1,0.1@0.5,a: not a pose\n  allowed: OBJECT@X,Y[,YAW] in metres and radians",
+    ),
     "no robot": (["--robot", "hal9000"], "no such robot"),
     "a size without letters": (["--size", "0.1"], "with letters and words only"),
     "a unit without a mesh": (["--scale", "mm"], "with a mesh only"),
@@ -310,7 +314,7 @@ def test_names_that_are_no_files_are_refused(tmp_path, name):
 
 def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises((SceneError, ConfigError), match="not a writable folder"):
+    with pytest.raises((SceneError, ConfigError), match="the folder is not writable"):
         write_task(Task("mine", "Push", letter("S"), (0.3, -0.4, 0.0), (0.5, 0.2, 0.0)), tmp_path / "file")
 
 

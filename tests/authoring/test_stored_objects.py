@@ -141,7 +141,7 @@ def test_a_mass_that_no_file_gives_is_asked_for_and_taken(tmp_path, capsys):
     command = ["scene", "new", "mine", "--out", str(tmp_path), "--object", str(file)]
     assert main(command) == 2
     message = capsys.readouterr().err
-    assert "a body without a mass" in message
+    assert "the body has no mass" in message
     assert "--mass" in message
     assert main([*command, "--mass", "0.15"]) == 0
     assert load_scene(tmp_path / "mine.usda").object.mass == pytest.approx(0.15)

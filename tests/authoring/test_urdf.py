@@ -244,7 +244,7 @@ def test_a_fine_mesh_becomes_a_hull_with_few_points_around_it():
 
 
 def test_a_flat_mesh_is_refused():
-    with pytest.raises(ValueError, match="without a volume"):
+    with pytest.raises(ValueError, match="encloses no volume"):
         fit_collider("c", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]))
 
 
@@ -317,11 +317,13 @@ BAD: dict[str, tuple[Callable[[], Parts], str, str]] = {
         "use the type continuous",
     ),
     "crossed limits": (
-        changed(j2=joint("j2", "shoulder", "upper", lower=1.0, upper=-1.0)), "limits of 1 and -1 rad", "a lower limit",
+        changed(j2=joint("j2", "shoulder", "upper", lower=1.0, upper=-1.0)),
+        "the lower limit (1 rad, 57.3 deg) is not below the upper limit (-1 rad, -57.3 deg)",
+        "a lower limit",
     ),
-    "no effort": (changed(j2=joint("j2", "shoulder", "upper", effort=0.0)), "effort limit 0", "more than zero"),
+    "no effort": (changed(j2=joint("j2", "shoulder", "upper", effort=0.0)), "effort limit is 0 N m", "more than zero"),
     "words for a limit": (
-        lambda: arm_parts() | {"j2": arm_parts()["j2"].replace("-2.2", "pi")}, "lower = 'pi'", "a number",
+        lambda: arm_parts() | {"j2": arm_parts()["j2"].replace("-2.2", "pi")}, "lower is 'pi'", "a number",
     ),
     "a joint that moves with another": (
         changed(j3=joint("j3", "upper", "fore", more='<mimic joint="j2"/>')), "j3 follows another", "make it fixed",
@@ -330,7 +332,7 @@ BAD: dict[str, tuple[Callable[[], Parts], str, str]] = {
         changed(mount=joint("mount", "world", "base", kind="floating")), "of type floating", "base must be fixed",
     ),
     "an unknown joint": (changed(j2=joint("j2", "shoulder", "upper", kind="screw")), "of type screw", "prismatic"),
-    "a link in the air": (changed(lamp=link("lamp")), "2 links without a parent: world, lamp", "one base"),
+    "a link in the air": (changed(lamp=link("lamp")), "2 links have no parent: world, lamp", "one base"),
     "a link held twice": (changed(again=joint("again", "base", "fore")), "fore has two parent joints", "a tree"),
     "a joint to nowhere": (changed(j6=joint("j6", "pitch", "hand")), "missing link 'hand'", "links of the URDF"),
     "a branch": (changed(arm2=link("arm2"), b=joint("b", "fore", "arm2")), "the arm branches", "--flange"),
@@ -348,7 +350,7 @@ BAD: dict[str, tuple[Callable[[], Parts], str, str]] = {
         "correct",
     ),
     "no joint that moves": (
-        lambda: {"a": link("a"), "b": link("b"), "j": joint("j", "a", "b", kind="fixed")}, "without moving", "a chain",
+        lambda: {"a": link("a"), "b": link("b"), "j": joint("j", "a", "b", kind="fixed")}, "no moving joint", "a chain",
     ),
 }  # fmt: skip
 
@@ -366,11 +368,11 @@ def test_a_bad_urdf_is_refused_with_words_that_help(tmp_path, case):
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("", "not readable XML"),
-        ("<robot", "not readable XML"),
-        ("<sdf/>", "its root element is <sdf>"),
+        ("", "cannot be read as XML"),
+        ("<robot", "cannot be read as XML"),
+        ("<sdf/>", "the root element is <sdf>"),
         ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m"/></robot>', "xacro, not URDF"),
-        ("<robot/>", "no links at all"),
+        ("<robot/>", "or there are none"),
     ],
 )
 def test_what_is_no_urdf_is_refused(tmp_path, text, what):
@@ -383,7 +385,7 @@ def test_what_is_no_urdf_is_refused(tmp_path, text, what):
 
 
 def test_a_flange_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(SceneError, match="--flange hand: no such link") as error:
+    with pytest.raises(SceneError, match="--flange hand: the robot has no such link") as error:
         made(tmp_path, flange="hand")
     assert "tool0" in str(error.value)
 

@@ -183,7 +183,7 @@ def test_a_bad_robot_is_refused_with_words_that_help(tmp_path, case):
 
 def test_what_is_no_robot_is_refused(tmp_path):
     (tmp_path / "no.usda").write_text("nothing")
-    with pytest.raises(SceneError, match="not a readable USD file"):
+    with pytest.raises(SceneError, match="cannot be read as USD"):
         read_usd(tmp_path / "no.usda")
     with pytest.raises(SceneError, match="no such file"):
         read_usd(tmp_path / "none.usda")

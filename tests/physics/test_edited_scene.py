@@ -448,7 +448,7 @@ def test_what_cannot_be_saved_is_said_and_nothing_is_left_behind(scene, tmp_path
 
 def test_a_link_lighter_than_its_tool_is_refused(scene):
     links = (*scene.robot.links[:-1], replace(scene.robot.links[-1], mass=0.01))
-    with pytest.raises(SceneError, match=r"a link of 0\.01 kg"):
+    with pytest.raises(SceneError, match=r"the link has a mass of 0\.01 kg"):
         build_model(replace(scene, robot=replace(scene.robot, links=links)))
 
 

@@ -269,9 +269,9 @@ MISTAKES = {
         "too large or not finite",
         "</World/Obstacles/Cube>",
     ),
-    "a joint far away": (far_joint, "frames that are too far away or not finite", "below 1000 m"),
+    "a joint far away": (far_joint, "frames are too far away or not finite", "below 1000 m"),
     "a joint to something else": (to_a_stranger, "which is not a rigid body of the robot", "</World/Object>"),
-    "a joint to nothing": (to_nothing, "a joint that moves nothing", "a link as physics:body1"),
+    "a joint to nothing": (to_nothing, "the joint moves nothing", "a link as physics:body1"),
     "a base of two parts": (welded_base, "welded to the robot's base", "a base without welded bodies"),
     "a tool on the elbow": (tool_elsewhere, "not on the robot's last link", "/World/Robot/link6"),
     "a tool apart": (tool_outside, "not part of the robot", "a prim below </World/Robot>"),
@@ -288,20 +288,24 @@ MISTAKES = {
     ),
     "a body that is switched off": (
         lambda s: UsdPhysics.RigidBodyAPI(prim(s, "/World/Object")).CreateRigidBodyEnabledAttr(False),
-        "an object that cannot move",
+        "the object cannot move",
         "PhysicsRigidBodyAPI",
     ),
-    "a crooked table": (crooked_table, "without a flat top at z = 0", "a Cube with CollisionAPI"),
-    "a table that moves": (add("/World/Table", "PhysicsRigidBodyAPI"), "a rigid body in the table", "static shapes"),
-    "a link of no size": (put(f"{ROBOT}/link2/collider0", "radius", 0.0), "radius is 0", "more than zero"),
-    "no speed": (put(f"{ROBOT}/joints/joint2", "newton:velocityLimit", 0.0), "and 0 rad/s", "more than zero"),
-    "no task": (drop("/World", "OimppiTaskAPI"), "no task", "apply OimppiTaskAPI"),
-    "no robot": (without(ROBOT), "no robot", "OimppiRobotAPI"),
-    "two robots": (second_robot, "2 robots", "</World/Robot2>"),
-    "no object": (drop("/World/Object", "OimppiObjectAPI"), "no object", "OimppiObjectAPI"),
-    "two objects": (add("/World/Obstacles/Cube", "OimppiObjectAPI"), "2 objects", "keep one"),
-    "no table": (without("/World/Table"), "no table", "OimppiTableAPI"),
-    "no tool": (drop(TIP, "OimppiToolAPI"), "no tool", "tip of the robot's stick"),
+    "a crooked table": (crooked_table, "has no flat top at z = 0", "a Cube with CollisionAPI"),
+    "a table that moves": (
+        add("/World/Table", "PhysicsRigidBodyAPI"),
+        "the table contains a rigid body",
+        "static shapes",
+    ),
+    "a link of no size": (put(f"{ROBOT}/link2/collider0", "radius", 0.0), "radius is 0 m", "more than zero"),
+    "no speed": (put(f"{ROBOT}/joints/joint2", "newton:velocityLimit", 0.0), "is 0 deg/s", "more than zero"),
+    "no task": (drop("/World", "OimppiTaskAPI"), "the scene has no task", "apply OimppiTaskAPI"),
+    "no robot": (without(ROBOT), "the scene has no robot", "OimppiRobotAPI"),
+    "two robots": (second_robot, "the scene has 2 robots", "</World/Robot2>"),
+    "no object": (drop("/World/Object", "OimppiObjectAPI"), "the scene has no object", "OimppiObjectAPI"),
+    "two objects": (add("/World/Obstacles/Cube", "OimppiObjectAPI"), "the scene has 2 objects", "on one of them"),
+    "no table": (without("/World/Table"), "the scene has no table", "OimppiTableAPI"),
+    "no tool": (drop(TIP, "OimppiToolAPI"), "the scene has no tool", "tip of the robot's stick"),
     "no goal": (block("/World", "oimppi:goal"), "oimppi:goal is missing", "(x [m], y [m], yaw [rad])"),
     "an infinite goal": (goal_to(math.inf, 0, 0), "not finite", "</World>"),
     "a goal that is not a number": (goal_to(math.nan, 0, 0), "oimppi:goal", "nan"),
@@ -316,7 +320,7 @@ MISTAKES = {
         "-3.927 to 0.192 rad",
     ),
     "a stick without a radius": (put(TIP, "oimppi:radius", 0.0), "oimppi:radius is 0", "more than zero"),
-    "no articulation": (drop(ROBOT, "PhysicsArticulationRootAPI"), "without an articulation", "apply"),
+    "no articulation": (drop(ROBOT, "PhysicsArticulationRootAPI"), "no articulation root", "apply"),
     "a loose base": (without(f"{ROBOT}/joints/mount"), "not fixed to the world", "PhysicsFixedJoint"),
     "a base elsewhere": (move_robot, "base is at [0.1, 0.0, 0.0]", "world's origin"),
     "a ball joint": (joint_of_type("PhysicsSphericalJoint"), "PhysicsSphericalJoint", "or PhysicsPrismaticJoint"),
@@ -324,50 +328,73 @@ MISTAKES = {
     "a joint about x": (put(f"{ROBOT}/joints/joint2", "physics:axis", "X"), "about its X axis", "physics:axis = Z"),
     "a shifted joint": (
         put(f"{ROBOT}/joints/joint2", "physics:localPos1", Gf.Vec3f(0, 0, 0.1)),
-        "differs from that of the link it moves",
+        "differs from that of the link that it moves",
         "physics:localPos1 = 0",
     ),
-    "crossed limits": (put(f"{ROBOT}/joints/joint2", "physics:lowerLimit", 200.0), "limits of", "below the upper one"),
+    "crossed limits": (
+        put(f"{ROBOT}/joints/joint2", "physics:lowerLimit", 200.0),
+        "the lower limit (200 deg) is not below the upper limit (120 deg)",
+        "physics:upperLimit, in degrees",
+    ),
     "a branching arm": (branch, "the arm branches", "a serial arm"),
     "an arm that closes a loop": (loop, "two parent joints", "</World/Robot/link6>"),
-    "a link without mass": (drop(f"{ROBOT}/link3", "PhysicsMassAPI"), "without a mass", "physics:mass"),
-    "an object without mass": (drop("/World/Object", "PhysicsMassAPI"), "without a mass", "physics:mass"),
-    "a negative mass": (put("/World/Object", "physics:mass", -1.0), "a mass of -1 kg", "more than zero"),
-    "an object without collider": (without("/World/Object/shape"), "without a collider", "PhysicsCollisionAPI"),
+    "a link without mass": (drop(f"{ROBOT}/link3", "PhysicsMassAPI"), "the body has no mass", "physics:mass"),
+    "an object without mass": (drop("/World/Object", "PhysicsMassAPI"), "the body has no mass", "physics:mass"),
+    "a negative mass": (put("/World/Object", "physics:mass", -1.0), "the mass is -1 kg", "a finite mass above zero"),
+    "an object without collider": (without("/World/Object/shape"), "the object has no collider", "PhysicsCollisionAPI"),
     "an object that cannot move": (drop("/World/Object", "PhysicsRigidBodyAPI"), "cannot move", "PhysicsRigidBodyAPI"),
-    "an object without friction": (no_friction, "without friction", "physics:dynamicFriction"),
+    "an object without friction": (no_friction, "has no friction", "physics:dynamicFriction"),
     "negative friction": (
         lambda s: UsdPhysics.MaterialAPI(prim(s, "/World/Object/Material")).GetDynamicFrictionAttr().Set(-0.5),
         "physics:dynamicFriction is -0.5",
         "zero or more",
     ),
-    "a negative size": (put("/World/Obstacles/Cube", "size", -1.0), "size is -1", "more than zero"),
+    "a negative size": (put("/World/Obstacles/Cube", "size", -1.0), "size is -1 m", "more than zero"),
     "a floating object": (object_to(0.3, -0.45, 0.055), "30.0 mm above the table", "set its z to 0.025 m"),
     "a sunken object": (object_to(0.3, -0.45, 0.02), "5.0 mm inside the table", "set its z to 0.025 m"),
     "a tilted object": (tilt_object, "does not lie flat", "about z only"),
-    "a scaled link": (scaled(f"{ROBOT}/link3", 2, 2, 2), "the scale (2, 2, 2)", "scale its shapes"),
+    "a scaled link": (scaled(f"{ROBOT}/link3", 2, 2, 2), "is scaled by (2, 2, 2)", "scale its shapes"),
+    "a mirrored link": (scaled(f"{ROBOT}/link3", -1, 1, 1), "is scaled by (1, 1, 1) and mirrored", "scale its shapes"),
+    "a joint that is slowed": (
+        typed(f"{ROBOT}/joints/joint2", "newton:damping", Sdf.ValueTypeNames.Float, -0.1),
+        "newton:damping is -0.1 N m s/deg",
+        "a finite number, zero or more [N m s/deg]",
+    ),
+    "a friction in words": (
+        typed(f"{ROBOT}/joints/joint2", "newton:friction", Sdf.ValueTypeNames.String, "0.1"),
+        "newton:friction is '0.1'",
+        "e.g. float newton:friction = 0.1",
+    ),
     "a mirrored object": (scaled("/World/Object", 1, 1, -1), "mirrored", "scale its shapes"),
     "an object scaled to nothing": (scaled("/World/Object", 1, 1, 0), "scaled to zero", "along its own axes"),
-    "an empty obstacle": (drop("/World/Obstacles/Cube", "PhysicsCollisionAPI"), "obstacle without a collider", "Cube"),
-    "a moving obstacle": (add("/World/Obstacles/Cube", "PhysicsRigidBodyAPI"), "rigid body in the obstacle", "static"),
+    "an empty obstacle": (drop("/World/Obstacles/Cube", "PhysicsCollisionAPI"), "the obstacle has no collider", "Cube"),
+    "a moving obstacle": (
+        add("/World/Obstacles/Cube", "PhysicsRigidBodyAPI"),
+        "the obstacle contains a rigid body",
+        "static",
+    ),
     "something without a role": (loose_ball, "no role in the task", "</World/Ball>"),
-    "a hollow mesh": (collider(hollow_mesh), "physics:approximation = none", "allowed: convexHull"),
-    "a mesh to be cut": (collider(cut_mesh), "physics:approximation = convexDecomposition", "oimppi scene import"),
-    "a mesh with a hole": (collider(hull_with((0, 1, 7))), "refer to points that do not exist", "a closed surface"),
-    "a mesh of lines": (collider(hull_with((0, 1), 2)), "refer to points that do not exist", "3 or more"),
+    "a hollow mesh": (collider(hollow_mesh), "is none, but the mesh is not a closed convex surface", "convexHull"),
+    "a mesh to be cut": (collider(cut_mesh), "physics:approximation is convexDecomposition", "oimppi scene import"),
+    "a mesh with a hole": (
+        collider(hull_with((0, 1, 7))),
+        "refer to points that do not exist",
+        "below the number of points",
+    ),
+    "a mesh of lines": (collider(hull_with((0, 1), 2)), "have fewer than 3 corners", "3 or more"),
     "a mesh at infinity": (
         collider(far_mesh),
         "points that are too far away or not finite",
         "allowed: finite coordinates below",
     ),
-    "a flat mesh": (collider(flat_hull), "without volume (4 points)", "a solid shape"),
-    "a cone": (collider(UsdGeom.Cone.Define), "collider of type Cone", "allowed: Cube, Sphere"),
+    "a flat mesh": (collider(flat_hull), "the 4 points of the mesh span no volume", "a solid shape"),
+    "a cone": (collider(UsdGeom.Cone.Define), "the collider's type is Cone", "allowed: Cube, Sphere"),
     "an ellipsoid": (collider(uneven_sphere), "a non-uniform scale", "the same scale"),
     "a mirrored box": (collider(mirrored_box), "zero or negative", "a positive scale"),
     "a sheared box": (collider(sheared_box), "sheared", "along its own axes"),
     "a table that is not flat": (
         put("/World/Table", "xformOp:translate", Gf.Vec3d(0.375, 0, 0)),
-        "without a flat top at z = 0",
+        "has no flat top at z = 0; its level tops are at 0.02 m",
         "aligned with the world's axes",
     ),
 }
@@ -396,3 +423,27 @@ def walls(stage: Usd.Stage) -> None:
         cube.AddScaleOp().Set(Gf.Vec3f(1.0, 0.02, 0.1))
         UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
         cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+
+
+def vast(stage: Usd.Stage) -> None:
+    """A gantry and a table of 80 m, for the point robot."""
+    for name in ("joint1", "joint2"):
+        joint = UsdPhysics.PrismaticJoint(prim(stage, f"{ROBOT}/joints/{name}"))
+        joint.GetLowerLimitAttr().Set(-40.0)
+        joint.GetUpperLimitAttr().Set(40.0)
+    put("/World/Table", "xformOp:scale", Gf.Vec3d(80.0, 80.0, 0.04))(stage)
+
+
+def barrier(gap: float):
+    """A wall across the table of task01, with one gap of this width."""
+
+    def change(stage: Usd.Stage) -> None:
+        for name, left, right in (("A", -0.25, -0.05), ("B", 0.05, 0.44), ("C", 0.44 + gap, 1.0)):
+            cube = UsdGeom.Cube.Define(stage, f"/World/Obstacles/{name}")
+            cube.CreateSizeAttr(1.0)
+            cube.AddTranslateOp().Set(Gf.Vec3d((left + right) / 2, -0.02, 0.05))
+            cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(right - left, 0.14, 0.1))
+            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+            cube.GetPrim().AddAppliedSchema("OimppiObstacleAPI")
+
+    return change

@@ -35,11 +35,11 @@ double, double2 = Sdf.ValueTypeNames.Double, Sdf.ValueTypeNames.Double2
 LINT_CASES = {
     "a misspelt attribute": (
         author("/World", "oimppi:tolerence", double2, Gf.Vec2d(0.1)),
-        ("/World", "an unknown attribute: oimppi:tolerence", "did you mean oimppi:tolerance?"),
+        ("/World", "the attribute oimppi:tolerence is unknown", "did you mean oimppi:tolerance?"),
     ),
     "a misspelt namespace": (
         author("/World", "oimpi:goal", double2, Gf.Vec2d(0.1)),
-        ("/World", "an unknown attribute: oimpi:goal", "did you mean oimppi:goal?"),
+        ("/World", "the attribute oimpi:goal is unknown", "did you mean oimppi:goal?"),
     ),
     "an attribute in the wrong place": (
         author(OBJECT, "oimppi:goal", double2, Gf.Vec2d(0.1)),
@@ -47,11 +47,11 @@ LINT_CASES = {
     ),
     "a misspelt schema": (
         add("/World/Table", "OimppiObstackleAPI"),
-        ("/World/Table", "an unknown API schema: OimppiObstackleAPI", "did you mean OimppiObstacleAPI?"),
+        ("/World/Table", "the API schema OimppiObstackleAPI is unknown", "did you mean OimppiObstacleAPI?"),
     ),
     "a prim that moves in time": (
         timed,
-        (CUBE, "xformOp:translate with time samples, which are ignored", "default value"),
+        (CUBE, "time samples are ignored: xformOp:translate", "default value"),
     ),
     "a texture that is not there": (
         texture("./wood.png"),

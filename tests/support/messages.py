@@ -1,8 +1,8 @@
-"""The manual's list of what is said about scenes: made from the scenes of the tests, so that it is never out of date.
+"""The manual's list of messages about scenes, made from the scenes of the tests so that it is never out of date.
 
     PYTHONPATH=tests python -m support.messages
 
-writes `docs/scene-check.md` anew below its heading "All messages".
+rewrites `docs/scene-check.md` below its heading "Messages".
 """
 
 from __future__ import annotations
@@ -12,15 +12,31 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from support.bad_scenes import IMPOSSIBLE, MISTAKES, walls
-from support.lint_cases import LINT_CASES
+from pxr import Gf
+from support.bad_scenes import IMPOSSIBLE, MISTAKES, barrier, put, vast, walls
+from support.lint_cases import LINT_CASES, several
 from support.variants import variant
 
 from oimppi_warp.authoring.checks.check import check_scene
 
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "scene-check.md"
 
-HEADING = "## All messages\n"
+HEADING = "## Messages\n"
+
+_ABOUT = """\
+The tables show most messages, each for one faulty scene; the warnings about listed starts, which are worded like the
+errors about the start, are left out. Numbers and prims are examples. Lengths and masses are in metres and kilograms,
+whatever the units of the stage."""
+
+_FURTHER_ERRORS = [(vast, "point01", "the arm reaches")]
+
+_FURTHER_WARNINGS = [
+    (lambda stage: None, "lab01", "a push may tip the object over"),
+    (several(put("/World", "oimppi:spread", Gf.Vec2d(0.0)), put("/World", "oimppi:starts", [])), "task02", "every run"),
+    (barrier(0.12), "task01", "no free path"),
+    (barrier(0.162), "task01", "the path to the goal is narrow"),
+]
+"""Changes, the scenes that they are made to, and the beginnings of the messages."""
 
 
 def manual() -> str:
@@ -31,19 +47,20 @@ def manual() -> str:
 
 def _tables() -> Iterator[str]:
     yield "<!-- Made by tests/support/messages.py; do not edit by hand. -->\n"
-    yield "Each message is shown for one faulty scene; numbers and prims are examples."
+    yield _ABOUT
     errors = {name: change for name, (change, *_) in {**MISTAKES, **IMPOSSIBLE}.items()} | {"no room": walls}
     warnings = {name: change for name, (change, _) in LINT_CASES.items()}
-    for title, changes in (("Errors", errors), ("Warnings", warnings)):
+    for title, changes, further in (("Errors", errors, _FURTHER_ERRORS), ("Warnings", warnings, _FURTHER_WARNINGS)):
         yield f"\n### {title}\n"
         yield "| found | at | allowed | to do |\n|---|---|---|---|"
-        rows = [_row(change) for change in changes.values()]
+        rows = [*(_row(change) for change in changes.values()), *(_row(*each) for each in further)]
         yield from dict.fromkeys(rows)
 
 
-def _row(change) -> str:
+def _row(change, scene: str = "task02", begins: str = "") -> str:
     with tempfile.TemporaryDirectory() as folder:
-        problem = check_scene(variant(Path(folder), change))[0]
+        problems = check_scene(variant(Path(folder), change, scene))
+        problem = next(problem for problem in problems if problem.what.startswith(begins))
         cells = [problem.what, f"`{problem.prim}`" if problem.prim else "", problem.allowed, problem.fix]
         return "| " + " | ".join(_plain(cell, folder) for cell in cells) + " |"
 

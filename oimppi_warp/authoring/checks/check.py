@@ -30,7 +30,7 @@ MAX_NODES = 2e8
 
 
 def check_scene(scene: str | Path) -> tuple[Problem, ...]:
-    """Return every problem of a scene, errors first, then warnings.
+    """Returns every problem of a scene, errors first, then warnings.
 
     Args:
         scene: A USD file, or the name of a shipped scene.
@@ -81,7 +81,7 @@ def _too_large(scene: Scene) -> Iterator[SceneError]:
             f"the arm reaches {size[0]:.3g} x {size[1]:.3g} m of the table",
             file=scene.file,
             prim=scene.table.path,
-            allowed=f"at most {MAX_NODES:.0e} nodes in the phi_2 grid, at {YAW_NODES} nodes per square centimetre",
+            allowed=f"at most {MAX_NODES / YAW_NODES * STEP**2:.0f} m^2, for the planner's grid to fit in memory",
             fix="reduce the size of the table, or the arm's links or limits",
         )
 

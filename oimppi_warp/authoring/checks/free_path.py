@@ -34,10 +34,10 @@ class Bottleneck:
     """The narrowest point of the widest path to the goal.
 
     Attributes:
-        clearance: Free space left around the object there; negative if it does not fit [m].
+        clearance: Free space left around the object there [m]; negative if the object does not fit.
         pose: Pose of the object there.
-        neighbors: Names of the things that it passes between there, at most two.
-        gap: Distance between the two [m]; ``None`` if there is only one.
+        neighbors: Names of the one or two things nearest to the object there.
+        gap: Distance between these two [m]; ``None`` if there is only one.
     """
 
     clearance: float
@@ -50,7 +50,7 @@ class FreePaths:
     """Searches paths to a scene's goal on the grid of phi_2.
 
     Args:
-        scene: The task; neither its start nor its goal overlaps anything.
+        scene: The task; at its start and its goal, the object must overlap nothing.
         geometry: Its distance fields.
     """
 
@@ -130,7 +130,7 @@ class FreePaths:
         return nodes[path]
 
     def neighbors(self, pose: PlanarPose) -> tuple[tuple[str, ...], float | None]:
-        """Returns the one or two things nearest to the object at a pose, and the distance between them."""
+        """Returns the names of the one or two things nearest to the object at a pose, and their distance apart [m]."""
         shape = object_outline(self._scene, pose)
         table = shapely.box(*self._scene.table.lower, *self._scene.table.upper)
         outlines = [(f"{noun} <{path}>", outline) for noun, path, outline in fixed_outlines(self._scene)]

@@ -22,7 +22,7 @@ _POINTS = 100.0
 
 
 def glyph_outline(character: str, font: str, cap: float) -> BaseGeometry:
-    """Return the outline of a character, with its baseline at y = 0 [m].
+    """Returns the outline of a character, with its baseline at y = 0 [m].
 
     Args:
         character: One character.

@@ -41,7 +41,7 @@ def letter(
     font: str | None = None,
     color: Color = BLUE,
 ) -> FlatObject:
-    """Create a letter that lies on the table.
+    """Creates a letter that lies on the table.
 
     Args:
         letter: One of A to Z; with a font, any character of that font.
@@ -84,7 +84,7 @@ def word(
     font: str | None = None,
     color: Color = BLUE,
 ) -> FlatObject:
-    """Create a word as one rigid object, its letters joined by a bar below them.
+    """Creates a word as one rigid object, its letters joined by a bar below them.
 
     Args:
         text: Letters and spaces; with a font, any characters of that font.

@@ -66,7 +66,7 @@ class Fit:
 
 
 def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
-    """Cut a closed surface into convex pieces with CoACD (Wei et al., 2022).
+    """Cuts a closed surface into convex pieces with CoACD (Wei et al., 2022).
 
     The decomposition is refined until the pieces are :data:`CLOSE_ENOUGH` to the mesh or number :data:`PIECES`.
 

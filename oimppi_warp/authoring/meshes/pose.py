@@ -22,7 +22,7 @@ _ALIKE = 0.9  # poses with at least this share of the best one's probability cou
 
 
 def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
-    """Lay a mesh on the table: its centre of mass above the origin, z = 0 at half its height.
+    """Lays a mesh on the table: its centre of mass above the origin, z = 0 at half its height.
 
     The most stable pose is the one in which it would most often come to rest if dropped (trimesh, after Goldberg et
     al., 1999); among similar poses, the one that needs the smallest rotation is chosen. Long sides are aligned with the
@@ -30,7 +30,7 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
 
     Args:
         mesh: A closed surface [m]; it is moved.
-        how: In its most stable pose, or with its z axis up, as modelled.
+        how: ``"stable"`` for its most stable pose, ``"as-is"`` to keep its z axis up, as it was modelled.
         file: Source file, for error messages.
 
     Returns:
@@ -49,7 +49,7 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
         done += f", tilted by {tilt:.0f} degrees" if tilt > 1.0 else ", as it was modelled"
     elif not _is_stable(mesh):
         raise SceneError(
-            "it would fall over in this pose: its centre of mass is not above its support area",
+            "the object would fall over in this pose: its centre of mass is not above its support area",
             file=file,
             allowed="a pose in which it can stand",
             fix="lay it in its most stable pose (--lay stable), or rotate it in your modelling program",

@@ -28,6 +28,11 @@ FILLED = 0.15
 FACES = 200_000
 """Maximum number of triangles of a mesh."""
 
+_MAKE_SOLID = (
+    "make it a closed solid in your modelling program: in Blender, enable 3D Print Toolbox, then Clean Up > Make "
+    "Manifold"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -45,7 +50,7 @@ class Surface:
 
 
 def read_surface(file: str | Path, scale: str | None = None) -> Surface:
-    """Read a mesh, scale it to metres, and close it.
+    """Reads a mesh, scales it to metres, and closes it.
 
     Args:
         file: The mesh; if it holds several meshes, they are merged.
@@ -54,7 +59,7 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
     Raises:
         ConfigError: The unit is unknown.
         SceneError: The file is not a mesh, has no volume, is of a size that the arm cannot push, has too many parts, or
-            is open and cannot be closed.
+            is open and cannot be closed, or has only one side.
     """
     file = Path(file).expanduser()
     if scale is not None and scale not in UNITS:
@@ -88,12 +93,14 @@ def _read(file: Path) -> trimesh.Trimesh:
         raise SceneError("there is no such file", file=file, allowed=f"a mesh: {formats}")
     if file.suffix.lower() not in MESHES:
         fix = "export the part as STL from your modelling program"
-        raise SceneError(f"{file.suffix or 'no extension'}: not a mesh format", file=file, allowed=formats, fix=fix)
+        raise SceneError(
+            f"the extension ({file.suffix or 'none'}) is not that of a mesh", file=file, allowed=formats, fix=fix
+        )
     try:
         mesh = trimesh.load_scene(str(file)).to_mesh()
     except Exception as error:  # readers of a dozen formats raise many kinds of exceptions
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SceneError(f"not a readable mesh ({reason})", file=file, allowed=formats) from None
+        raise SceneError(f"the mesh cannot be read ({reason})", file=file, allowed=formats) from None
     if file.suffix.lower() in (".glb", ".gltf"):  # y is up in glTF
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
@@ -121,7 +128,7 @@ def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
     taken = f"with --scale {scale}" if scale else "read in metres"
     would = ", ".join(f"--scale {unit} makes it {longest * UNITS[unit]:.3g} m long" for unit in fitting)
     raise SceneError(
-        f"too {'large' if in_meters > high else 'small'} for the arm: {size} m, {taken}",
+        f"the mesh is too {'large' if in_meters > high else 'small'} for the arm: {size} m, {taken}",
         file=file,
         allowed=f"{low:g} to {high:g} m for the longest side",
         fix=f"the mesh is probably in another unit: {would}" if would else "scale the part; no unit makes it fit",
@@ -157,11 +164,18 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
         missing = (
             f"{_count_text(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of the surface"
         )
-        if not mesh.is_watertight or not mesh.is_winding_consistent:
+        if not mesh.is_watertight:
             raise _open_error(file, f"the surface is open ({_count_text(holes, 'hole')}) and could not be closed")
         if share > FILLED:
             raise _open_error(file, f"too much of the surface is missing: {missing}")
         notes.append(f"closed {missing}")
+    if not mesh.is_winding_consistent:
+        raise SceneError(
+            "the faces cannot be oriented consistently",
+            file=file,
+            allowed="a surface with an inside and an outside",
+            fix=_MAKE_SOLID,
+        )
     trimesh.repair.fix_inversion(mesh, multibody=mesh.body_count > 1)
     return notes
 
@@ -178,7 +192,7 @@ def _open_error(file: Path, what: str) -> SceneError:
         what,
         file=file,
         allowed=f"a closed surface, or one with up to {100 * FILLED:.0f} % of its area missing",
-        fix="make it a closed solid in your modelling program: in Blender, `3D Print > Make Manifold`",
+        fix=_MAKE_SOLID,
     )
 
 

@@ -36,17 +36,17 @@ DISPLAY_FACES = 20_000
 
 @dataclass(frozen=True, eq=False)
 class MeshObject:
-    """An object made from a mesh; its frame is vertically above the centre of mass, at half the object's height.
+    """An object made from a mesh; its frame's origin is at half its height, on the vertical through the centre of mass.
 
     Attributes:
         name: Name of the object and of its file.
-        about: Its size and origin.
+        about: Its size, and the file that it was made from.
         hulls: Convex pieces in the object's frame: corners [n, 3] [m] and triangles [m, 3] each.
         surface: Display surface in the same form; empty: the pieces are displayed.
         mass: Mass [kg].
         friction: Coulomb coefficient with the table.
         center: Centre of mass, shape [3] [m].
-        inertia: About the centre of mass, shape [3, 3] [kg m^2].
+        inertia: Inertia about the centre of mass, in the object's axes, shape [3, 3] [kg m^2].
         fit: How closely the pieces match the mesh.
         notes: Changes made to the mesh, one line each.
         color: Red, green and blue.
@@ -66,32 +66,32 @@ class MeshObject:
 
     @property
     def doc(self) -> str:
-        """Description of the object."""
+        """Returns the description of the object."""
         return f"{self.name}: {self.about}"
 
     @property
     def prim(self) -> str:
-        """Name of the object's prim."""
+        """Returns the name of the object's prim."""
         title = "".join(part.title() for part in self.name.split("_"))
         return title if title[0].isalpha() else f"Object{title}"
 
     @property
     def rest_height(self) -> float:
-        """Height of the object's frame when it lies on the table [m]."""
+        """Returns the height of the object's frame when it lies on the table [m]."""
         return round(-min(float(corners[:, 2].min()) for corners, _ in self.hulls), 6)
 
     @property
     def yaw_matters(self) -> bool:
-        """True if the object's yaw is visible."""
+        """Returns whether the object's yaw is visible."""
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the object's display geometry below ``root``."""
+        """Writes the object's display geometry below ``root``."""
         for number, (corners, triangles) in enumerate(self.surface or self.hulls):
             mesh(stage, f"{root}/surface{number}", corners, triangles.tolist(), look)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object's file, with ``note`` appended to its documentation."""
+        """Writes the object's file, with ``note`` appended to its documentation."""
         stage = new_stage(file, self.prim, ". ".join(filter(None, (self.doc, *self.notes, note))))
         root = stage.GetDefaultPrim()
         material = physics_material(stage, f"/{self.prim}/Material", self.friction)
@@ -115,7 +115,7 @@ def import_mesh(
     lay: Lay = "stable",
     color: Color = STEEL,
 ) -> MeshObject:
-    """Import a mesh as an object: close it, lay it on the table and cut it into convex pieces.
+    """Imports a mesh as an object: closes it, lays it on the table and cuts it into convex pieces.
 
     Args:
         file: STL, OBJ, GLB, PLY or OFF; its whole content becomes one object.
@@ -138,7 +138,7 @@ def import_mesh(
     height = float(surface.extents[2])
     if height < LOWEST:
         raise SceneError(
-            f"too flat for the stick: {1000 * height:.1f} mm high in this pose",
+            f"the object is too flat for the stick: {1000 * height:.1f} mm high in this pose",
             file=file,
             allowed=f"{1000 * LOWEST:.0f} mm or more",
             fix="make the part thicker, or stand it up in your modelling program and use --lay as-is",
@@ -173,6 +173,6 @@ def plain_name(text: str) -> str:
     name = "_".join(part for part in "".join(c if c.isascii() and c.isalnum() else " " for c in text).split()).lower()
     if not name:
         raise SceneError(
-            f"{text!r}: not a valid object name", allowed="letters, digits and underscores", fix="use --name"
+            f"{text!r} is not a valid object name", allowed="letters, digits and underscores", fix="use --name"
         )
     return name

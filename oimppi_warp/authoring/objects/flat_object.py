@@ -35,7 +35,7 @@ class Box:
     size: Point
 
     def polygon(self) -> np.ndarray:
-        """Returns the corners, counter-clockwise."""
+        """Returns the corners, counter-clockwise, shape [4, 2] [m]."""
         half = np.array(self.size) / 2
         return np.array(self.center) + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
@@ -67,19 +67,19 @@ class Pushable(Protocol):
     def color(self) -> Color: ...  # noqa: D102
     @property
     def rest_height(self) -> float:
-        """Height of the object's frame when it lies on the table [m]."""
+        """Returns the height of the object's frame when it lies on the table [m]."""
         ...
 
     @property
     def yaw_matters(self) -> bool:
-        """True if the object's yaw is visible."""
+        """Returns whether the object's yaw is visible."""
         ...
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the object's shape below ``root``."""
+        """Writes the object's shape below the prim ``root`` of a stage, in the look ``look``."""
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object's file."""
+        """Writes the object's file, with ``note`` appended to its documentation."""
 
 
 @dataclass(frozen=True)
@@ -108,16 +108,16 @@ class FlatObject:
 
     @property
     def rest_height(self) -> float:
-        """Height of the object's frame when it lies on the table [m]."""
+        """Returns the height of the object's frame when it lies on the table [m]."""
         return self.height / 2
 
     @property
     def yaw_matters(self) -> bool:
-        """True if the object's yaw is visible, which a disc's is not."""
+        """Returns whether the object's yaw is visible, which a disc's is not."""
         return not all(isinstance(piece, Disc) for piece in self.pieces)
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the pieces below ``root``."""
+        """Writes the pieces below the prim ``root`` of a stage, in the look ``look``."""
         for number, piece in enumerate(self.pieces):
             path = f"{root}/piece{number}"
             if isinstance(piece, Box):
@@ -128,7 +128,7 @@ class FlatObject:
                 prism(stage, path, piece, self.height, look)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object's file, with ``note`` appended to its documentation."""
+        """Writes the object's file, with ``note`` appended to its documentation."""
         stage = new_stage(file, self.prim, ". ".join(filter(None, (self.doc, note))))
         root = stage.GetDefaultPrim()
         material = physics_material(stage, f"/{self.prim}/Material", self.friction)

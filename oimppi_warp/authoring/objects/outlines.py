@@ -32,7 +32,12 @@ WOOD: Color = (0.72, 0.45, 0.2)
 def box(
     length: float, width: float, height: float, *, mass: float | None = None, friction: float = FRICTION
 ) -> FlatObject:
-    """Create a box with these side lengths along x, y and z [m].
+    """Creates a box.
+
+    Args:
+        length, width, height: Side lengths along x, y and z [m].
+        mass: Mass [kg]; ``None``: computed from the density of wood.
+        friction: Coulomb coefficient with the table.
 
     Raises:
         ConfigError: A length, the mass or the friction is invalid.
@@ -45,7 +50,12 @@ def box(
 
 
 def cylinder(radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION) -> FlatObject:
-    """Create an upright cylinder; lengths in [m].
+    """Creates an upright cylinder.
+
+    Args:
+        radius, height: Its dimensions [m].
+        mass: Mass [kg]; ``None``: computed from the density of wood.
+        friction: Coulomb coefficient with the table.
 
     Raises:
         ConfigError: A length, the mass or the friction is invalid.
@@ -60,7 +70,7 @@ def cylinder(radius: float, height: float, *, mass: float | None = None, frictio
 def regular_prism(
     sides: float, radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION
 ) -> FlatObject:
-    """Create an upright prism over a regular polygon, with one of its sides facing -y.
+    """Creates an upright prism over a regular polygon, with one of its sides facing -y.
 
     Args:
         sides: Number of the polygon's sides.
@@ -96,7 +106,7 @@ def extrusion(
     friction: float = FRICTION,
     color: Color = WOOD,
 ) -> FlatObject:
-    """Extrude an outline, which may have holes, to a given thickness.
+    """Extrudes an outline, which may have holes, to a given thickness.
 
     Args:
         name, prim, doc: Name of the object's file, name of its prim, and description.
@@ -116,7 +126,11 @@ def extrusion(
 
 
 def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
-    """Check that lengths are neither too small for the tool nor too large for the arm, and return them.
+    """Returns side lengths, if they are neither too small for the tool nor too large for the arm (:data:`SIDES`).
+
+    Args:
+        what: Name of the object, for the error.
+        *lengths: The side lengths [m].
 
     Raises:
         ConfigError: A length is out of range.
@@ -131,10 +145,14 @@ def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
 
 
 def checked_mass(mass: float | None, volume: float) -> float:
-    """Return a valid mass [kg], by default that of wood of this volume [m^3].
+    """Returns the mass of an object [kg].
+
+    Args:
+        mass: The requested mass [kg]; ``None``: that of ``volume`` of wood (:data:`DENSITY`), at least 0.01 kg.
+        volume: Volume of the object [m^3].
 
     Raises:
-        ConfigError: The mass is invalid.
+        ConfigError: The requested mass is not 0.001 to 20 kg.
     """
     if mass is None:
         return max(round(DENSITY * volume, 2), 0.01)
@@ -144,10 +162,10 @@ def checked_mass(mass: float | None, volume: float) -> float:
 
 
 def checked_friction(friction: float) -> float:
-    """Check a Coulomb coefficient and return it.
+    """Returns a Coulomb coefficient, if it is above 0 and at most 2.
 
     Raises:
-        ConfigError: The coefficient is invalid.
+        ConfigError: It is not.
     """
     if not (math.isfinite(friction) and 0.0 < friction <= 2.0):
         raise ConfigError(f"--friction {friction:g}: out of range\n  allowed: more than 0, up to 2")

@@ -20,7 +20,7 @@ LEAST_AREA = 1e-8
 
 
 def convex_pieces(shape: BaseGeometry) -> tuple[np.ndarray, ...]:
-    """Cut a shape into convex pieces.
+    """Cuts a shape into convex pieces.
 
     It is triangulated (constrained Delaunay), and neighbours whose union is convex are merged again, those with the
     longest common edge first (Hertel and Mehlhorn, 1983: at most four times the minimum number of pieces).

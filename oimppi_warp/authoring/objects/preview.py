@@ -26,7 +26,7 @@ STICK = 0.008
 
 
 def draw_preview(obj: Pushable, body: PushedObject, file: str | Path) -> Path:
-    """Draw an object's convex pieces, footprint, friction centre and limit surface.
+    """Draws an object's convex pieces, footprint, friction centre and limit surface.
 
     Args:
         obj: The object.

@@ -39,7 +39,7 @@ class StoredObject:
         doc: Description.
         colliders: The object's collision shapes in its frame.
         friction: Largest Coulomb coefficient of its materials; 0 without a material: the table's own value is used.
-        mass: Mass assigned to the object [kg]; ``None``: the mass in its file.
+        mass: Mass used because the file gives none [kg]; ``None``: the mass in the file.
         color: Colour of its ghost at the goal.
     """
 
@@ -53,29 +53,32 @@ class StoredObject:
 
     @property
     def rest_height(self) -> float:
-        """Height of the object's frame when it lies on the table [m]."""
+        """Returns the height of the object's frame when it lies on the table [m]."""
         return round(-float(height_range(self.colliders)[0]), 6)
 
     @property
     def yaw_matters(self) -> bool:
-        """True if the object's yaw is visible."""
+        """Returns whether the object's yaw is visible."""
         return True
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Write the hulls of the object's shapes below ``root``."""
+        """Writes the hulls of the object's shapes below ``root``."""
         for number, collider in enumerate(self.colliders):
             hull = collider_mesh(collider)
             mesh(stage, f"{root}/piece{number}", np.asarray(hull.vertices), hull.faces.tolist(), look)
 
     @property
     def is_ready(self) -> bool:
-        """True if a scene can reference the file as it is: in SI units, z up, with a mass and without a transform."""
+        """Returns whether a scene can reference the file as it is: SI units, z up, with a mass, without a transform."""
         stage = SceneStage(self.file)
         root = stage.stage.GetDefaultPrim()
         return stage.stage.GetSessionLayer().empty and _gives_mass(root) and not _operations(root)
 
     def write(self, file: Path, *, note: str = "") -> None:
-        """Write the object as read, in one file that already has its documentation; its textures go beside it."""
+        """Writes the object as it was read to one file, with its textures in a folder beside it.
+
+        ``note`` is not used, since the file has its own documentation.
+        """
         opened = _open(self.file)
         _set_mass(opened, self.mass)
         flat = opened.stage.Flatten(addSourceFileComment=False)
@@ -89,7 +92,7 @@ class StoredObject:
 
 
 def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
-    """Read an object from a USD file: its default prim, with a mass and convex colliders.
+    """Reads an object from a USD file: its default prim, with a mass and convex colliders.
 
     If the file gives no mass, the given one is used, or else one computed from the densities of its shapes.
 
@@ -108,11 +111,11 @@ def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
     frame = stage.body_frame(root)
     if frame.GetRow3(2)[2] < 1.0 - 1e-6:
         fix = "make an Xform the default prim, and rotate the shapes below it"
-        raise stage.error("an object that does not lie flat", root, allowed="rotation about z only", fix=fix)
+        raise stage.error("the object does not lie flat", root, allowed="rotation about z only", fix=fix)
     colliders = read_colliders(stage, root, frame)
     if not colliders:
         fix = "apply PhysicsCollisionAPI to this prim or to a shape below it"
-        raise stage.error("an object without a collider", root, allowed=ALLOWED, fix=fix)
+        raise stage.error("the object has no collider", root, allowed=ALLOWED, fix=fix)
     for prim in collider_prims(root):
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if material and not material.GetPath().HasPrefix(root.GetPath()):
@@ -124,7 +127,7 @@ def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
 
 
 def read_body(file: Path) -> PushedObject:
-    """Read the planner's model of the object in a USD file, with the friction of its own material.
+    """Reads the planner's model of the object in a USD file, with the friction of its own material.
 
     Raises:
         SceneError: The file does not hold a valid object.
@@ -146,7 +149,7 @@ def read_body(file: Path) -> PushedObject:
 
 
 def is_object_file(file: Path) -> bool:
-    """Return whether a file's name has the extension of a USD file."""
+    """Returns whether a file's name has the extension of a USD file."""
     return file.suffix in ENDINGS
 
 
@@ -163,7 +166,7 @@ def _open(file: Path) -> SceneStage:
         raise stage.error("a file without a default prim cannot be referenced", fix=fix)
     if stage.prims_with("OimppiTaskAPI"):
         allowed = "an object: a default prim with PhysicsMassAPI and colliders, as `oimppi scene import` writes them"
-        raise stage.error("a complete scene, not an object", root, allowed=allowed)
+        raise stage.error("this is a complete scene, not an object", root, allowed=allowed)
     apply_api(root, "OimppiObjectAPI")
     align_upright(stage.stage)
     return stage
@@ -198,7 +201,7 @@ def _set_mass(stage: SceneStage, mass: float | None) -> bool:
             density = _density(stage.stage.GetPrimAtPath(collider.path), root)
             if not density > 0.0:
                 fix = "set physics:mass or physics:density with PhysicsMassAPI, or use --mass"
-                raise stage.error("a body without a mass", root, allowed="a mass or a density above zero", fix=fix)
+                raise stage.error("the body has no mass", root, allowed="a mass or a density above zero", fix=fix)
             found += density * _volume(collider)
     if found:
         UsdPhysics.MassAPI.Apply(root).CreateMassAttr(found)

@@ -93,7 +93,7 @@ class Stick:
 
     @property
     def mount(self) -> np.ndarray:
-        """Pose of the stick's base in the last link's frame, shape [7]."""
+        """Returns the pose of the stick's base in the last link's frame, shape [7]."""
         return np.array([*self.position, *self.turn])
 
 
@@ -122,7 +122,7 @@ class Arm:
     look: Look = COLLIDER
 
     def robot(self) -> Robot:
-        """Convert to the planner's representation."""
+        """Converts the arm to the planner's :class:`oimppi_warp.scene.Robot`."""
         root = f"/{self.name}"
         tip = transform_points(self.stick.mount, np.array([0.0, 0.0, self.stick.length]))[0]
         return Robot(
@@ -152,6 +152,6 @@ class Arm:
 
 
 def capsule_between(name: str, a: Vector, b: Vector, radius: float) -> Collider:
-    """Create a capsule from the two ends of its axis [m]."""
+    """Creates a capsule from the two ends of its axis [m]."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     return Collider(name, "capsule", np.array([*(a + b) / 2, *z_to(b - a)]), (radius, float(np.linalg.norm(b - a)) / 2))

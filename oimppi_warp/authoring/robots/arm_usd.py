@@ -39,7 +39,7 @@ FRICTION = 0.3
 
 
 def write(arm: Arm, file: Path, *, skin: str = "") -> None:
-    """Write a robot's file.
+    """Writes a robot's file.
 
     Args:
         arm: The robot.
@@ -69,7 +69,11 @@ def write(arm: Arm, file: Path, *, skin: str = "") -> None:
 
 
 def write_visuals(arm: Arm, file: Path) -> bool:
-    """Write the links' display geometry as a separate layer, the skin of :func:`write`; return whether there is any."""
+    """Writes the links' display geometry to a layer of its own, the skin that :func:`write` refers to.
+
+    Returns:
+        Whether there is any display geometry; if not, no file is written.
+    """
     links = dict(zip(_link_names(arm), (arm.base, *arm.links), strict=True))
     if not any(link.visuals for link in links.values()):
         return False

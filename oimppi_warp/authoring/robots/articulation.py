@@ -53,7 +53,7 @@ class Articulation:
         self._names = {index: name for name, index in bodies.items()}
 
     def arm(self, chain: Chain, *, name: str, doc: str, length: float, radius: float, axis: ToolAxis) -> Arm:
-        """Build the arm for a chain, with a start of all zeros (see :func:`.start_pose.with_start`).
+        """Builds the arm for a chain, with a start of all zeros (see :func:`.start_pose.with_start`).
 
         Args:
             chain: Selects links and joints.
@@ -73,7 +73,7 @@ class Articulation:
         for link, group in zip(links[1:], chain.groups[1:], strict=True):
             if link.mass <= 0.0:
                 what, fix = f"link {group[0][0]} has no mass", "give it a mass and an inertia"
-                raise SceneError(what, file=self._file, allowed="more than zero", fix=fix)
+                raise SceneError(what, file=self._file, allowed="a mass above zero [kg]", fix=fix)
         made = []
         for number, joint in enumerate(joints):
             parent = placed[number][self._names[self._builder.joint_parent[joint]]]
@@ -191,7 +191,7 @@ class Articulation:
 
 
 def matrix_of(transform: object) -> np.ndarray:
-    """Convert a Newton transform (position, quaternion xyzw) to a 4 x 4 matrix."""
+    """Converts a Newton transform (position, quaternion xyzw) to a 4 x 4 matrix."""
     values = np.array(transform, dtype=float).ravel()
     frame = np.eye(4)
     frame[:3, :3] = rotation_matrix(values[3:] / np.linalg.norm(values[3:]))

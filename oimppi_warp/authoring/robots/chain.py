@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -67,7 +68,7 @@ class Chain:
 
 
 def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
-    """Extract the chain from a tree whose edges carry a :class:`TreeJoint` as ``joint``.
+    """Extracts the chain from a tree whose edges carry a :class:`TreeJoint` as ``joint``.
 
     Args:
         tree: Links, with an edge from each parent to each child.
@@ -79,12 +80,12 @@ def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
     """
     base = _base(tree, file)
     if flange and flange not in tree:
-        raise SceneError(f"--flange {flange}: no such link", file=file, allowed=", ".join(tree))
+        raise SceneError(f"--flange {flange}: the robot has no such link", file=file, allowed=", ".join(tree))
     path = _path(tree, base, flange, file)
     moving = [joint for joint in pairwise(path) if _joint(tree, *joint).kind != "fixed"]
     if not moving:
         raise SceneError(
-            "a robot without moving joints", file=file, allowed="a chain of moving joints from base to flange"
+            "the robot has no moving joints", file=file, allowed="a chain of moving joints from base to flange"
         )
     groups = tuple(tuple(_fixed_to(tree, link)) for link in [base, *(child for _, child in moving)])
     joints = [_joint(tree, *ends) for ends in moving]
@@ -107,9 +108,9 @@ def _base(tree: nx.DiGraph, file: Path) -> str:
             raise SceneError(f"link {link} has two parent joints", file=file, allowed="a tree of links")
     bases = [link for link in tree if tree.in_degree(link) == 0]
     if not bases or not nx.is_directed_acyclic_graph(tree):
-        raise SceneError("links that form a loop, or no links at all", file=file, allowed="a tree of links")
+        raise SceneError("the links form a loop, or there are none", file=file, allowed="a tree of links")
     if len(bases) > 1:
-        what = f"{len(bases)} links without a parent: {', '.join(bases)}"
+        what = f"{len(bases)} links have no parent: {', '.join(bases)}"
         raise SceneError(what, file=file, allowed="one base", fix="connect the others to it, or remove them")
     return bases[0]
 
@@ -151,16 +152,24 @@ def _flange(tree: nx.DiGraph, group: tuple[tuple[str, str], ...]) -> str:
 
 def _checked(joint: TreeJoint, file: Path) -> Limits:
     """Checks that a joint can be driven within its limits, and returns them."""
-    limits, unit = joint.limits, "m" if joint.kind == "slides" else "rad"
+    limits = joint.limits
+    unit, force = ("m", "N") if joint.kind == "slides" else ("rad", "N m")
     if limits is None or (joint.kind == "slides" and not abs(limits.upper - limits.lower) < float("inf")):
         fix = "" if joint.kind == "slides" else "for a joint that turns without limits, use the type continuous"
-        allowed = f"lower and upper in {unit}, effort and velocity"
+        allowed = f"a lower and an upper limit [{unit}]"
         raise SceneError(f"joint {joint.name} has no limits", file=file, allowed=allowed, fix=fix)
     if not limits.lower < limits.upper:
-        what = f"joint {joint.name}: limits of {limits.lower:g} and {limits.upper:g} {unit}"
+        lower, upper = (_angle_or_length(value, unit) for value in (limits.lower, limits.upper))
+        what = f"joint {joint.name}: the lower limit ({lower}) is not below the upper limit ({upper})"
         raise SceneError(what, file=file, allowed="a lower limit below the upper one")
     if not (limits.effort > 0.0 and limits.velocity > 0.0):
-        what = f"joint {joint.name}: effort limit {limits.effort:g} and velocity limit {limits.velocity:g}"
+        effort, velocity = f"{limits.effort:g} {force}", f"{_angle_or_length(limits.velocity, unit)} per second"
+        what = f"joint {joint.name}: the effort limit is {effort} and the velocity limit is {velocity}"
         fix = "set the joint's real limits; if left out, they are unlimited"
-        raise SceneError(what, file=file, allowed="more than zero", fix=fix)
+        raise SceneError(what, file=file, allowed="both more than zero", fix=fix)
     return limits
+
+
+def _angle_or_length(value: float, unit: str) -> str:
+    """Formats a position [rad or m]; an angle in degrees too, as USD files have it."""
+    return f"{value:.4g} rad, {math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.4g} m"

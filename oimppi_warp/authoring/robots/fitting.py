@@ -16,7 +16,7 @@ ROOMY = 1.3
 
 
 def fit_collider(name: str, points: np.ndarray) -> Collider:
-    """Fit a convex collider around points [n, 3] [m]; a fine mesh gets a hull with few vertices.
+    """Fits a convex collider named ``name`` around points [n, 3] [m]; a hull has at most :data:`POINTS` vertices.
 
     Raises:
         ValueError: The points are coplanar.
@@ -24,7 +24,7 @@ def fit_collider(name: str, points: np.ndarray) -> Collider:
     try:
         ConvexHull(points)
     except QhullError:
-        raise ValueError("a mesh without a volume") from None
+        raise ValueError("a collision mesh encloses no volume") from None
     hull = trimesh.convex.convex_hull(points)
     vertices = np.asarray(hull.vertices)
     capsules = [_capsule(name, vertices, axis) for axis in _axes(hull)]

@@ -23,7 +23,7 @@ _GREY = '<material name=""><color rgba="0.855 0.86 0.871 1"/></material>'
 
 
 def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
-    """Read the chain in a URDF, with the properties of its links and joints.
+    """Reads the chain in a URDF, with the properties of its links and joints.
 
     Args:
         file: The URDF.
@@ -63,14 +63,14 @@ def _parse(file: Path) -> ET.Element:
     try:
         root = ET.parse(file).getroot()
     except (ET.ParseError, UnicodeDecodeError, ValueError) as error:
-        raise SceneError(f"not readable XML ({error})", file=file, allowed="a URDF") from None
+        raise SceneError(f"the file cannot be read as XML ({error})", file=file, allowed="a URDF") from None
     if root.tag != "robot":
         raise SceneError(
-            f"its root element is <{root.tag}>", file=file, allowed="a URDF, with the root element <robot>"
+            f"the root element is <{root.tag}>", file=file, allowed="a URDF, with the root element <robot>"
         )
     if any("ros.org/wiki/xacro" in str(element.tag) for element in root.iter()):
         fix = f"expand it: xacro {file.name} > {file.name.removesuffix('.xacro').removesuffix('.urdf')}.urdf"
-        raise SceneError("xacro, not URDF", file=file, allowed="a URDF without macros", fix=fix)
+        raise SceneError("the file is xacro, not URDF", file=file, allowed="a URDF without macros", fix=fix)
     return root
 
 
@@ -87,7 +87,7 @@ def _tree(file: Path, root: ET.Element) -> nx.DiGraph:
                     f"joint {name} refers to a missing link {link!r}", file=file, allowed="links of the URDF"
                 )
         if kind not in _KINDS:
-            what = f"joint {name} of type {kind or 'none'}, between {ends[0]} and {ends[1]}"
+            what = f"joint {name} between {ends[0]} and {ends[1]} is of type {kind or 'none'}"
             fix = "the base must be fixed" if kind in ("floating", "planar") else "correct its type"
             raise SceneError(what, file=file, allowed=", ".join(_KINDS), fix=fix)
         follows = joint.find("mimic") is not None
@@ -108,7 +108,7 @@ def _limits(file: Path, joint: ET.Element) -> Limits | None:
         try:
             given[key] = math.inf if text is None else float(text)
         except ValueError:
-            what = f"joint {joint.get('name')}: {key} = {text!r}"
+            what = f"joint {joint.get('name')}: {key} is {text!r}"
             raise SceneError(what, file=file, allowed="a number") from None
     if joint.get("type") == "continuous":
         given["lower"], given["upper"] = -math.inf, math.inf

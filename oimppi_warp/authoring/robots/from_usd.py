@@ -23,7 +23,7 @@ _UNLIMITED = 1e6
 
 
 def read_usd(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
-    """Read the chain in a USD articulation, with the properties of its links and joints, by prim path.
+    """Reads the chain in a USD articulation, with the properties of its links and joints, by prim path.
 
     Args:
         file: The USD file.
@@ -54,7 +54,7 @@ def _check(scene: SceneStage) -> None:
     roots = [prim for prim in scene.prims() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
     if len(roots) != 1:
         fix = "apply PhysicsArticulationRootAPI to one prim"
-        raise scene.error(f"{len(roots)} articulations", allowed="one robot", fix=fix)
+        raise scene.error(f"the file has {len(roots)} articulations", allowed="one robot", fix=fix)
 
 
 def _tree(
@@ -74,7 +74,7 @@ def _tree(
     for path, joint in joints.items():
         parent, child, kind = builder.joint_parent[joint], builder.joint_child[joint], builder.joint_type[joint]
         if kind not in kinds:
-            what = f"a joint of type {newton.JointType(kind).name.lower()}"
+            what = f"the joint is of type {newton.JointType(kind).name.lower()}"
             allowed = "PhysicsRevoluteJoint, PhysicsPrismaticJoint, PhysicsFixedJoint"
             raise SceneError(what, file=file, prim=path, allowed=allowed)
         if parent >= 0:

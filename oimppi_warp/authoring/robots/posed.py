@@ -15,12 +15,12 @@ from oimppi_warp.usd.stage import SceneStage
 
 
 def pose_robot(stage: Usd.Stage, path: str, joints: Sequence[float]) -> None:
-    """Write joint positions as a robot's start, together with the corresponding poses of its links.
+    """Writes joint positions as a robot's start, together with the corresponding poses of its links.
 
     Args:
         stage: The scene, which is saved.
         path: The robot's prim, located at the world's origin.
-        joints: Joint positions, length dof [rad].
+        joints: Joint positions, length dof [rad; m for a sliding joint].
     """
     stage.Save()
     robot = read_robot(SceneStage(Path(stage.GetRootLayer().realPath)))

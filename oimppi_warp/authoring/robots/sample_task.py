@@ -22,7 +22,7 @@ _START, _GOAL = np.array([0.30, -0.45]), np.array([0.50, 0.30])
 
 
 def write_sample_task(robot: Robot, name: str, folder: Path, *, destination: Path) -> Path:
-    """Write the task to a folder whose ``robots`` holds the robot, then read it back and check it.
+    """Writes the task to a folder whose ``robots`` holds the robot, reads it back and checks it.
 
     Args:
         robot: The robot.

@@ -28,7 +28,7 @@ _SPARE = 0.03
 
 
 def with_start(arm: Arm, *, file: object = "") -> Arm:
-    """Return the arm with a start pose, its joint positions rounded for readability.
+    """Returns the arm with a start pose, its joint positions rounded for readability.
 
     Args:
         arm: The arm, at any joint positions.
@@ -99,14 +99,14 @@ def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
 
 
 def is_flat(robot: Robot) -> bool:
-    """Return whether no joint can raise, lower or tilt the tool: all axes are vertical, or slide horizontally."""
+    """Returns whether no joint can raise, lower or tilt the tool: all axes are vertical, or slide horizontally."""
     rotations = link_frames(robot, np.zeros(robot.dof))[0]
     upright = np.abs(rotations[:, 2, 2])
     return bool(np.where(revolute_joints(robot), upright > 1.0 - 1e-6, upright < 1e-6).all())
 
 
 def table_clearance(robot: Robot, joints: np.ndarray) -> float:
-    """Return the height of the lowest point of the moving links, excluding the stick [m]."""
+    """Returns the height of the lowest point of the moving links, excluding the stick [m]."""
     rotations, positions = link_frames(robot, joints)
     lowest = [1.0]
     for link, rotation, position in zip(robot.links, rotations, positions, strict=True):
@@ -120,10 +120,10 @@ def _check_height(robot: Robot, joints: np.ndarray, height: float, file: object)
     """Raises SceneError if a robot without vertical motion has a tilted tool, or one at a wrong height for pushing."""
     if tip_frame(robot, joints)[0][2, 2] > -1.0 + 1e-6:
         raise SceneError(
-            "its stick does not point down",
+            "the stick does not point down",
             file=file,
             allowed="a stick that points down",
-            fix="choose another --tool-axis",
+            fix="choose another axis of the flange with --tool-axis",
         )
     low, high = PUSHING
     if not low <= height <= high:

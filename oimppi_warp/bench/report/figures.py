@@ -27,7 +27,7 @@ FAILED = "#b91c1c"
 
 
 def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
-    """Draw the figures of a report; returns a caption and a figure by file name."""
+    """Draws the figures of a report, and returns the caption and the figure of each, by file name without extension."""
     with matplotlib.rc_context(STYLE):
         found = {
             "success": (
@@ -56,7 +56,7 @@ def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
 
 
 def success_figure(results: ResultSet) -> Figure:
-    """Draw a bar chart of the success rates with confidence intervals, by task and method."""
+    """Draws a bar chart of the success rates with confidence intervals, by task and method."""
     tasks, colors = results.tasks, _colors(results)
     methods = list(colors)
     figure = Figure(figsize=(max(5.0, 1.6 + 1.5 * len(tasks)), 3.6), layout="constrained")
@@ -101,7 +101,7 @@ def success_figure(results: ResultSet) -> Figure:
 
 
 def errors_figure(results: ResultSet) -> Figure:
-    """Plot the position error over time, by task."""
+    """Plots the position error over time, by task."""
     figure, panels = _panels(len(results.tasks), each=(3.4, 2.4))
     colors = _colors(results)
     for axes, task in zip(panels, results.tasks, strict=False):
@@ -125,7 +125,7 @@ def errors_figure(results: ResultSet) -> Figure:
 
 
 def plan_figure(results: ResultSet) -> Figure:
-    """Plot histograms of the plan times, one panel per method."""
+    """Plots histograms of the plan times, one panel per method."""
     colors = _colors(results)
     figure = Figure(figsize=(6.4, 0.7 + 1.15 * len(colors)), layout="constrained")
     panels = figure.subplots(len(colors), 1, sharex=True, squeeze=False)[:, 0]
@@ -158,7 +158,7 @@ def plan_figure(results: ResultSet) -> Figure:
 
 
 def paths_figure(results: ResultSet, task: str) -> Figure:
-    """Plot the object's paths seen from above, one panel per method."""
+    """Plots the object's paths seen from above, one panel per method."""
     footprints = results.places[task]
     colors = {method: color for method, color in _colors(results).items() if results.of(task, method)}
     low, high = _frame(footprints, results.of(task))

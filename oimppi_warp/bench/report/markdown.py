@@ -10,7 +10,7 @@ from oimppi_warp.bench.statistics import wilson
 
 
 def write_markdown(results: ResultSet, pictures: dict[str, tuple[str, str]]) -> str:
-    """Write the whole report.
+    """Returns the whole report as Markdown.
 
     Args:
         results: The results to report.
@@ -27,7 +27,7 @@ def write_markdown(results: ResultSet, pictures: dict[str, tuple[str, str]]) -> 
 
 
 def write_comparison(table: Table, pairs: Table) -> str:
-    """Write the comparison of two result sets, and the pairs that differ."""
+    """Returns the comparison of two result sets, and the pairs that differ, as Markdown."""
     lines = [f"# {table.title}", "", table.note, "", *markdown_table(table), ""]
     if pairs.rows:
         lines += [f"## {pairs.title}", "", pairs.note, "", *markdown_table(pairs), ""]
@@ -35,14 +35,14 @@ def write_comparison(table: Table, pairs: Table) -> str:
 
 
 def markdown_table(table: Table) -> list[str]:
-    """Format a table as lines of Markdown, with numbers right-aligned."""
+    """Formats a table as lines of Markdown, with numbers right-aligned."""
     rule = "|---|---|" + "---:|" * (len(table.header) - 2)
     lines = ["| " + " | ".join(table.header) + " |", rule]
     return lines + ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in table.rows]
 
 
 def facts(results: ResultSet) -> list[str]:
-    """Describe in a few sentences how the results were made."""
+    """Describes in a few sentences how the results were made."""
     found = results.results
     succeeded = wilson(sum(result.success for result in found), len(found))
     count = f"{rate(succeeded)} trials succeeded" if found else "no trials have finished yet"

@@ -47,7 +47,7 @@ ul.causes { columns: 2 22rem; padding-left: 1.2rem; }
 
 
 def write_page(results: ResultSet, pictures: dict[str, tuple[str, bytes]]) -> str:
-    """Write the whole page.
+    """Returns the whole page as HTML.
 
     Args:
         results: The results to report.

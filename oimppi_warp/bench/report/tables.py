@@ -35,13 +35,13 @@ class Table:
 
 
 def shown_methods(results: ResultSet) -> list[str]:
-    """Return the methods of a result set in display order: the paper's methods first, then all others."""
+    """Returns the methods of a result set in display order: the paper's methods first, then all others."""
     others = [method for method in results.methods if method not in METHODS]
     return [*(method for method in METHODS if method in results.methods), *others]
 
 
 def every_table(results: ResultSet) -> list[Table]:
-    """Build the tables of a report, without empty ones."""
+    """Builds the tables of a report, without empty ones."""
     tables = [
         success_table(results),
         *(paper_table(results, table) for table in TABLES),
@@ -54,7 +54,7 @@ def every_table(results: ResultSet) -> list[Table]:
 
 
 def brief_table(results: ResultSet) -> Table:
-    """Build a table narrow enough for a terminal."""
+    """Builds a table narrow enough for a terminal."""
     rows = []
     for task, method, s in _groups(results):
         tight = rate(s.tight) if s.tight_counts else "-"
@@ -65,7 +65,7 @@ def brief_table(results: ResultSet) -> Table:
 
 
 def success_table(results: ResultSet) -> Table:
-    """Tabulate success at both tolerances and position errors."""
+    """Tabulates success at both tolerances and position errors."""
     rows = []
     for task, method, stats in _groups(results):
         errors = [stats.error_until, stats.error_until_success, stats.error, stats.error_success]
@@ -86,7 +86,7 @@ def success_table(results: ResultSet) -> Table:
 
 
 def paper_table(results: ResultSet, table: str) -> Table:
-    """Build one of the paper's tables with our results next to the paper's."""
+    """Builds the paper's table ``I`` or ``II`` with our results next to the paper's."""
     rows = []
     tasks = [task for task in TABLES[table] if task in results.tasks]
     methods = shown_methods(results)
@@ -124,7 +124,7 @@ def paper_table(results: ResultSet, table: str) -> Table:
 
 
 def time_table(results: ResultSet) -> Table:
-    """Tabulate times to success and plan times."""
+    """Tabulates times to success and plan times."""
     rows = []
     for task, method, s in _groups(results):
         cells = (number(s.steps, 0), number(s.time, 1), _total([s]), number(s.plan_ms, 1), number(s.plan_ms_p95, 1))
@@ -144,7 +144,7 @@ def time_table(results: ResultSet) -> Table:
 
 
 def safety_table(results: ResultSet) -> Table:
-    """Tabulate clearances and forces."""
+    """Tabulates clearances and forces."""
     rows = []
     for task, method, s in _groups(results):
         clear = f"{rate(s.clear)}" if s.clear.total else "-"
@@ -161,7 +161,7 @@ def safety_table(results: ResultSet) -> Table:
 
 
 def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[str, str]) -> Table:
-    """Tabulate paired comparisons, one per row."""
+    """Tabulates paired comparisons, one per row; ``sides`` are the column headings of the two sides."""
     rows = []
     for each in found:
         cells = [f"{each.successes[0]}", f"{each.successes[1]}", f"{len(each.only_first)}", f"{len(each.only_second)}"]
@@ -184,7 +184,7 @@ def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[st
 
 
 def differing_pairs(found: Comparison) -> Table:
-    """Tabulate the pairs that succeed on only one side, with the command that reruns the failed trial."""
+    """Tabulates the pairs that succeed on only one side, with the command that reruns the failed trial."""
     rows = []
     for pairs, side in ((found.only_first, "A"), (found.only_second, "B")):
         for a, b in pairs:
@@ -200,27 +200,27 @@ def differing_pairs(found: Comparison) -> Table:
 
 
 def failures(results: ResultSet) -> list[Result]:
-    """Return the trials that did not succeed, in the order of the suite."""
+    """Returns the trials that did not succeed, in the order of the suite."""
     return [result for result in results.results if not result.success]
 
 
 def rate(found: Rate) -> str:
-    """Format a rate as count and total."""
+    """Formats a rate as count and total: ``8/10``."""
     return f"{found.count}/{found.total}"
 
 
 def interval(found: Rate) -> str:
-    """Format a rate's interval in percent."""
+    """Formats a rate's confidence interval in percent: ``49 to 94 %``."""
     return f"{100 * found.low:.0f} to {100 * found.high:.0f} %"
 
 
 def number(value: float, digits: int) -> str:
-    """Format a number; NaN becomes a dash."""
+    """Formats a number with ``digits`` decimals; NaN and infinity become a dash."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 def p_value(p: float) -> str:
-    """Format a p value with a sensible number of digits."""
+    """Formats a p value with a sensible number of digits."""
     if not math.isfinite(p):
         return "-"
     return "< 0.001" if p < 0.001 else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"

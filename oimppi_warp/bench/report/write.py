@@ -15,7 +15,7 @@ PAGE, MARKDOWN, PICTURES = "report.html", "report.md", "pictures"
 
 
 def write_report(results: ResultSet, folder: Path) -> tuple[Path, Path]:
-    """Write the page and the Markdown into ``folder``, created if necessary; returns the two files."""
+    """Writes the page and the Markdown into ``folder``, created if necessary, and returns these two files."""
     (folder / PICTURES).mkdir(parents=True, exist_ok=True)
     drawn = {name: (caption, rendered(figure, kind="svg")) for name, (caption, figure) in every_figure(results).items()}
     files = {name: (caption, f"{PICTURES}/{name}.svg") for name, (caption, _) in drawn.items()}

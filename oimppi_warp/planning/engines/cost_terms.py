@@ -52,8 +52,8 @@ class CostTerm:
     def __post_init__(self) -> None:
         if not 0.0 <= self.weight < math.inf:
             raise ConfigError(
-                f"a cost term with the weight {self.weight:g}\n  allowed: 0 or more (finite)\n"
-                "  to do:   for a reward, return a negative cost"
+                f"CostTerm: weight is {self.weight:g}\n  allowed: a finite number, zero or more\n"
+                "  to do:   to reward something, let the function return a negative cost"
             )
 
 

@@ -91,8 +91,8 @@ class RobotDynamics(ABC):
 
     An engine must define :meth:`rollout`, which starts from :attr:`observation` and :attr:`goal` or from what
     :meth:`set_state` derives from them. Everything else is optional. :meth:`trace`, :meth:`traced` and :meth:`paths`
-    serve logs and the viewer; the defaults report the cost of a plan, and show arm and object at rest. An engine may
-    ignore ``waypoint``; repositioning then has no effect with it.
+    serve logs and the viewer; those of this class report the cost of a plan, and show arm and object at rest. An engine
+    may ignore ``waypoint``; repositioning then has no effect with it.
 
     Engines are entries of :data:`oimppi_warp.registries.ENGINES`: a subclass, or any callable that takes a
     :class:`RolloutTask` and returns an instance of one.
@@ -163,7 +163,7 @@ class RobotDynamics(ABC):
     def traced(self) -> Trace:
         """Returns the plan's trace: that of the nominal, or of the best sample where another rollout would be costly.
 
-        By default arm and object stay where they are, and the cost is that of the cheapest sample.
+        This base implementation repeats the current state, and gives the cost of the cheapest sample as the only term.
         """
         assert self._costs is not None, "call trace() first"
         steps = self.task.level.optimizer.horizon + 1
@@ -179,8 +179,9 @@ class RobotDynamics(ABC):
             samples: Indices of the samples, shape [n].
 
         Returns:
-            Tool tips, shape [n, steps, 3] [m], and weighted cost terms, shape [n, terms]. By default the tips stay
-            where they are.
+            Tool tips, shape [n, steps, 3] [m], and weighted cost terms, shape [n, terms]. ``steps`` is horizon + 1, or
+            horizon in an engine that leaves out the current tip. This base implementation repeats the current tip and
+            gives the total cost as the only term.
         """
         assert self._costs is not None, "call trace() first"
         tips = np.tile(self._tip(), (len(samples), controls.shape[1] + 1, 1))

@@ -41,14 +41,14 @@ SCRATCH_PER_CONTACT = 6640
 
 
 class NewtonWorlds(NewtonDynamics):
-    """See :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`.
+    """Rollouts in batched Newton worlds; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`.
 
     The worlds are Newton's. MuJoCo Warp steps them directly on the solver's data, since ``SolverMuJoCo.step`` would
     copy Newton's state in and out at every physics step.
 
     Args:
         task: The task to plan.
-        contacts: Capacity for contact points per world, averaged over the worlds; default: estimated from the scene.
+        contacts: Capacity for contact points per world, averaged over the worlds; ``None``: estimated from the scene.
 
     Attributes:
         solver: Newton's solver.
@@ -151,7 +151,11 @@ class NewtonWorlds(NewtonDynamics):
         return self._joints, self._objects, wp.float32
 
     def traced(self) -> Trace:
-        """Returns the trace of the cheapest sample; RuntimeError if the contact buffers of some world overflowed."""
+        """Returns the trace of the cheapest sample.
+
+        Raises:
+            RuntimeError: The contact buffers of some world overflowed.
+        """
         bits = int(self._overflows.host[0]) & _grave_overflows()
         if bits:
             data = self.solver.mjw_data

@@ -19,7 +19,13 @@ from oimppi_warp.scene import Scene
 
 
 def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
-    """Packs the pushed object for the kernels."""
+    """Packs the pushed object for the kernels.
+
+    Args:
+        geometry: The object's shapes and limit surface.
+        tool_friction: Coulomb coefficient between tool and object; not used at the object level, which has no tool.
+        slack: Clearance that the object keeps to obstacles in the model [m].
+    """
     model = ObjectModel()
     model.force = geometry.surface.force
     model.radius = geometry.surface.radius
@@ -33,7 +39,7 @@ def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0
 
 
 def no_field(device: str) -> PoseField:
-    """Returns an empty field, for kernels that do not read it."""
+    """Returns an empty field, for a kernel that takes a field but does not read it with these settings."""
     field = PoseField()
     field.values = wp.zeros((0, 0, 0), dtype=float, device=device)
     return field

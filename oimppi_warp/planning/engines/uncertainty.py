@@ -16,7 +16,7 @@ from oimppi_warp.config.settings import Uncertainty
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws of the world for rollouts: rollout r uses draw ``r % count``; with several draws, draw 0 is not special.
+    """Draws of the world for rollouts: rollout r uses draw ``r % count``. None of several draws is the nominal world.
 
     They are drawn once and kept, so that plans differ by their controls, not by chance.
 
@@ -50,9 +50,14 @@ CERTAIN = Draws(1, 1, _ONE, _ONE, _ONE, np.zeros((1, 3)), np.zeros((1, 2)))
 
 
 def draw(uncertainty: Uncertainty, *, samples: int, seed: int) -> Draws:
-    """Makes the draws for a plan of ``samples`` samples; the nominal world alone if uncertainty is off.
+    """Makes the draws of the world for a planner; the nominal world alone if uncertainty is off.
 
     Factors are log-normal, so that they stay positive; errors are normal.
+
+    Args:
+        uncertainty: Settings of the uncertainty.
+        samples: Number of samples of a plan.
+        seed: Seed of the draws.
     """
     if uncertainty.draws == 0:
         return CERTAIN

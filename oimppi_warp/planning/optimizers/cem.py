@@ -60,7 +60,7 @@ class Cem(Optimizer):
         return [*super().advance(), deviation]
 
     def reset(self) -> None:
-        """Resets the nominal, the deviations and the noise."""
+        """Sets the nominal to zero and the deviations to one, and restarts the sequence of the noise."""
         super().reset()
         self._restart()
 

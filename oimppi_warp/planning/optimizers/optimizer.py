@@ -72,7 +72,7 @@ class Optimizer(ABC):
     def __init__(self, dynamics: Dynamics, settings: Sampling, *, seed: int) -> None:
         if not isinstance(settings, self.Settings):
             raise ConfigError(
-                f"optimizer {settings.kind!r}: its settings are {type(settings).__name__}\n"
+                f"optimizer {settings.kind!r}: its settings are of the type {type(settings).__name__}\n"
                 f"  allowed: {self.Settings.__name__}"
             )
         self.dynamics = dynamics
@@ -109,7 +109,7 @@ class Optimizer(ABC):
     def shift(self) -> Launch:
         """Returns the launch that takes the command out of the nominal and shifts everything by one step.
 
-        Apply ``u <- u_nominal`` and ``U <- shift(U)``: Algorithm 2, line 7, and Algorithm 3, lines 6 and 13.
+        This is ``u <- u_nominal`` and ``U <- shift(U)``: Algorithm 2, line 7, and Algorithm 3, lines 6 and 13.
         """
         launches = self.advance()
         if len(launches) == 1:
@@ -151,7 +151,7 @@ class Optimizer(ABC):
         return [self.compute.launch(kernel, 1, [1], [self.nominal, self.counter, self.command.array])]
 
     def found(self) -> Update:
-        """Returns the statistics of the latest update, once the outputs are on the host."""
+        """Returns the statistics of the latest update; to be called after the step, which copies them to the host."""
         found = self.stats.host[0]
         least, temperature, effective, lost = (
             found[name].item() for name in ("min_cost", "temperature", "effective_samples", "lost")
@@ -159,7 +159,7 @@ class Optimizer(ABC):
         return Update(least if lost < self.settings.samples else math.nan, temperature, effective, lost)
 
     def reset(self) -> None:
-        """Resets the nominal and the noise."""
+        """Sets the nominal to zero and restarts the sequence of the noise."""
         with using_gpu:
             self.nominal.zero_()
             self.stats.array.zero_()
@@ -167,15 +167,15 @@ class Optimizer(ABC):
 
 
 def make_optimizer(dynamics: Dynamics, settings: Sampling, *, seed: int) -> Optimizer:
-    """Makes the optimizer that settings belong to.
+    """Makes the optimizer named by ``settings.kind``.
 
     Args:
         dynamics: Turns control sequences into costs.
-        settings: Its settings; their ``kind`` names it in :data:`oimppi_warp.registries.OPTIMIZERS`.
+        settings: Settings of the optimizer; ``kind`` is a key of :data:`oimppi_warp.registries.OPTIMIZERS`.
         seed: Seed of the noise.
 
     Raises:
-        ConfigError: There is no such optimizer, or it has other settings.
+        ConfigError: There is no such optimizer, or ``settings`` has the wrong type for it.
     """
     return OPTIMIZERS.get_checked(settings.kind)(dynamics, settings, seed=seed)
 

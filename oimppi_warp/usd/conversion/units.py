@@ -85,7 +85,7 @@ def editable_prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
 
 
 def turn(xform: UsdGeom.Xformable, by: Gf.Matrix4d, suffix: str) -> None:
-    """Rotates a prim in its parent's frame, on top of its present transform."""
+    """Rotates a prim by ``by`` in its parent's frame, by an additional operation ``xformOp:transform:<suffix>``."""
     operations, resets = xform.GetOrderedXformOps(), xform.GetResetXformStack()
     turned = xform.AddTransformOp(UsdGeom.XformOp.PrecisionDouble, suffix)
     turned.Set(by)
