@@ -276,6 +276,14 @@ class Tolerance:
     position: float
     yaw: float
 
+    def strictest(self, other: Tolerance) -> Tolerance:
+        """Returns the tolerance that is met where both are met."""
+        return Tolerance(min(self.position, other.position), min(self.yaw, other.yaw))
+
+
+EXACT = Tolerance(0.005, 0.02)
+"""The exact tolerance, the same for all scenes; where a scene allows every yaw, so does it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scene(_ReadOnly):
@@ -321,6 +329,18 @@ class Scene(_ReadOnly):
     def with_goal(self, goal: PlanarPose) -> Scene:
         """Returns the task with another goal pose; see ``feasibility.check_task`` to check the result."""
         return replace(self, goal=goal)
+
+    def with_tolerance(self, position: float, yaw: float) -> Scene:
+        """Returns the task with another tolerance [m, rad]; where every yaw is allowed, it still is."""
+        return replace(self, tolerance=Tolerance(position, self._allowed_yaw(yaw)))
+
+    @property
+    def exact_tolerance(self) -> Tolerance:
+        """Returns :data:`EXACT`, with any yaw where the task allows every yaw."""
+        return Tolerance(EXACT.position, self._allowed_yaw(EXACT.yaw))
+
+    def _allowed_yaw(self, yaw: float) -> float:
+        return yaw if math.isfinite(self.tolerance.yaw) else math.inf
 
     def with_obstacle(self, obstacle: Obstacle) -> Scene:
         """Returns the task with an obstacle added; an obstacle with the same path is replaced."""

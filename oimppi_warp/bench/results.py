@@ -50,7 +50,8 @@ class Result:
         success_steps: Control steps until success; NaN without success.
         error_until_success_m: Position error averaged over time until success (without success: to the end), which is
             the paper's epsilon_d, as its episodes end there.
-        tight_counts: Whether the episode continued to the tight tolerance, so that missing it is meaningful.
+        tight_counts, exact_counts: Whether the episode continued to the tight, and to the exact, tolerance, so that
+            missing it is meaningful.
         time, pose, position_error: The object's path at even intervals of time: [n] [s], [n, 3] (x, y [m], yaw [rad]),
             [n] [m].
         plan_counts: Number of plans by plan time, in the bins of :data:`PLAN_BINS`.
@@ -72,6 +73,7 @@ class Result:
     success_steps: float = math.nan
     error_until_success_m: float = math.nan
     tight_counts: bool = True
+    exact_counts: bool = False
     time: list[float] = field(default_factory=list)
     pose: list[list[float]] = field(default_factory=list)
     position_error: list[float] = field(default_factory=list)
@@ -94,6 +96,11 @@ class Result:
     def success_tight(self) -> bool:
         """Returns whether the object was held within the tight tolerance."""
         return bool(self.metrics.get("success_tight", False))
+
+    @property
+    def success_exact(self) -> bool:
+        """Returns whether the object was held within the exact tolerance."""
+        return bool(self.metrics.get("success_exact", False))
 
     def value(self, name: str) -> float:
         """Returns a number by its name in the metrics or in this class; NaN if it is missing."""
@@ -237,6 +244,7 @@ def make_result(
         success_steps=math.nan if arrived is None else arrived + 1,
         error_until_success_m=float(np.mean(log["position_error"][:until])) if until else math.nan,
         tight_counts=trial.config.episode.tight,
+        exact_counts=trial.config.episode.exact,
         time=log["time"][rows].round(3).tolist(),
         pose=log["object_pose"][rows].round(4).tolist(),
         position_error=log["position_error"][rows].round(4).tolist(),

@@ -56,7 +56,9 @@ class Statistics:
     Attributes:
         success, tight: Rates at the task's tolerance and at the tight one.
         tight_counts: Whether all trials continued to the tight tolerance.
+        exact, exact_counts: The same for the exact tolerance.
         error, error_success: Mean position error over the whole episode, averaged over all trials, over successes [m].
+        final_error, final_yaw_error: Errors at the end, median over all trials [m, rad].
         error_until, error_until_success: The same, averaged only until success (the paper's epsilon_d) [m].
         steps, time: Control steps and simulated time [s] to success, median over successes.
         total_time: The paper's T, mean over successes [s]: planning and moving until success.
@@ -73,8 +75,12 @@ class Statistics:
     success: Rate
     tight: Rate
     tight_counts: bool
+    exact: Rate
+    exact_counts: bool
     error: float
     error_success: float
+    final_error: float
+    final_yaw_error: float
     error_until: float
     error_until_success: float
     steps: float
@@ -101,8 +107,12 @@ def summarize_results(results: Sequence[Result]) -> Statistics:
         success=wilson(len(good), len(results)),
         tight=wilson(sum(result.success_tight for result in results), len(results)),
         tight_counts=all(result.tight_counts for result in results),
+        exact=wilson(sum(result.success_exact for result in results), len(results)),
+        exact_counts=all(result.exact_counts for result in results),
         error=_mean(results, "mean_position_error_m"),
         error_success=_mean(good, "mean_position_error_m"),
+        final_error=_median(results, "position_error_m"),
+        final_yaw_error=_median(results, "yaw_error_rad"),
         error_until=_mean(results, "error_until_success_m"),
         error_until_success=_mean(good, "error_until_success_m"),
         steps=_median(good, "success_steps"),

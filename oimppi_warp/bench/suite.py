@@ -264,6 +264,10 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         "seed": _integer(0, LARGEST_SEED),
         "set": (_strings, 'a list of settings, like ["robot.optimizer.samples=512"]'),
         "max_sim_seconds": (lambda value: _number(value) and value > 0, "a time above zero [s]"),
+        "tolerance": (
+            lambda value: isinstance(value, list) and len(value) == 2 and all(_number(x) and x > 0 for x in value),
+            "position [m] and yaw [rad], like [0.005, 0.02]",
+        ),
         "mode": _one_of(MODES),
         "plant": _one_of(PLANTS),
         "label": (

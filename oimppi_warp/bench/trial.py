@@ -88,6 +88,8 @@ class Trial:
         words += ["--seed", str(run.seed), "--start", ",".join(map(repr, self.start))]
         if settings.max_sim_seconds is not None:
             words += ["--max-sim-seconds", repr(settings.max_sim_seconds)]
+        if settings.tolerance is not None:
+            words += ["--tolerance", ",".join(map(repr, settings.tolerance))]
         for option in ("mode", "plant"):
             if (value := getattr(run, option)) != getattr(RunSpec(), option):
                 words += [f"--{option}", value]

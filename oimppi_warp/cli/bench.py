@@ -63,6 +63,9 @@ class Bench:
     max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint=AsInSuite)] = None
     """Time limit of an episode in simulated seconds."""
 
+    tolerance: Annotated[str | None, arg(metavar="M,RAD", help_behavior_hint=AsInSuite)] = None
+    """Tolerance for success: position in metres and yaw in radians, e.g. 0.005,0.02."""
+
     jobs: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core; 1 in real time)")] = None
     """Number of trials to run in parallel, each in a separate process; with 1, trials run in this process."""
 
@@ -84,6 +87,7 @@ class Bench:
             return _list_suites()
         from oimppi_warp.bench.runner import SuiteRun, prepare
         from oimppi_warp.bench.suite import check_value, load_suite
+        from oimppi_warp.runtime.request import parse_tolerance
 
         suite = load_suite(self.suite).only(tasks=self.tasks, methods=self.methods)
         changes = {name: getattr(self, name) for name in ("trials", "first", "seed", "max_sim_seconds")}
@@ -97,7 +101,7 @@ class Bench:
                 f"--cluster {self.cluster}: the backend loky runs without a cluster\n  to do:   add --backend dask"
             )
         assignments = tuple(assignment for group in self.assignments for assignment in group)
-        suite = suite.changed(**changes).assigned(assignments)
+        suite = suite.changed(**changes, tolerance=parse_tolerance(self.tolerance)).assigned(assignments)
 
         from rich.console import Console
 

@@ -211,6 +211,8 @@ def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
     result, total = "[bold red]goal not reached[/]", "including planning"
     if metrics.success:
         tight = "also within the tight tolerance" if metrics.success_tight else "not within the tight tolerance"
+        if metrics.success_exact:
+            tight = "also within 5 mm and 0.02 rad" if math.isfinite(scene.tolerance.yaw) else "also within 5 mm"
         result, total = f"[bold green]goal reached[/], {tight}", "to the goal including planning (the paper's T)"
     yaw = f", {metrics.yaw_error_rad:.3f} rad" if math.isfinite(scene.tolerance.yaw) else " (every yaw is allowed)"
     clearance = f"at least {1000 * metrics.min_clearance_m:.1f} mm"

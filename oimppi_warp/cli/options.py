@@ -11,7 +11,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
-from oimppi_warp.runtime.request import SettingsRequest, parse_pose, parse_start, prepare_scene
+from oimppi_warp.runtime.request import SettingsRequest, parse_pose, parse_start, parse_tolerance, prepare_scene
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,6 +51,9 @@ class TaskOptions:
     max_sim_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: the preset's)")] = None
     """Time limit of the episode in simulated seconds."""
 
+    tolerance: Annotated[str | None, arg(metavar="M,RAD", help_behavior_hint="(default: the scene's)")] = None
+    """Tolerance for success: position in metres and yaw in radians, e.g. 0.005,0.02."""
+
     def settings(self) -> Config:
         """Returns the preset with the options applied, validated.
 
@@ -60,7 +63,7 @@ class TaskOptions:
         self.run.checked()
         preset = ("lab" if self.run.plant == "lab" else "best") if self.preset == "auto" else self.preset
         assignments = tuple(assignment for group in self.assignments for assignment in group)
-        request = SettingsRequest(preset, assignments, self.max_sim_seconds)
+        request = SettingsRequest(preset, assignments, self.max_sim_seconds, parse_tolerance(self.tolerance))
         return request.config(self.run.method, randomize=self.randomize)
 
     def prepare(self) -> tuple[Setup, Console]:

@@ -471,6 +471,17 @@ class EpisodeConfig:
         "Continue a successful episode until the scene's tight tolerance is held as well, instead of ending it at "
         "success. Results for both tolerances are reported in either case.",
     )
+    exact: bool = setting(
+        False,
+        "Continue a successful episode until the exact tolerance (5 mm, 0.02 rad) is held as well. Success within it "
+        "is reported in either case.",
+    )
+    tolerance: tuple[float, float] = setting(
+        (0.0, 0.0),
+        "Tolerance for success, position and yaw (the option `--tolerance`); `0,0` takes the scene's. A scene that "
+        "allows every yaw still does.",
+        unit="m, rad",
+    )
     plan_expires: float = setting(
         0.15,
         "Time for which the last command is held in real time while the next plan is late; then the arm is stopped.",

@@ -19,6 +19,7 @@ requested          Settings that were adjusted for the task: ``{name: [requested
 start, goal        Planar poses of the object (x, y [m], yaw [rad])
 tolerance          ``{"position": m, "yaw": rad}``; a yaw of ``None`` means that any yaw is within tolerance
 tight_tolerance    The tight tolerance, in the same form
+exact_tolerance    The exact tolerance, in the same form; not in records of earlier versions
 hold_seconds       Time for which the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``

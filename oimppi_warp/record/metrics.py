@@ -12,6 +12,7 @@ import numpy as np
 
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.record.log import EVENTS, EpisodeLog, flatten, to_json
+from oimppi_warp.scene import EXACT
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Metrics:
         start, goal: Planar poses of the object (x, y [m], yaw [rad]).
         ended: Reason for the end of the episode, see :mod:`oimppi_warp.record.log`.
         success: Whether the object stayed within tolerance for the hold time.
-        success_tight: The same for the tight tolerance.
+        success_tight, success_exact: The same for the tight and for the exact tolerance.
         position_error_m, yaw_error_rad: Errors at the end of the episode.
         mean_position_error_m: Position error averaged over time (the paper's epsilon_d).
         min_clearance_m: Smallest phi_2; negative where the object overlapped an obstacle.
@@ -59,6 +60,7 @@ class Metrics:
     ended: str
     success: bool
     success_tight: bool
+    success_exact: bool
     position_error_m: float
     yaw_error_rad: float
     mean_position_error_m: float
@@ -105,6 +107,7 @@ def summarize(log: EpisodeLog) -> Metrics:
     need = hold_steps(header["hold_seconds"], period)
     arrived = first_hold(within(log, header["tolerance"]), need)
     arrived_tight = first_hold(within(log, header["tight_tolerance"]), need)
+    arrived_exact = first_hold(within(log, header.get("exact_tolerance") or _exact(header["tolerance"])), need)
     start, goal = tuple(header["start"]), tuple(header["goal"])
     position_error, yaw_error = pose_error(start, goal)
     if len(log):
@@ -123,6 +126,7 @@ def summarize(log: EpisodeLog) -> Metrics:
         ended=header.get("ended", "interrupted"),
         success=arrived is not None,
         success_tight=arrived_tight is not None,
+        success_exact=arrived_exact is not None,
         position_error_m=position_error,
         yaw_error_rad=yaw_error,
         mean_position_error_m=_of_finite(np.mean, log["position_error"]),
@@ -166,6 +170,11 @@ def within(log: EpisodeLog, tolerance: Mapping[str, float | None]) -> np.ndarray
     yaw = tolerance["yaw"]
     near = log["position_error"] <= tolerance["position"]
     return near if yaw is None else near & (log["yaw_error"] <= yaw)
+
+
+def _exact(tolerance: Mapping[str, float | None]) -> dict[str, float | None]:
+    """Returns the exact tolerance for a record of an earlier version, given the task's."""
+    return {"position": EXACT.position, "yaw": None if tolerance["yaw"] is None else EXACT.yaw}
 
 
 def hold_steps(hold_seconds: float, control_period: float) -> int:

@@ -102,6 +102,8 @@ class Episode:
         spec = (spec or RunSpec()).changed(**options)
         check_task(scene)
         validate(config)
+        if any(config.episode.tolerance):
+            scene = scene.with_tolerance(*config.episode.tolerance)
         if spec.threads is None and spec.mode == "realtime":
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
@@ -140,6 +142,7 @@ class Episode:
                 "goal": list(scene.goal),
                 "tolerance": to_json(scene.tolerance),
                 "tight_tolerance": to_json(scene.tight_tolerance),
+                "exact_tolerance": to_json(scene.exact_tolerance),
                 "hold_seconds": config.episode.hold_seconds,
                 "control_period": config.control_period,
                 "cost_terms": list(self.planner.dynamics.terms),
@@ -185,7 +188,11 @@ class Episode:
         if len(self.log):
             raise RuntimeError("this episode has already run; make a new one to run again")
         settings = self.config.episode
-        wanted = self.scene.tight_tolerance if settings.tight else self.scene.tolerance
+        wanted = self.scene.tolerance
+        if settings.tight:
+            wanted = wanted.strictest(self.scene.tight_tolerance)
+        if settings.exact:
+            wanted = wanted.strictest(self.scene.exact_tolerance)
         wanted_steps = hold_steps(settings.hold_seconds, self.config.control_period)
         held = 0
         try:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 RANDOMIZED_DRAWS = 4
 """Number of draws of the world that ``--randomize`` sets."""
 
+TOLERANCE = "position,yaw above zero, in metres and radians, e.g. 0.005,0.02"
+"""Description of a tolerance on the command line."""
+
 POSE = "x,y,yaw in metres and radians, e.g. 0.3,-0.45,3.14"
 """Description of a planar pose on the command line."""
 
@@ -34,11 +37,13 @@ class SettingsRequest:
         preset: Name of the preset.
         assignments: Changes of settings as ``NAME=VALUE``, applied in order.
         max_sim_seconds: Time limit of an episode [simulated s], if it differs from the preset's.
+        tolerance: Tolerance for success, position [m] and yaw [rad], if it differs from the scene's.
     """
 
     preset: str = "best"
     assignments: tuple[str, ...] = ()
     max_sim_seconds: float | None = None
+    tolerance: tuple[float, float] | None = None
 
     def config(self, method: str, *, randomize: bool = False) -> Config:
         """Returns the validated settings for a method.
@@ -60,6 +65,8 @@ class SettingsRequest:
             config = set_option(config, assignment)
         if self.max_sim_seconds is not None:
             config = replace(config, episode=replace(config.episode, max_sim_seconds=self.max_sim_seconds))
+        if self.tolerance is not None:
+            config = replace(config, episode=replace(config.episode, tolerance=self.tolerance))
         return validate(config)
 
 
@@ -112,6 +119,23 @@ def parse_pose(option: str, text: str, *, given: str = "", allowed: str = POSE) 
     if not all(map(math.isfinite, (x, y, yaw))):
         raise ConfigError(f"{given or f'{option} {text}'}: not a pose\n  allowed: {allowed}")
     return x, y, yaw
+
+
+def parse_tolerance(text: str | None) -> tuple[float, float] | None:
+    """Parses the value of ``--tolerance``, "position,yaw" in metres and radians; ``None`` is kept.
+
+    Raises:
+        ConfigError: The text is not two positive numbers.
+    """
+    if text is None:
+        return None
+    try:
+        position, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        position = yaw = math.nan
+    if not (0.0 < position < math.inf and 0.0 < yaw < math.inf):
+        raise ConfigError(f"--tolerance {text}: not a tolerance\n  allowed: {TOLERANCE}")
+    return position, yaw
 
 
 def parse_start(text: str | None) -> PlanarPose | int | None:

@@ -30,12 +30,15 @@ def suite_of(folder: Path, text: str) -> Suite:
 
 def test_the_shipped_suites_have_the_trials_that_they_promise():
     found = {suite.name: suite for suite in shipped_suites()}
-    assert set(found) == {"ablation", "best-sim", "lab", "paper-sim", "smoke"}
+    assert set(found) == {"ablation", "best-sim", "exact", "lab", "paper-sim", "smoke"}
     for name, preset in (("paper-sim", "paper"), ("best-sim", "best")):
         trials, scenes = make_trials(found[name])
         assert len(trials) == 6 * 3 * 10
         assert set(scenes) == {"task01", "task02", "task03", "task03_wide", "task04", "task05"}
         assert {(t.settings.preset, t.run.engine, t.run.mode) for t in trials} == {(preset, "quasistatic", "lockstep")}
+    exact, _ = make_trials(found["exact"])
+    assert len(exact) == 5 * 3 * 20 and {trial.number for trial in exact} == set(range(1000, 1020))
+    assert all(trial.config.episode.exact for trial in exact)
     lab, _ = make_trials(found["lab"])
     assert all(trial.real_time and trial.run.plant == "lab" for trial in lab)
     assert lab[0].config.preset == "lab"
@@ -118,7 +121,7 @@ def test_a_trial_is_written_with_its_options_beside_its_other_fields():
     row = make_trial(assignments=("cost.w_d=3",)).row()
     assert set(row) == {
         *("task", "scene", "content", "number", "start", "method", "engine", "device", "threads", "seed", "plant"),
-        *("mode", "preset", "assignments", "max_sim_seconds"),
+        *("mode", "preset", "assignments", "max_sim_seconds", "tolerance"),
     }
     assert (row["method"], row["assignments"]) == ("cloi", ["cost.w_d=3"])
 
@@ -174,6 +177,7 @@ def test_a_scene_beside_the_suite_is_found(tmp_path: Path, monkeypatch: pytest.M
         {"preset": "paper"},
         {"assignments": ("cost.w_d=3",)},
         {"max_sim_seconds": 3.0},
+        {"tolerance": (0.005, 0.02)},
         {"plant": "lab"},
         {"mode": "realtime"},
     ],
@@ -219,6 +223,8 @@ BAD = {
     "unknown preset": (SMALL + 'preset = "bset"', '"best" or "paper"'),
     "unknown setting": (SMALL + 'set = ["cost.w_aling=2"]', "did you mean cost.w_align"),
     "bad setting of one method": (SMALL + 'set = ["robot.optimizer.horizon=3"]', "not possible for a horizon"),
+    "tolerance of one number": (SMALL + "tolerance = [0.005]", "position [m] and yaw [rad]"),
+    "tolerance of nothing": (SMALL + "tolerance = [0.005, 0]", "position [m] and yaw [rad]"),
     "time that is none": (SMALL + "max_sim_seconds = 0", "above zero"),
     "entry that is a table": (SMALL + "[entry]\nseed = 1", "[[entry]]"),
     "bad key in an entry": (SMALL + "[[entry]]\n[[entry]]\nseed = -1", "entry 2: seed = -1"),

@@ -122,7 +122,7 @@ def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[s
         *("run", "synthetic", "--method", "soi", "--seed", "4", "--device", "cpu", "--preset", "paper"),
         *("--engine", "newton", "--threads", "3", "--randomize"),
         *("--set", "cost.w_align=3", "robot.optimizer.samples=64", "--set", "reference=progress"),
-        *("--goal", "-0.1,0.2,-3", "--max-sim-seconds", "12"),
+        *("--goal", "-0.1,0.2,-3", "--max-sim-seconds", "12", "--tolerance", "0.01,0.05"),
     )
     config = stage.asked["config"]
     assert (stage.asked["method"], stage.asked["seed"], stage.asked["device"]) == ("soi", 4, "cpu")
@@ -131,7 +131,7 @@ def test_options_reach_the_episode(stage: Stage, capsys: pytest.CaptureFixture[s
     assert config.robot.uncertainty.draws == 4
     assert (config.preset, config.object.optimizer.horizon) == ("paper", 90)
     assert (config.cost.w_align, config.robot.optimizer.samples, config.reference) == (3.0, 64, "progress")
-    assert config.episode.max_sim_seconds == 12.0
+    assert (config.episode.max_sim_seconds, config.episode.tolerance) == (12.0, (0.01, 0.05))
     assert stage.asked["scene"].goal == (-0.1, 0.2, -3.0)
 
 
@@ -173,6 +173,8 @@ BAD_INPUT = {
     "start that is no pose": (["run", "t", "--start", "here"], "the number of one of the scene's starts, or x,y,yaw"),
     "start that the scene has not": (["run", "t", "--start", "10"], "0 to 1"),
     "start off the table": (["run", "t", "--start", "2,0,0"], "off the table"),
+    "no tolerance": (["run", "t", "--tolerance", "5mm,0.02"], "--tolerance 5mm,0.02: not a tolerance"),
+    "tolerance of nothing": (["run", "t", "--tolerance", "0,0.02"], "e.g. 0.005,0.02"),
     "device that is not there": (["run", "t", "--device", "cuda:99"], "auto, cpu"),
     "folder that cannot be made": (["run", "t", "--json", "/dev/null/m.json"], "/dev/null is not a writable folder"),
     "record into a file": (["run", "t", "--record", __file__], "not a writable folder"),

@@ -140,6 +140,16 @@ def test_the_object_that_stops_short_fails():
     assert json.loads(metrics.json())["success_time_s"] is None
 
 
+@pytest.mark.parametrize(("error", "yaw", "exact"), [(0.004, 0.01, True), (0.006, 0.01, False), (0.004, 0.03, False)])
+def test_within_5_mm_and_a_fiftieth_of_a_radian_is_exact(error: float, yaw: float, exact: bool):
+    log = make_log(steps=40, arrive=0.2)
+    log["position_error"][20:30], log["yaw_error"][20:30] = error, yaw
+    assert "exact_tolerance" not in log.header, "as in records of earlier versions"
+    assert (summarize(log).success_tight, summarize(log).success_exact) == (True, exact)
+    log.header["exact_tolerance"] = {"position": 0.005, "yaw": None}
+    assert summarize(log).success_exact is (error < 0.005)
+
+
 @pytest.mark.parametrize(("rows", "success"), [(9, False), (10, True)])
 def test_half_a_second_within_tolerance_is_ten_steps(rows: int, success: bool):
     log = make_log(steps=40, arrive=0.2)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from support import small_tasks
 from support.device import to_the_bit
 from support.episodes import episode
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best, paper
 from oimppi_warp.record.log import EpisodeLog
-from oimppi_warp.record.metrics import summarize
+from oimppi_warp.record.metrics import summarize, within
 from oimppi_warp.registries import METHODS
 from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.scene import Tolerance
 from oimppi_warp.usd import load_scene, shipped_scenes
 
 SCENES = [shipped.name for shipped in shipped_scenes()]
@@ -83,6 +87,27 @@ def test_success_must_be_held():
     tolerance = log.header["tolerance"]
     assert (log["position_error"][-steps:] <= tolerance["position"]).all()
     assert (log["yaw_error"][-steps:] <= tolerance["yaw"]).all()
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_tolerance_that_is_asked_for_replaces_the_scenes(exact: bool):
+    options = ("episode.tolerance=0.03,0.2", f"episode.exact={exact}", "episode.max_sim_seconds=0.1")
+    ended = episode("task01", "mppi", seed=4, options=options)
+    assert ended.log.header["tolerance"] == {"position": 0.03, "yaw": 0.2}
+    assert ended.log.header["tight_tolerance"] == {"position": 0.05, "yaw": 0.1}
+    assert (ended.scene.tolerance.position, ended.scene.tolerance.yaw) == (0.03, 0.2)
+    scene = small_tasks.shipped("lab02")  # a can, whose yaw does not matter
+    assert scene.with_tolerance(0.01, 0.2).tolerance == Tolerance(0.01, math.inf)
+    assert scene.exact_tolerance == Tolerance(0.005, math.inf)
+
+
+def test_an_episode_goes_on_until_every_tolerance_is_held_that_is_wanted():
+    """The strictest one: 0.03 m of the option, 0.1 rad of the tight tolerance."""
+    log = episode("task01", "cloi", seed=4, options=("episode.tolerance=0.03,0.4",)).run()
+    assert log.header["ended"] == "success"
+    steps = round(log.header["hold_seconds"] / log.header["control_period"])
+    assert (log["position_error"][-steps:] <= 0.03).all() and (log["yaw_error"][-steps:] <= 0.1).all()
+    assert not within(log, {"position": 0.03, "yaw": 0.1})[: -steps - 1][-1:].all()
 
 
 def test_soi_counts_the_time_of_its_plan():

@@ -81,6 +81,8 @@ def _changed(entry: dict[str, Any]) -> str:
     changes = [f"`{assignment}`" for assignment in entry.get("set", [])]
     if (limit := entry.get("max_sim_seconds")) is not None:
         changes.append(f"at most {limit:g} simulated seconds")
+    if (tolerance := entry.get("tolerance")) is not None:
+        changes.append(f"tolerance {tolerance[0]:g} m, {tolerance[1]:g} rad")
     if not changes:
         return ""
     return ", ".join(changes) + (f" ({entry['label']})" if entry.get("label") else "")

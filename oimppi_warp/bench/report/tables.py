@@ -44,6 +44,7 @@ def every_table(results: ResultSet) -> list[Table]:
     """Builds the tables of a report, without empty ones."""
     tables = [
         success_table(results),
+        exact_table(results),
         *(paper_table(results, table) for table in TABLES),
         time_table(results),
         safety_table(results),
@@ -81,6 +82,22 @@ def success_table(results: ResultSet) -> Table:
             *("task", "method", "success", "95 %", "tight", "95 %"),
             *("ε_d", "ε_d of successes", "error, whole episode", "error of successes, whole episode"),
         ),
+        tuple(rows),
+    )
+
+
+def exact_table(results: ResultSet) -> Table:
+    """Tabulates success at the exact tolerance and final errors, of trials that continued to that tolerance."""
+    rows = []
+    for task, method, stats in _groups(results):
+        if stats.exact_counts:
+            cells = (rate(stats.exact), interval(stats.exact), number(1e3 * stats.final_error, 1))
+            rows.append((task, method.upper(), *cells, number(stats.final_yaw_error, 3)))
+    return Table(
+        "Exactness",
+        "Trials in which the object stayed within 5 mm and 0.02 rad of its goal for the hold time, with Wilson's 95 % "
+        "intervals, and errors at the end of the episode, medians over all trials.",
+        ("task", "method", "exact", "95 %", "final error [mm]", "final yaw error [rad]"),
         tuple(rows),
     )
 
