@@ -82,7 +82,7 @@ def sample_start(scene: Scene, seed: int) -> PlanarPose:
 
     Args:
         scene: The task.
-        seed: A whole number, zero or more.
+        seed: An integer, zero or more.
 
     Raises:
         SceneError: :data:`MAX_DRAWS` draws gave no such start.

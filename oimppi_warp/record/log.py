@@ -40,6 +40,8 @@ import json
 import math
 import os
 import platform
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib import metadata
@@ -220,9 +222,10 @@ class EpisodeLog:
                 ends = np.cumsum(arrays["reference_lengths"])
                 paths = np.split(arrays["reference_points"], ends)[: len(ends)]
                 log.references = list(zip(arrays["reference_steps"].tolist(), paths, strict=True))
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            reason = f"{Path(error.filename).name}: {error.strerror}" if getattr(error, "filename", None) else error
             raise LogError(
-                f"{folder}: contains no complete record ({error})\n  allowed: a folder with {_NPZ} and {_JSON}"
+                f"{folder}: contains no complete record ({reason})\n  allowed: a folder with {_NPZ} and {_JSON}"
             ) from error
         log._rows = max((len(array) for array in log._data.values()), default=0)
         return log
