@@ -99,7 +99,7 @@ def path_lengths(path: np.ndarray, yaw_length: float) -> np.ndarray:
 
 
 def _box_around(field: PoseField, pose: np.ndarray, yaw_length: float) -> tuple[list[int], list[int]]:
-    """Returns the first node and the size (yaw, x, y) of a box with all nodes within ``_NEAR`` of a pose [3]."""
+    """Returns the first node and the size (yaw, x, y) of a box with all nodes within ``_NEAR`` of a planar pose."""
     turns = field.values.shape[0]
     half = np.array([_NEAR / yaw_length * field.inv_yaw_step, _NEAR * field.inv_step, _NEAR * field.inv_step])
     at = np.array(

@@ -84,13 +84,16 @@ class PlanFollower:
             self._plan.assign(padded.astype(np.float32))
 
     def set_state(self, pose: np.ndarray) -> None:
-        """Sets the object's pose [3], from which the reference begins."""
+        """Sets the pose from which the reference begins: that of the friction centre, shape [3] [m, m, rad]."""
         self._start.host[0] = pose
 
     def tracked(self) -> np.ndarray:
-        """Returns the reference of the latest step, shape [n, 3]."""
+        """Returns the reference of the latest step: planar poses of the friction centre, shape [n, 3] [m, m, rad]."""
         return self._path.host[0].astype(float)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the cost-to-go at a pose [3] [m], in which a metre along the plan counts as half a metre."""
+        """Returns the cost-to-go at a pose of the friction centre, shape [3] [m, m, rad] [m].
+
+        A metre along the plan counts as half a metre.
+        """
         return pose_field_at(self._to_go, pose, self._to_go_values)

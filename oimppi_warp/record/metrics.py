@@ -26,11 +26,11 @@ class Metrics:
         ended: Reason for the end of the episode, see :mod:`oimppi_warp.record.log`.
         success: Whether the object stayed within tolerance for the hold time.
         success_tight, success_exact: The same for the tight and for the exact tolerance.
-        position_error_m, yaw_error_rad: Errors at the end of the episode.
-        mean_position_error_m: Position error averaged over time (the paper's epsilon_d).
-        min_clearance_m: Smallest phi_2; negative where the object overlapped an obstacle.
+        position_error_m, yaw_error_rad: Errors at the end of the episode [m, rad].
+        mean_position_error_m: Position error averaged over time (the paper's epsilon_d) [m].
+        min_clearance_m: Smallest phi_2 [m]; negative where the object overlapped an obstacle.
         steps: Number of control steps.
-        sim_time_s: Simulated time.
+        sim_time_s: Simulated time of the episode [s].
         success_time_s: Simulated time at which the object came within tolerance and stayed; NaN without success.
         preplan_time_s: Wall time of SOI's object plan.
         total_time_s: The paper's T: pre-planning, then each step as long as its planning or the control period,
@@ -38,7 +38,8 @@ class Metrics:
         plan_ms_median, plan_ms_p95: Wall time of a plan.
         object_plan_ms_median: The same for the object level alone.
         control_hz: Inverse of the mean plan time (the paper's f).
-        max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces.
+        max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces
+            in the episode, each summed over the contact points [N].
         mean_effective_samples, mean_object_effective_samples: Effective sample sizes of the two levels.
         lost_samples: Total number of samples whose cost was not finite.
         missed_deadlines: Number of control steps in which a plan was due but not ready.

@@ -52,13 +52,13 @@ class RolloutTask:
 
     Attributes:
         scene: The task.
-        geometry: Its shapes.
+        geometry: Limit surface and distance fields of the scene.
         level: Settings of the robot level.
-        cost: Its weights.
+        cost: Cost weights of the robot level.
         dt: Control period [s].
-        compute: The device and its threads.
-        draws: Draws of the world for the rollouts.
-        to_go: Cost-to-go of the object [m], where its weight is not zero.
+        compute: Device, and number of CPU threads.
+        draws: Random draws of friction, mass, perceived pose and tool offset for the rollouts.
+        to_go: Cost-to-go of the object [m]; ``None`` if its weight is zero.
     """
 
     scene: Scene
@@ -76,8 +76,8 @@ class Trace:
     """Predicted outcome of a control sequence.
 
     Attributes:
-        tips: Tool tip, shape [horizon + 1, 3] [m].
-        poses: Object (friction centre), shape [horizon + 1, 3].
+        tips: Positions of the tool tip in the world frame, shape [horizon + 1, 3] [m].
+        poses: Planar poses of the object's friction centre, shape [horizon + 1, 3] [m, m, rad].
         terms: Weighted cost terms summed over the horizon, in the order of the engine's ``terms``.
     """
 
@@ -147,7 +147,7 @@ class RobotDynamics(ABC):
         """
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """Sets the state to plan from, and the goal [3] of the object's friction centre."""
+        """Sets the state to plan from, and the goal of the object's friction centre, shape [3] [m, m, rad]."""
         self.observation, self.goal = observation, goal
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:

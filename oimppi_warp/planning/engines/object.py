@@ -64,7 +64,7 @@ class ObjectDynamics:
         self.path = compute.output((1, level.optimizer.horizon + 1), wp.vec3)
 
     def set_state(self, pose: np.ndarray) -> None:
-        """Sets the object's pose [3], of its friction centre."""
+        """Sets the planar pose of the object's friction centre, shape [3] [m, m, rad]."""
         self._start.host[0] = pose
 
     def to_go_at(self, pose: np.ndarray) -> float | None:
