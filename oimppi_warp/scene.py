@@ -120,19 +120,19 @@ class Link(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Joint(_ReadOnly):
-    """A joint that turns about, or slides along, the z axis of its own frame.
+    """A joint that rotates about, or slides along, the z axis of its own frame.
 
-    Wherever this package gives rad, rad/s or N m for a joint, the units for a sliding joint are m, m/s and N.
+    Wherever this package gives rad, rad/s or N m for a joint, the units for a prismatic joint are m, m/s and N.
 
     Attributes:
         path: Prim path.
         parent_transform: The joint's frame in the frame of the previous link (the base for the first joint): position
             [m] and quaternion xyzw, shape [7]. At joint position zero, it is also the frame of the link that the joint
             moves.
-        lower, upper: Position limits [rad]; those of a sliding joint are finite.
+        lower, upper: Position limits [rad]; those of a prismatic joint are finite.
         velocity_limit: Velocity limit [rad/s].
         effort_limit: Torque limit [N m].
-        kind: ``"revolute"`` if the joint turns, ``"prismatic"`` if it slides.
+        kind: ``"revolute"`` or ``"prismatic"``.
         friction: Torque of dry friction in the joint [N m].
         damping: Torque of viscous friction in the joint, divided by the velocity [N m s/rad].
     """
@@ -150,7 +150,7 @@ class Joint(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Robot(_ReadOnly):
-    """A serial arm of turning or sliding joints with a stick as its tool, its base fixed at the world's origin.
+    """A serial arm of revolute or prismatic joints, with a stick as its tool and its base fixed at the world's origin.
 
     Attributes:
         path: Prim path.

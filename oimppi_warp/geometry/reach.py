@@ -35,7 +35,7 @@ class Reach:
     border: np.ndarray | None = None
 
     def margin(self, points: np.ndarray) -> np.ndarray:
-        """Returns the distance of points [n, 2] to the region's border; negative outside [m]."""
+        """Returns the distance of points, shape [n, 2] [m], to the region's border, shape [n] [m]; negative outside."""
         if self.border is None:
             return self.radius - np.hypot(*np.asarray(points, dtype=float).T)
         region, at = shapely.convex_hull(shapely.multipoints(self.border)), shapely.points(points)

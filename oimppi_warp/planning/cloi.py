@@ -57,7 +57,7 @@ class ClosedLoopPlanner(Planner):
         return self._object.path.host[0].astype(float)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance that the object still has to travel from a planar pose, shape [3] [m, m, rad] [m].
+        """Returns the distance [m] that the object still has to travel from a planar pose, shape [3] [m, m, rad].
 
         A radian of yaw counts as the setting ``object.yaw_length``.
         """

@@ -92,7 +92,7 @@ def build_to_go(
 
 
 def path_lengths(path: np.ndarray, yaw_length: float) -> np.ndarray:
-    """Returns the length of each step of a path [n, 3], shape [n - 1] [m]; a radian counts as ``yaw_length`` [m]."""
+    """Returns the lengths of the steps of a path of poses, shape [n - 1] [m]; a radian counts as ``yaw_length`` [m]."""
     steps = np.diff(path, axis=0)
     steps[:, 2] = yaw_length * wrap_angle(steps[:, 2])
     return np.linalg.norm(steps, axis=1)

@@ -19,8 +19,8 @@ class ObjectLevel:
     ``phi_2 >= 0`` (equation 13, without its terminal cost l_f).
 
     Attributes:
-        launches: One update and the path that the nominal then takes, as launches.
-        path: That path, an output of shape [horizon + 1].
+        launches: Launches that update the nominal wrenches once and compute the resulting path.
+        path: That path, planar poses [m, m, rad], as an output of shape [horizon + 1].
         to_go: The cost-to-go; ``None`` if the level does not use it.
         setup_seconds: Wall time of computing or reading the cost-to-go [s].
     """
@@ -47,7 +47,7 @@ class ObjectLevel:
         self._dynamics.set_state(pose)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the cost-to-go at a planar pose of the friction centre, shape [3] [m, m, rad] [m].
+        """Returns the cost-to-go [m] at a planar pose of the friction centre, shape [3] [m, m, rad].
 
         Without a cost-to-go, it is the straight distance to the goal.
         """

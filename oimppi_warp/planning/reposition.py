@@ -50,13 +50,13 @@ _REMEMBERED = 8
 
 
 class Repositioner:
-    """Monitors the object's headway, and leads the tip to another side of it when there is none.
+    """Monitors the object's progress, and leads the tip to another side of the object when there is none.
 
     Args:
         scene: The task.
-        geometry: Its shapes.
-        settings: When to reposition, and for how long.
-        turn: Whether the object's yaw counts.
+        geometry: Limit surface and distance fields of the scene.
+        settings: Settings that determine when to reposition, and for how long.
+        turn: Whether the task specifies the object's yaw.
         height: Height of the tip while it pushes [m].
         period: Control period [s].
     """
@@ -82,7 +82,7 @@ class Repositioner:
         self.reset()
 
     def reset(self) -> None:
-        """Resets headway, waypoints and the sides tried."""
+        """Forgets the progress made, the waypoints and the sides tried before."""
         self._least = math.inf
         self._stalled = 0.0
         self._time_left = 0.0

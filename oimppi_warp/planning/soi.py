@@ -118,7 +118,7 @@ class SequentialPlanner(Planner):
         return super().tracked() if self._follower is None else self._follower.tracked()
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance that the object still has to travel from a planar pose, shape [3] [m, m, rad] [m].
+        """Returns the distance [m] that the object still has to travel from a planar pose, shape [3] [m, m, rad].
 
         A radian of yaw counts as the setting ``object.yaw_length``.
         """

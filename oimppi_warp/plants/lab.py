@@ -142,7 +142,7 @@ class LabPlant:
         return self._plant.observe()
 
     def apply(self, joint_velocity: np.ndarray) -> None:
-        """Sends joint velocities [rad/s], shape [dof], and runs one control period.
+        """Sends joint velocities, shape [dof] [rad/s], and runs one control period.
 
         Raises:
             ValueError: The command is not finite.

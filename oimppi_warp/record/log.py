@@ -117,7 +117,7 @@ class EpisodeLog:
     Attributes:
         header: Description of the run, see the module's table.
         references: Object plans as ``(step, path)``: the step before which each was made (0 for SOI's) and its planar
-            poses, shape [length, 3].
+            poses, shape [length, 3] [m, m, rad].
     """
 
     def __init__(self, header: Mapping[str, Any]) -> None:
@@ -180,7 +180,12 @@ class EpisodeLog:
         self._rows += 1
 
     def add_reference(self, path: np.ndarray, step: int | None = None) -> None:
-        """Stores a copy of an object plan, planar poses [length, 3], made before ``step``; ``None``: the next step."""
+        """Stores a copy of an object plan.
+
+        Args:
+            path: Planar poses of the object, shape [length, 3] [m, m, rad].
+            step: Number of the step before which the plan was made; ``None``: the next step.
+        """
         self.references.append((self._rows if step is None else step, np.array(path, dtype=float).reshape(-1, 3)))
 
     def save(self, folder: str | Path) -> Path:

@@ -142,7 +142,8 @@ class Estimator:
 
         Args:
             observation: The current estimate, from :meth:`update`.
-            pending: Commands as pairs of duration [s] and joint velocities [dof] [rad/s].
+            pending: Commands as pairs of duration [s] and joint velocities, shape [dof] [rad/s; m/s for a prismatic
+                joint].
         """
         joints, total = [observation.joint_position], 0.0
         for duration, velocity in pending:

@@ -16,7 +16,7 @@ ROOMY = 1.3
 
 
 def fit_collider(name: str, points: np.ndarray) -> Collider:
-    """Fits a convex collider named ``name`` around points [n, 3] [m]; a hull has at most :data:`POINTS` vertices.
+    """Fits a convex collider named ``name`` around points, shape [n, 3] [m]; a hull has up to :data:`POINTS` vertices.
 
     Raises:
         ValueError: The points are coplanar.

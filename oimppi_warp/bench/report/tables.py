@@ -204,7 +204,7 @@ def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[st
 
 
 def differing_pairs(found: Comparison) -> Table:
-    """Tabulates the pairs that succeed on only one side, with the command that reruns the failed trial."""
+    """Builds the table of pairs that succeeded on one side only, with the command that reruns the failed trial."""
     rows = []
     for pairs, side in ((found.only_first, "A"), (found.only_second, "B")):
         for a, b in pairs:

@@ -68,7 +68,7 @@ class ObjectDynamics:
         self._start.host[0] = pose
 
     def to_go_at(self, pose: np.ndarray) -> float | None:
-        """Returns the cost-to-go at a pose [3] [m]; ``None`` if there is none."""
+        """Returns the cost-to-go [m] at a planar pose, shape [3] [m, m, rad]; ``None`` if it is not used."""
         return None if self._to_go_values.size == 0 else pose_field_at(self.to_go, pose, self._to_go_values)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
