@@ -48,7 +48,8 @@ class Collider(_ReadOnly):
     Attributes:
         path: Prim path.
         kind: Type of shape; a mesh collides as the convex hull of its vertices.
-        transform: Pose of the shape in the frame of its body (in the world frame for obstacles), shape [7].
+        transform: Position [m] and quaternion xyzw of the shape in the frame of its body (in the world frame for
+            obstacles), shape [7].
         size: Dimensions [m]. Box: half extents along x, y and z. Sphere: (radius,). Cylinder and capsule: (radius, half
             length of the straight part), with the axis along the shape's z. Mesh: empty.
         vertices: Vertices of a mesh in the shape's frame, shape [n, 3] [m]; ``None`` for the other kinds.
@@ -79,7 +80,7 @@ class Welded(_ReadOnly):
 
     Attributes:
         path: Prim path; those colliders of the link whose paths are below this path belong to the body.
-        transform: The body's frame in the link's frame, shape [7].
+        transform: The body's frame in the link's frame: position [m] and quaternion xyzw, shape [7].
         mass: Mass [kg].
         center_of_mass: Centre of mass in the body's frame, shape [3] [m]; ``None`` for that of the body's colliders.
         unit_inertia: Rotational inertia about the centre of mass, divided by the mass, in the axes of the body's frame,
@@ -119,18 +120,19 @@ class Link(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Joint(_ReadOnly):
-    """A joint that turns about, or slides along, the z axis of its own frame.
+    """A joint that rotates about, or slides along, the z axis of its own frame.
 
-    Wherever this package gives rad, rad/s or N m for a joint, the units for a sliding joint are m, m/s and N.
+    Wherever this package gives rad, rad/s or N m for a joint, the units for a prismatic joint are m, m/s and N.
 
     Attributes:
         path: Prim path.
-        parent_transform: The joint's frame in the frame of the previous link (the base for the first joint), shape [7];
-            at joint position zero, it is also the frame of the link that the joint moves.
-        lower, upper: Position limits [rad]; those of a sliding joint are finite.
+        parent_transform: The joint's frame in the frame of the previous link (the base for the first joint): position
+            [m] and quaternion xyzw, shape [7]. At joint position zero, it is also the frame of the link that the joint
+            moves.
+        lower, upper: Position limits [rad]; those of a prismatic joint are finite.
         velocity_limit: Velocity limit [rad/s].
         effort_limit: Torque limit [N m].
-        kind: ``"revolute"`` if the joint turns, ``"prismatic"`` if it slides.
+        kind: ``"revolute"`` or ``"prismatic"``.
         friction: Torque of dry friction in the joint [N m].
         damping: Torque of viscous friction in the joint, divided by the velocity [N m s/rad].
     """
@@ -148,14 +150,15 @@ class Joint(_ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Robot(_ReadOnly):
-    """A serial arm of turning or sliding joints with a stick as its tool, its base fixed at the world's origin.
+    """A serial arm of revolute or prismatic joints, with a stick as its tool and its base fixed at the world's origin.
 
     Attributes:
         path: Prim path.
         base: The fixed base link; its shapes are in the world frame.
         joints: The moving joints from base to flange, length dof.
         links: The link that each joint moves, length dof; the last link includes the tool, which is welded to it.
-        tip: Frame of the tool's tip in the last link's frame, shape [7]; the z axis of the tip points out of the tool.
+        tip: Frame of the tool's tip in the last link's frame: position [m] and quaternion xyzw, shape [7]; its z axis
+            points out of the tool.
         tool_path: Prim path of the tip's prim.
         tool_radius: Radius of the stick [m].
         start: Joint positions at the start of an episode, shape [dof] [rad].
@@ -297,10 +300,10 @@ class Scene(_ReadOnly):
         object: The object to be pushed.
         table: The table.
         obstacles: The obstacles.
-        start: Start pose of the object.
+        start: Planar start pose of the object (x [m], y [m], yaw [rad]).
         starts: Listed start poses of the object (x [m], y [m], yaw [rad]), shape [n, 3].
         spread: Half widths of the box around ``start`` from which seeds draw starts: (position [m], yaw [rad]).
-        goal: Goal pose of the object.
+        goal: Planar goal pose of the object (x [m], y [m], yaw [rad]).
         tolerance: Tolerance for success.
         tight_tolerance: Stricter tolerance, for which success is reported as well.
         gravity: Acceleration due to gravity in the world frame, used by the plant [m/s^2]; planners assume 9.81 m/s^2

@@ -77,7 +77,7 @@ def test_a_registered_shape_is_in_help_and_in_messages(shape, tmp_path, capsys):
     assert main(["scene", "new", "mine", "--out", str(tmp_path), "--object", "steel-angel:1"]) == 2
     assert "did you mean steel-angle:0.12x0.04?" in capsys.readouterr().err
     assert main(["scene", "new", "mine", "--out", str(tmp_path), "--object", "t-block", "--height", "0.03"]) == 2
-    assert "with letters and words and angles only" in capsys.readouterr().err
+    assert "only with letters, words or angles" in capsys.readouterr().err
 
 
 def test_a_shape_that_was_removed_is_no_longer_known(shape, tmp_path, capsys):

@@ -57,15 +57,15 @@ class Stage:
     """Result of one control step of a rollout, as used by the robot level's cost terms.
 
     Attributes:
-        tip: Tool tip [m].
+        tip: Position of the tool tip in the world frame [m].
         up: The world's z axis in the tip's frame.
-        lean: Tilt of the stick, see ``ArmPlacement``.
+        lean: Tilt of the stick; see ``ArmPlacement``.
         velocity: Velocity of the tip in x and y [m/s].
-        pose: The object's pose.
+        pose: Planar pose of the object's friction centre [m, m, rad].
         top: Height of the object's top above the table [m].
-        goal: The object's goal.
-        reference: The object plan's pose at this step.
-        target: The object plan's pose ``align_ahead`` steps later, for the alignment.
+        goal: Goal of the friction centre [m, m, rad].
+        reference: Pose of the reference at this step [m, m, rad].
+        target: Pose of the reference ``align_ahead`` steps later, for the alignment [m, m, rad].
         to_go: Cost-to-go of the pose [m]; 0 if its weight is zero.
         force: Contact force between object and environment, lambda_2 [N].
         arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m].

@@ -54,6 +54,6 @@ def object_rollout(
 
 @wp.kernel
 def follow_path(path: wp.array2d[wp.vec3], reference: wp.array[wp.vec3]):
-    """Copies a path [1, horizon + 1] to the reference [n], holding its last pose (Algorithm 2, line 4)."""
+    """Copies a path, shape [1, horizon + 1], to the reference, shape [n], and holds its end (Algorithm 2, line 4)."""
     i = wp.tid()
     reference[i] = path[0, wp.min(i, path.shape[1] - 1)]

@@ -14,7 +14,7 @@ class Draw:
     Attributes:
         force: Factor on the object's friction force mu m g.
         tool_friction: Factor on the Coulomb coefficient of tool and object.
-        pose: Error of the object's perceived pose.
+        pose: Error of the object's perceived planar pose [m, m, rad].
         tool: Offset of the tip in its own frame, across the tool [m].
     """
 

@@ -43,7 +43,7 @@ def clear_start(scene: Scene) -> tuple[float, ...] | None:
 
 
 def inverse_kinematics_from_start(robot: Robot, tip: np.ndarray) -> np.ndarray | None:
-    """Returns joint positions with the tip at a point [3] [m] and the tool pointing down, or ``None`` if none exist.
+    """Returns joint positions with the tip at a point, shape [3] [m], and the tool down; ``None`` if none are found.
 
     The search begins at the robot's start pose with its first joint turned towards the point.
     """

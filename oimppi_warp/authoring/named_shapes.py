@@ -34,7 +34,7 @@ class Parameter:
     """A number in a spec, such as the radius in ``cylinder:0.033x0.101``.
 
     Attributes:
-        name: Its meaning: ``"radius"``.
+        name: Meaning of the parameter, such as ``"radius"``.
         unit: Its unit; empty for a count.
     """
 

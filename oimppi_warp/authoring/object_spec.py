@@ -152,8 +152,9 @@ def check_used(options: ShapeOptions, specs: Iterable[str]) -> None:
     taken = {option for each in named if each is not None for option in each.shape.options}
     for option, value in options.given().items():
         if option not in taken and option not in COMMON_OPTIONS:
-            what = " and ".join(shapes_taking(option))
-            raise ConfigError(f"--{option} {value}: does not apply to any of the objects\n  allowed: with {what} only")
+            *others, last = shapes_taking(option)
+            what = f"{', '.join(others)} or {last}" if others else last
+            raise ConfigError(f"--{option} {value} does not apply to any of the objects\n  allowed: only with {what}")
 
 
 def checked_pose(option: str, text: str, *, given: str = "", allowed: str = POSE) -> Pose:

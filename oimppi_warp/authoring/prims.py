@@ -106,7 +106,7 @@ def _finish(gprim: UsdGeom.Gprim, color: Color | None, collide: bool, opacity: f
 
 @dataclass(frozen=True)
 class Look:
-    """The look of a geometry prim: its colour (none: hidden), its opacity, and whether it collides."""
+    """The look of a geometry prim: its colour (``None``: hidden), its opacity, and whether the prim collides."""
 
     color: Color | None = None
     collide: bool = False
@@ -177,7 +177,7 @@ def mesh(
 
 
 def prism(stage: Usd.Stage, path: str, polygon: np.ndarray, height: float, look: Look) -> Usd.Prim:
-    """Adds a convex polygon (counter-clockwise, [n, 2]) extruded upwards and downwards by half its height."""
+    """Adds a convex polygon (counter-clockwise, shape [n, 2] [m]), extruded up and down by half its height."""
     n = len(polygon)
     points = np.vstack([np.c_[polygon, np.full(n, z)] for z in (-height / 2, height / 2)])
     sides = [[i, (i + 1) % n, n + (i + 1) % n, n + i] for i in range(n)]
@@ -217,7 +217,7 @@ def bind_physics(root: Usd.Prim, material: UsdShade.Material) -> None:
 
 
 def mass_properties(prim: Usd.Prim, mass: float, center: Vector, inertia: np.ndarray) -> None:
-    """Authors mass [kg], centre of mass [m] and inertia about it (3 x 3 matrix in the prim's axes) [kg m^2]."""
+    """Authors mass [kg], centre of mass [m] and inertia about it in the prim's axes, shape [3, 3] [kg m^2]."""
     moments, axes = np.linalg.eigh(inertia)
     axes = axes[:, np.argsort(np.abs(axes).argmax(axis=0), kind="stable")] if _is_diagonal(inertia) else axes
     moments = np.diag(axes.T @ inertia @ axes)

@@ -217,8 +217,8 @@ def _install(draft: Path, folder: Path, main: Path, own: frozenset[Path]) -> tup
     found = [path for path in found if not _same(draft / path, folder / path)]
     for path in found:
         if (folder / path).exists() and path != main and path not in own:
-            fix = "choose another folder with --out, or rename one of the two"
-            raise SceneError("a different file of this name already exists", file=folder / path, fix=fix)
+            fix = f"choose another folder with --out, or rename this file or the new {path.name} that the task uses"
+            raise SceneError("a different file with this name already exists", file=folder / path, fix=fix)
     for path in sorted(found, key=lambda path: path == main):
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)

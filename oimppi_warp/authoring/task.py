@@ -78,7 +78,7 @@ Obstacle = Block | Pillar | StaticObject
 
 @dataclass(frozen=True)
 class Task:
-    """A task and its scene; poses are (x [m], y [m], yaw [rad]).
+    """A task to be written as a scene; poses are (x [m], y [m], yaw [rad]).
 
     Attributes:
         name: Name of the scene's file.
@@ -86,8 +86,8 @@ class Task:
         object: The object to push.
         start, goal: Start and goal pose of the object.
         obstacles: Static obstacles.
-        tolerance, tight: Tolerance for success, and a stricter one reported beside it: position [m] and yaw [rad].
-        robot_start: Joint positions at the start [rad; m]; empty: the robot's own.
+        tolerance, tight: Tolerance for success, and the tight one, reported as well: position [m] and yaw [rad].
+        robot_start: Joint positions at the start [rad; m for a prismatic joint]; if empty, the robot's own.
         robot: Name of the robot's file in ``robots/``; the extension defaults to ``.usda``.
     """
 

@@ -34,7 +34,7 @@ def scene_footprints(scene: Scene) -> dict[str, Any]:
 
 
 def transformed(rings: Iterable[Any], pose: Any) -> list[np.ndarray]:
-    """Transforms rings [n, 2] [m] from an object's frame to the world, with the object at a planar pose [3]."""
+    """Transforms rings, shape [n, 2] [m] each, from the frame of an object at a planar pose to the world."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[c, s], [-s, c]])
     return [np.asarray(ring) @ turn + np.asarray(pose[:2]) for ring in rings]

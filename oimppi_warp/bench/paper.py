@@ -19,11 +19,11 @@ class Reported:
 
     Attributes:
         table: ``I`` or ``II``.
-        success: Success rate.
-        error_m: Position error averaged over time (epsilon_d); ``None`` if it is not reported for a task.
-        control_hz: Control frequency (f).
-        total_time_s: Total time (T).
-        preplan_time_s: The part of the total time that SOI spends planning in advance.
+        success: Success rate, from 0 to 1.
+        error_m: Position error averaged over time (epsilon_d) [m]; ``None`` if the paper does not report it.
+        control_hz: Control frequency (f) [Hz]; ``None`` if the paper does not report it.
+        total_time_s: Total time (T) [s]; ``None`` if the paper does not report it.
+        preplan_time_s: Part of the total time that SOI spends planning in advance [s]; ``None`` for other methods.
     """
 
     table: str

@@ -51,7 +51,9 @@ def wilson(count: int, total: int, *, confidence: float = 0.95) -> Rate:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics over some trials. Those that raised count as failures and are otherwise ignored. NaN means no values.
+    """Statistics over some trials. A trial that raised an error counts as a failure and is otherwise ignored.
+
+    A statistic without values is NaN.
 
     Attributes:
         success, tight: Rates at the task's tolerance and at the tight one.
@@ -64,12 +66,12 @@ class Statistics:
         total_time: The paper's T, mean over successes [s]: planning and moving until success.
         preplan_time: The part of the total time spent planning before the first step, mean over successes [s].
         plan_ms, plan_ms_p95: Medians over the trials of their median and 95th percentile plan times [ms].
-        control_hz: Mean of the trials' control frequencies.
+        control_hz: Mean of the trials' control frequencies [Hz].
         samples, object_samples: Mean effective sample sizes of the two levels.
         clearance: Smallest clearance over all trials [m].
-        clear: Share of the successes whose clearance never fell below :data:`DEEP`.
+        clear: Rate of the successes whose clearance never fell below :data:`DEEP`.
         object_force, robot_force: Largest force of the object, and of the robot, on an obstacle [N].
-        raised: Number of trials that raised.
+        raised: Number of trials that raised an error.
     """
 
     success: Rate

@@ -186,7 +186,7 @@ def load_suite(suite: str | Path) -> Suite:
         entry = Entry().changed(common | _values(table, where))
         if not entry.tasks:
             fix = 'tasks = ["task01", "task02"]'
-            raise ConfigError(f"{where}no tasks\n  to do:   add some at the top or in the entry: {fix}")
+            raise ConfigError(f"{where}no tasks\n  to do:   add some at the top of the file or in the entry: {fix}")
         entries.append(entry)
     made = Suite(file.stem, title, file, tuple(entries))
     _check(made)
@@ -237,7 +237,7 @@ def _integer(low: int, high: int) -> tuple[Callable[[Any], bool], str]:
     def fits(value: Any) -> bool:
         return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
 
-    return fits, f"a whole number from {low} to {high}"
+    return fits, f"an integer from {low} to {high}"
 
 
 def _one_of(names: Any) -> tuple[Callable[[Any], bool], str]:
@@ -263,7 +263,7 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         "threads": _integer(1, 1024),
         "seed": _integer(0, LARGEST_SEED),
         "set": (_strings, 'a list of settings, like ["robot.optimizer.samples=512"]'),
-        "max_sim_seconds": (lambda value: _number(value) and value > 0, "a time above zero [s]"),
+        "max_sim_seconds": (lambda value: _number(value) and value > 0, "a time above zero, in seconds"),
         "tolerance": (
             lambda value: isinstance(value, list) and len(value) == 2 and all(_number(x) and x > 0 for x in value),
             "position [m] and yaw [rad], like [0.005, 0.02]",

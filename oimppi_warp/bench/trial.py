@@ -36,7 +36,7 @@ class Trial:
         scene: Name of a shipped scene, or a file, from which it is loaded.
         content: Hash of the scene's files.
         number: Number of the trial, from 0; the same number means the same start and the same seed for every method.
-        start: Planar pose of the object.
+        start: Planar start pose of the object: x, y, yaw [m, m, rad].
         run: Options of the run, with the trial's own seed.
         settings: Requested settings.
     """
@@ -108,7 +108,13 @@ class Trial:
 
 
 def make_episode(trial: Trial) -> Episode:
-    """Creates the episode of a trial, as ``oimppi run`` does."""
+    """Creates the episode of a trial, as ``oimppi run`` does.
+
+    Raises:
+        SceneError: The scene cannot be read, or the task cannot be done.
+        ConfigError: A setting is invalid.
+        DeviceError: The device does not exist.
+    """
     from oimppi_warp.compute.device import pick_device
     from oimppi_warp.runtime.episode import Episode
 
@@ -138,10 +144,11 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
     """Creates all trials of a suite, and loads the scenes of its tasks.
 
     The lowest numbers use the scene's own starts, for any seed; all other starts are drawn with the trial's seed.
-    Start and seed depend only on the task and the number, so that methods can be compared in pairs.
+    Start and seed depend only on the task, the suite's seed and the trial's number, so that methods can be compared in
+    pairs.
 
     Returns:
-        The trials in the order in which the suite lists them, and the scene of each task by the task's short name.
+        The trials in the order in which the suite lists them, and the scenes by :attr:`Trial.task`.
 
     Raises:
         SceneError: A scene cannot be read, or no start can be drawn.

@@ -121,7 +121,9 @@ Command = (
     | Annotated[Export, subcommand("export", prefix_name=False)]
     | Annotated[
         SceneCommand,
-        subcommand("scene", prefix_name=False, description="Create and check your own tasks, objects and robots."),
+        subcommand(
+            "scene", prefix_name=False, description="Create scenes, objects and robots of your own, and check scenes."
+        ),
     ]
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]

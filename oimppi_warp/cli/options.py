@@ -33,13 +33,15 @@ class TaskOptions:
     """Options of the run."""
 
     start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="(default: drawn with --seed)")] = None
-    """Start pose of the object in metres and radians, or the number of one of the scene's listed starts, from 0."""
+    """Start pose of the object in metres and radians, or the index I (from 0) of a start listed in the scene.
+    If X is negative, write --start=X,Y,YAW with an equals sign."""
 
     goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="(default: the scene's)")] = None
-    """Goal pose of the object in metres and radians."""
+    """Goal pose of the object, as X,Y,YAW in metres and radians."""
 
     preset: Literal["auto", "best", "paper", "lab"] = "auto"
-    """Preset of the settings; auto selects lab with --plant lab, and best otherwise."""
+    """Settings to start from: our best (best), the paper's (paper), or those for the simulated laboratory (lab).
+    auto selects lab with --plant lab, otherwise best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512; docs/settings.md lists the names."""

@@ -18,7 +18,9 @@ _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 @dataclass(frozen=True)
 class AddRobot:
-    """Convert a URDF or USD file to a robot for scenes: a serial arm of turning or sliding joints with a stick as tool.
+    """Convert a URDF or USD file to a robot for scenes.
+
+    The robot must be a serial arm of revolute or prismatic joints; a stick is added as its tool.
 
     Two files are written: the robot, robots/NAME.usda, and a sample task with a T block on an open table,
     NAME_open.usda. Exit status: 0, or 2 for bad input.
@@ -114,11 +116,13 @@ class AddRobot:
             )
         for option, value, most in (("length", self.tool_length, 2.0), ("radius", self.tool_radius, 0.1)):
             if not (math.isfinite(value) and 0.0 < value <= most):
-                raise ConfigError(f"--tool-{option} {value:g} cannot be used\n  allowed: above 0, up to {most:g} [m]")
+                raise ConfigError(
+                    f"--tool-{option} {value:g} cannot be used\n  allowed: above 0 and at most {most:g} m"
+                )
         if self.tool_length <= 2.0 * self.tool_radius:
             raise ConfigError(
                 f"--tool-length {self.tool_length:g}: the stick is shorter than it is thick\n"
-                f"  allowed: above {2.0 * self.tool_radius:g} [m], twice --tool-radius"
+                f"  allowed: above {2.0 * self.tool_radius:g} m, twice --tool-radius"
             )
         if self.file.suffix == ".xacro":
             raise SceneError(

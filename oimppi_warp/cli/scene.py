@@ -72,7 +72,7 @@ class ObjectOptions:
     """Pose of the mesh on the table: its most stable pose (stable), or as modelled, with its z axis up (as-is)."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
-    """Folder to write to; objects are written to its subfolder objects, a robot to robots."""
+    """Folder to write to; objects go to DIR/objects."""
 
     force: FlagCreatePairsOff[bool] = False
     """Overwrite existing files."""
@@ -96,16 +96,22 @@ class ObjectOptions:
 class New(ObjectOptions):
     """Write a new task: a scene with an object to push, its start and goal, and obstacles.
 
-    The task is written only if nothing overlaps and the arm reaches start and goal. Comments in the file explain each
-    attribute, for editing by hand. Exit status: 0, or 2 for a task that cannot be done.
-    Try `oimppi scene new push_s --object letter:S --goal 0.5,0.2,1.57 --obstacle box:0.1,0.1,0.1@0.5,-0.1`.
+    The task is written only if nothing overlaps and the arm can reach the start and the goal. Comments in the file
+    explain each attribute, for editing by hand. Exit status: 0, or 2 for an infeasible task or bad input.
+
+    For example:
+
+    oimppi scene new push_s --object letter:S --goal 0.5,0.2,1.57 --obstacle box:0.1x0.1x0.1@0.5,-0.1
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
-    """Name of the task; NAME.usda is written."""
+    """Name of the task; DIR/NAME.usda is written."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path(".")
+    """Folder to write to; objects go to DIR/objects, the robot to DIR/robots."""
 
     object: Annotated[str, arg(metavar="OBJECT", help_behavior_hint=_object_hint)] = "t-block"
-    """Object to push: the name of an object in DIR/objects (DIR is that of --out), or one of the following."""
+    """Object to push: the name of an object in DIR/objects (DIR is that of --out), or one of the following specs."""
 
     start: Annotated[str, arg(metavar="X,Y,YAW")] = "0.3,-0.45,0"
     """Start pose of the object relative to the centre of the arm's base, in metres and radians.
@@ -172,8 +178,12 @@ class Import(ObjectOptions):
     """Convert a mesh to an object: close it, lay it on the table, split it into convex pieces, and render a picture.
 
     The deviation of the pieces from the mesh is reported, and a mesh that cannot be pushed is rejected with the reason.
-    Other shapes, such as letter:X or text:WORD, are accepted as well. Exit status: 0, or 2 for an unusable mesh.
-    Try `oimppi scene import bracket.stl --scale mm --mass 0.4`.
+    Other shapes, such as letter:X or text:WORD, are accepted as well. Exit status: 0, or 2 for an unusable mesh or bad
+    input.
+
+    For example:
+
+    oimppi scene import bracket.stl --scale mm --mass 0.4
     """
 
     source: Annotated[Positional[str], arg(metavar="MESH")]

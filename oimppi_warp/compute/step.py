@@ -68,9 +68,9 @@ class Compute:
         threads: Number of threads on the CPU; ``None``: the number of cores that the process may use.
 
     Attributes:
-        name: The device's name, as a run is recorded with it.
+        name: Name of the device, as it appears in records.
         device: Warp's name of the device.
-        on_gpu: Whether it is a GPU, or is emulated as one.
+        on_gpu: Whether the device is a GPU or the emulated GPU.
         threads: Number of threads among which launches over samples are distributed.
 
     Raises:
@@ -97,7 +97,7 @@ class Compute:
         return self._outputs.slot(shape, dtype)
 
     def launch(self, kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Launch:
-        """Prepares a launch of ``dim`` threads of a kernel."""
+        """Prepares a launch of a kernel with ``dim`` threads."""
         return _Prepared(kernel, (dim,), inputs, outputs, self.device, self._block)
 
     def launch_blocks(self, kernel: Any, blocks: int | None, inputs: Sequence[Any], outputs: Sequence[Any]) -> Launch:
@@ -107,7 +107,7 @@ class Compute:
             kernel: Kernel whose thread index is (block, thread), or the thread alone if there is only one block.
             blocks: Number of blocks; ``None`` for a single one.
             inputs: The kernel's inputs.
-            outputs: Its outputs.
+            outputs: The kernel's outputs.
         """
         dim = (self._block,) if blocks is None else (blocks, self._block)
         return _Prepared(kernel, dim, inputs, outputs, self.device, self._block)
@@ -119,7 +119,7 @@ class Compute:
             kernel: Kernel whose first argument is the index of the slice's first sample; samples must be independent.
             count: Number of samples.
             inputs: The kernel's other inputs.
-            outputs: Its outputs.
+            outputs: The kernel's outputs.
         """
         slices = 1 if self.on_gpu or self.threads == 1 else min(self.threads * _SLICES_PER_THREAD, count)
         edges = np.linspace(0, count, slices + 1).astype(int)
@@ -130,11 +130,13 @@ class Compute:
         return launches[0] if slices == 1 else _Shares(launches, self.threads)
 
     def step(self, launches: Sequence[Launch], *, one_graph: bool = True) -> Launch:
-        """Prepares a whole step: uploads inputs, runs all launches in order, downloads outputs, and waits for the end.
+        """Returns a launch that runs a whole step.
+
+        It uploads the inputs, runs ``launches`` in order, downloads the outputs and waits until all are done.
 
         Args:
             launches: Launches of the step.
-            one_graph: Whether the whole step can be captured as one CUDA graph.
+            one_graph: Whether the step can be captured as one CUDA graph; if not, its launches run one by one.
         """
 
         def enqueue() -> None:

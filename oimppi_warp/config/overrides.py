@@ -79,9 +79,9 @@ def extra_weights(cost: RobotCost) -> ExtraWeights:
 
 
 def effective_weights(cost: RobotCost) -> ExtraWeights:
-    """Returns :func:`extra_weights` without the weights that are zero.
+    """Returns :func:`extra_weights` without zero weights.
 
-    A zero weight is kept if the term's default weight is not zero, since it turns that term off.
+    A zero weight remains if it turns off a term whose default weight is not zero.
     """
     of_itself = {name for name, term in COST_TERMS.loadable() if term.weight != 0.0}
     return ExtraWeights({name: w for name, w in extra_weights(cost).items() if w != 0.0 or name in of_itself})

@@ -28,7 +28,8 @@ class RunSpec:
     """Options of a run, apart from its scene and settings. Trials, records and metrics contain them unchanged."""
 
     method: MethodName = "cloi"
-    """Method: plain MPPI (mppi), or MPPI that follows an object plan made once (soi) or at every step (cloi)."""
+    """Method: plain MPPI (mppi), or MPPI that follows an object plan made once (soi) or at every step (cloi).
+    An object plan is a sequence of object poses from the current pose to the goal, planned without the arm."""
 
     engine: EngineName = "auto"
     """Rollout engine: the paper's quasi-static model (quasistatic) or full physics (newton).
@@ -39,7 +40,7 @@ class RunSpec:
     """Device of the planner: cpu, cuda:0, cuda:1, ...; auto selects the first GPU, or the CPU if there is no GPU."""
 
     threads: Annotated[
-        int | None, arg(metavar="N", help_behavior_hint="(default: all cores; in real time all but one)")
+        int | None, arg(metavar="N", help_behavior_hint="(default: all cores; in real time, all but one)")
     ] = None
     """Number of CPU threads of the planner."""
 

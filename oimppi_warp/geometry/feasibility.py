@@ -45,7 +45,7 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
     Args:
         scene: The task.
         name: Name of the pose in messages: "start", "goal", or "start 3" for one of those listed.
-        pose: The pose.
+        pose: Planar pose of the object: x, y, yaw [m, m, rad].
     """
     label = f"the object's {name} ({pose[0]:.3g}, {pose[1]:.3g}, {pose[2]:.3g})"
     prim = scene.object.path if name == "start" else ""
@@ -78,14 +78,14 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
 def sample_start(scene: Scene, seed: int) -> PlanarPose:
     """Draws a start from the scene's spread around its start; the same seed gives the same start.
 
-    There the object has :data:`START_CLEARANCE` around it, and the arm can reach all around it.
+    At this start the object has :data:`START_CLEARANCE` around it, and the arm can reach all sides of the object.
 
     Args:
         scene: The task.
-        seed: A whole number, zero or more.
+        seed: An integer, zero or more.
 
     Raises:
-        SceneError: :data:`MAX_DRAWS` draws gave no such start.
+        SceneError: None of :data:`MAX_DRAWS` draws is such a start.
     """
     position, yaw = scene.spread
     if position == 0.0 and yaw == 0.0:

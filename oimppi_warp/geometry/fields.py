@@ -127,12 +127,12 @@ def build_geometry(scene: Scene, device: str) -> Geometry:
 
 
 def to_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
-    """Converts poses [..., 3] of the object's frame to poses of its friction centre."""
+    """Converts planar poses of the object's frame to those of its friction centre, shape [..., 3] [m, m, rad]."""
     return _translated(pose, surface.center)
 
 
 def from_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
-    """Converts poses [..., 3] of the object's friction centre to poses of its frame."""
+    """Converts planar poses of the object's friction centre to those of its frame, shape [..., 3] [m, m, rad]."""
     return _translated(pose, -surface.center)
 
 

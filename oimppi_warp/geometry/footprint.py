@@ -91,12 +91,12 @@ def quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def transform_points(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Transforms points [n, 3] by a spatial transform [7] (position, quaternion xyzw)."""
+    """Transforms points, shape [n, 3] [m], by a transform (position [m], quaternion xyzw), shape [7]."""
     return np.atleast_2d(points) @ rotation_matrix(transform[3:]).T + transform[:3]
 
 
 def planar_points(pose: PlanarPose | np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Transforms points [n, 2] by a planar pose (x, y, yaw)."""
+    """Transforms points, shape [n, 2] [m], by a planar pose (x, y, yaw) [m, m, rad]."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.atleast_2d(points) @ np.array([[c, s], [-s, c]]) + np.asarray(pose[:2])
 
@@ -207,12 +207,12 @@ def limit_surface(body: PushedObject, *, support: Literal["corners", "area"] = "
 
 
 def _rim(piece: Piece) -> np.ndarray:
-    """Returns points on the outline of a rounded piece, shape [n, 2]."""
+    """Returns points on the outline of a rounded piece, shape [n, 2] [m]."""
     return np.asarray(cast(Polygon, piece.polygon()).exterior.coords)[:-1]
 
 
 def _grid_inside(shape: BaseGeometry, *, count: int) -> np.ndarray:
-    """Returns about ``count`` points of a square grid inside a planar shape, shape [n, 2]."""
+    """Returns about ``count`` points of a square grid inside a planar shape, shape [n, 2] [m]."""
     x0, y0, x1, y1 = shape.bounds
     step = np.sqrt(shape.area / count)
     xs, ys = np.meshgrid(np.arange(x0 + step / 2, x1, step), np.arange(y0 + step / 2, y1, step))

@@ -20,7 +20,7 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
     Args:
         robot: The arm.
-        joints: Joint positions, shape [dof] [rad; m for a sliding joint].
+        joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
 
     Returns:
         Rotations [dof, 3, 3] and positions [dof, 3] in the world frame [m].
@@ -39,13 +39,13 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 @lru_cache(maxsize=8)
 def revolute_joints(robot: Robot) -> np.ndarray:
-    """Returns whether each joint turns (otherwise it slides), shape [dof]."""
+    """Returns whether each joint is revolute (otherwise it is prismatic), shape [dof]."""
     return np.array([joint.kind == "revolute" for joint in robot.joints])
 
 
 @lru_cache(maxsize=8)
 def _rest_transforms(robot: Robot) -> np.ndarray:
-    """Returns the transform of each joint's frame in its parent's at position zero, shape [dof, 4, 4]."""
+    """Returns the transform of each joint's frame in its parent's at position zero, shape [dof, 4, 4] [m]."""
     rest = np.tile(np.eye(4), (robot.dof, 1, 1))
     for transform, joint in zip(rest, robot.joints, strict=True):
         transform[:3, :3] = rotation_matrix(joint.parent_transform[3:])
@@ -54,13 +54,23 @@ def _rest_transforms(robot: Robot) -> np.ndarray:
 
 
 def tip_frame(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns rotation [3, 3] and position [3] [m] of the tool's tip in the world frame, at joint positions [dof]."""
+    """Returns rotation, shape [3, 3], and position, shape [3] [m], of the tool's tip in the world frame.
+
+    Args:
+        robot: The arm.
+        joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
+    """
     rotations, positions = link_frames(robot, joints)
     return rotations[-1] @ rotation_matrix(robot.tip[3:]), positions[-1] + rotations[-1] @ robot.tip[:3]
 
 
 def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
-    """Returns the Jacobian of the tip's linear and angular velocity in the world frame, shape [6, dof]."""
+    """Returns the Jacobian of the tip's linear and angular velocity in the world frame, shape [6, dof].
+
+    Args:
+        robot: The arm.
+        joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
+    """
     rotations, positions = link_frames(robot, joints)
     tip = positions[-1] + rotations[-1] @ robot.tip[:3]
     axes, revolute = rotations[:, :, 2], revolute_joints(robot)[:, None]
@@ -69,7 +79,10 @@ def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
 
 
 def collider_spheres(collider: Collider) -> np.ndarray:
-    """Returns spheres [n, 4] (centre, radius) that cover a shape along its longest axis, in its body's frame [m]."""
+    """Returns spheres (centre, radius) that cover a shape along its longest axis, shape [n, 4] [m].
+
+    The centres are in the frame of the shape's body.
+    """
     points, radius = core_points(collider)
     middle = points.mean(axis=0)
     _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
@@ -89,7 +102,7 @@ def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
 
     Args:
         robot: The arm.
-        speed: Joint velocity limits to plan with, shape [dof] [rad/s].
+        speed: Joint velocity limits to plan with, shape [dof] [rad/s; m/s for a prismatic joint].
         device: Warp device.
     """
     spheres = [np.concatenate([np.zeros((0, 4)), *map(collider_spheres, link.colliders)]) for link in robot.links]
@@ -109,7 +122,11 @@ def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
 
 
 def enclosing_sphere(spheres: np.ndarray) -> np.ndarray:
-    """Returns a small sphere [4] (centre, radius) around spheres [n, 4]; zero at the origin if there are none [m]."""
+    """Returns a small sphere (centre, radius) that encloses all given ones, shape [4] [m]; all zero without spheres.
+
+    Args:
+        spheres: Centres and radii, shape [n, 4] [m].
+    """
     if not len(spheres):
         return np.zeros(4)
     centers, radii = spheres[:, :3], spheres[:, 3]

@@ -35,7 +35,7 @@ class Reach:
     border: np.ndarray | None = None
 
     def margin(self, points: np.ndarray) -> np.ndarray:
-        """Returns the distance of points [n, 2] to the region's border; negative outside [m]."""
+        """Returns the distance of points, shape [n, 2] [m], to the region's border, shape [n] [m]; negative outside."""
         if self.border is None:
             return self.radius - np.hypot(*np.asarray(points, dtype=float).T)
         region, at = shapely.convex_hull(shapely.multipoints(self.border)), shapely.points(points)
@@ -98,7 +98,7 @@ def stretched_length(robot: Robot) -> float:
 
 
 def _region(points: np.ndarray) -> Reach:
-    """Returns the convex hull of points [n, 2]."""
+    """Returns the convex hull of tip positions, shape [n, 2] [m], as a region of reach."""
     border = shapely.get_coordinates(shapely.convex_hull(shapely.multipoints(points)))[:-1]
     return Reach(float(np.hypot(*border.T).max()), border)
 
@@ -112,11 +112,11 @@ def can_lift(robot: Robot) -> bool:
 
 
 def inverse_kinematics(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
-    """Finds joint positions [dof] with the tip at a point and the tool pointing down; ``None`` if it fails.
+    """Finds joint positions, shape [dof], with the tip at a point and the tool pointing down; ``None`` if it fails.
 
     Args:
         robot: The robot.
-        joints: Initial joint positions, shape [dof] [rad; m for a sliding joint].
+        joints: Initial joint positions, shape [dof] [rad; m for a prismatic joint].
         tip: Desired position of the tip in the world frame, shape [3] [m].
     """
     return _solve_ik(robot, joints, lambda at: (np.eye(3), at - tip))

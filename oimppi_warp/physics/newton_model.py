@@ -234,7 +234,7 @@ def _by_body(link: Link, bodies: dict[str, int]) -> Iterable[tuple[int, Collider
 
 
 def _in_frame(frame: np.ndarray, collider: Collider) -> Collider:
-    """Transforms a collider to a frame [7], which is given in the collider's current one."""
+    """Expresses a collider in another frame: position [m] and quaternion xyzw in its current frame, shape [7]."""
     turn_back = frame[3:] * (-1.0, -1.0, -1.0, 1.0)
     position = rotation_matrix(frame[3:]).T @ (collider.transform[:3] - frame[:3])
     return replace(

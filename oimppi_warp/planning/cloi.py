@@ -53,11 +53,11 @@ class ClosedLoopPlanner(Planner):
         self._object.set_state(pose)
 
     def tracked(self) -> np.ndarray:
-        """Returns the object plan of the latest step, shape [n, 3]."""
+        """Returns the object plan of the latest step: planar poses of the friction centre, shape [n, 3] [m, m, rad]."""
         return self._object.path.host[0].astype(float)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance that the object still has to travel from a pose [3] [m].
+        """Returns the distance [m] that the object still has to travel from a planar pose, shape [3] [m, m, rad].
 
         A radian of yaw counts as the setting ``object.yaw_length``.
         """

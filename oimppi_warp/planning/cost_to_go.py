@@ -92,14 +92,14 @@ def build_to_go(
 
 
 def path_lengths(path: np.ndarray, yaw_length: float) -> np.ndarray:
-    """Returns the length of each step of a path [n, 3], shape [n - 1] [m]; a radian counts as ``yaw_length`` [m]."""
+    """Returns the lengths of the steps of a path of poses, shape [n - 1] [m]; a radian counts as ``yaw_length`` [m]."""
     steps = np.diff(path, axis=0)
     steps[:, 2] = yaw_length * wrap_angle(steps[:, 2])
     return np.linalg.norm(steps, axis=1)
 
 
 def _box_around(field: PoseField, pose: np.ndarray, yaw_length: float) -> tuple[list[int], list[int]]:
-    """Returns the first node and the size (yaw, x, y) of a box with all nodes within ``_NEAR`` of a pose [3]."""
+    """Returns the first node and the size (yaw, x, y) of a box with all nodes within ``_NEAR`` of a planar pose."""
     turns = field.values.shape[0]
     half = np.array([_NEAR / yaw_length * field.inv_yaw_step, _NEAR * field.inv_step, _NEAR * field.inv_step])
     at = np.array(

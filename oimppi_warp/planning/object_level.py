@@ -19,8 +19,8 @@ class ObjectLevel:
     ``phi_2 >= 0`` (equation 13, without its terminal cost l_f).
 
     Attributes:
-        launches: One update and the path that the nominal then takes, as launches.
-        path: That path, an output of shape [horizon + 1].
+        launches: Launches that update the nominal wrenches once and compute the resulting path.
+        path: That path, planar poses [m, m, rad], as an output of shape [horizon + 1].
         to_go: The cost-to-go; ``None`` if the level does not use it.
         setup_seconds: Wall time of computing or reading the cost-to-go [s].
     """
@@ -38,7 +38,7 @@ class ObjectLevel:
         self.setup_seconds = self._dynamics.setup_seconds
 
     def set_state(self, pose: np.ndarray) -> None:
-        """Sets the object's pose [3]."""
+        """Sets the planar pose of the object's friction centre, shape [3] [m, m, rad]."""
         left = distance(pose, self._goal, self._level.yaw_length)
         share = 1.0
         if self._level.noise_range > 0.0:
@@ -47,11 +47,14 @@ class ObjectLevel:
         self._dynamics.set_state(pose)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance to go from a pose [3]: the cost-to-go, or without one the straight distance [m]."""
+        """Returns the cost-to-go [m] at a planar pose of the friction centre, shape [3] [m, m, rad].
+
+        Without a cost-to-go, it is the straight distance to the goal.
+        """
         to_go = self._dynamics.to_go_at(pose)
         return distance(pose, self._goal, self._level.yaw_length) if to_go is None else to_go
 
 
 def distance(a: np.ndarray, b: np.ndarray, yaw_length: float) -> float:
-    """Returns the straight distance of two planar poses [3] [m], a radian of yaw counted as ``yaw_length`` [m]."""
+    """Returns the straight distance of two planar poses [m, m, rad]; a radian of yaw counts as ``yaw_length`` [m]."""
     return float(np.linalg.norm([*(b - a)[:2], yaw_length * wrap_angle((b - a)[2])]))

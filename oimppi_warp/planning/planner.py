@@ -231,21 +231,25 @@ class Planner:
         )
 
     def set_reference(self, pose: np.ndarray) -> None:
-        """Sets the reference of the next plan, given the object's pose [3] (of its friction centre)."""
+        """Sets the reference of the next plan, given the pose of the friction centre, shape [3] [m, m, rad]."""
         self.track(self.goal[None])
 
     def track(self, reference: np.ndarray) -> None:
-        """Sets the reference of the robot level: poses [n, 3] of the friction centre, of which the last is held."""
+        """Sets the reference of the robot level; beyond its end, the last pose is held.
+
+        Args:
+            reference: Planar poses of the object's friction centre, shape [n, 3] [m, m, rad].
+        """
         host = self.dynamics.reference.host
         self._tracked = reference
         host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
 
     def tracked(self) -> np.ndarray:
-        """Returns the reference tracked in the latest step, poses of the friction centre, shape [n, 3]."""
+        """Returns the reference of the latest step: planar poses of the friction centre, shape [n, 3] [m, m, rad]."""
         return self._tracked
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance that the object still has to travel from a pose [3] [m].
+        """Returns the distance [m] that the object still has to travel from a planar pose, shape [3] [m, m, rad].
 
         A radian of yaw counts as the setting ``object.yaw_length``.
         """

@@ -26,14 +26,14 @@ class PlanFollower:
     """Reference of the robot level, read from an object plan by progress.
 
     Args:
-        geometry: Shapes of the scene.
+        geometry: Limit surface and distance fields of the scene.
         config: All settings.
-        goal: The goal of the friction centre, pose [3].
-        reference: The robot level's reference, poses [n], which the launches write.
-        compute: The device and its threads.
+        goal: Goal of the friction centre, shape [3] [m, m, rad].
+        reference: The robot level's reference, which the launches write: planar poses [m, m, rad], shape [n].
+        compute: Device, and number of CPU threads.
 
     Attributes:
-        launches: The launches of a control step, from the object's pose to the reference.
+        launches: Launches that compute the reference from the object's pose, in every control step.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class PlanFollower:
         ]
 
     def set_plan(self, path: np.ndarray, *, arrived: bool, bound: PoseField | None) -> None:
-        """Takes a plan to follow.
+        """Sets the object plan to follow.
 
         Args:
             path: The object plan, poses [n, 3]. One that does not reach the goal is not followed.
@@ -84,13 +84,16 @@ class PlanFollower:
             self._plan.assign(padded.astype(np.float32))
 
     def set_state(self, pose: np.ndarray) -> None:
-        """Sets the object's pose [3], from which the reference begins."""
+        """Sets the pose from which the reference begins: that of the friction centre, shape [3] [m, m, rad]."""
         self._start.host[0] = pose
 
     def tracked(self) -> np.ndarray:
-        """Returns the reference of the latest step, shape [n, 3]."""
+        """Returns the reference of the latest step: planar poses of the friction centre, shape [n, 3] [m, m, rad]."""
         return self._path.host[0].astype(float)
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the cost-to-go at a pose [3] [m], in which a metre along the plan counts as half a metre."""
+        """Returns the cost-to-go [m] at a planar pose of the friction centre, shape [3] [m, m, rad].
+
+        A metre along the plan counts as half a metre.
+        """
         return pose_field_at(self._to_go, pose, self._to_go_values)

@@ -50,13 +50,13 @@ _REMEMBERED = 8
 
 
 class Repositioner:
-    """Monitors the object's headway, and leads the tip to another side of it when there is none.
+    """Monitors the object's progress, and leads the tip to another side of the object when there is none.
 
     Args:
         scene: The task.
-        geometry: Its shapes.
-        settings: When to reposition, and for how long.
-        turn: Whether the object's yaw counts.
+        geometry: Limit surface and distance fields of the scene.
+        settings: Settings that determine when to reposition, and for how long.
+        turn: Whether the task specifies the object's yaw.
         height: Height of the tip while it pushes [m].
         period: Control period [s].
     """
@@ -82,7 +82,7 @@ class Repositioner:
         self.reset()
 
     def reset(self) -> None:
-        """Resets headway, waypoints and the sides tried."""
+        """Forgets the progress made, the waypoints and the sides tried before."""
         self._least = math.inf
         self._stalled = 0.0
         self._time_left = 0.0
@@ -159,7 +159,7 @@ class Repositioner:
         self._time_left = self._settings.longest_seconds
 
     def _clear_of(self, tip: np.ndarray, body: shapely.Geometry) -> np.ndarray:
-        """Returns the nearest position [2] where a tip can rise; a tool that rises while pressing tips the object."""
+        """Returns the nearest position, shape [2] [m], where a tip can rise; rising while pressing tips the object."""
         boundary = shapely.boundary(body)
         nearest = np.array(boundary.interpolate(boundary.project(shapely.Point(tip))).coords[0])
         inside = shapely.contains_xy(body, *tip)
@@ -169,7 +169,7 @@ class Repositioner:
         return tip + max(shortfall, 0.0) * outward / max(distance, 1e-9)
 
     def _around(self, tip: np.ndarray, target: np.ndarray, body: shapely.Geometry) -> np.ndarray:
-        """Returns the free (or else the shorter) path around the object, from a tip [2] to a target [2], [n, 2]."""
+        """Returns the free (or else the shorter) path around the object, from tip to target, shape [n, 2] [m]."""
         ring = shapely.boundary(shapely.buffer(shapely.convex_hull(body), self._radius + _CLEAR))
         begin, end = (ring.project(shapely.Point(place)) for place in (tip, target))
         paths = []
@@ -198,14 +198,14 @@ class Repositioner:
         return best
 
     def _blocked(self, positions: np.ndarray) -> np.ndarray:
-        """Returns whether positions [n, 2] of the tool are next to an obstacle or at the edge of reach, shape [n]."""
+        """Returns whether tool positions, shape [n, 2] [m], are next to an obstacle or at the edge of reach."""
         points = shapely.points(positions)
         near = shapely.distance(points, self._blocks) < self._radius + _MARGIN if self._blocks else False
         return near | (self._reach.margin(positions) < _ROOM)
 
 
 def _boundary(shape: shapely.Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """Returns evenly spaced points on an outline and its inward normals there, each of shape [n, 2]."""
+    """Returns evenly spaced points on an outline [m] and its inward unit normals there, shape [n, 2] each."""
     rings = [part.exterior for part in shapely.get_parts(shape)]
     length = sum(ring.length for ring in rings)
     points, normals = [], []

@@ -59,7 +59,7 @@ class SequentialPlanner(Planner):
 
     @property
     def object_plan(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Returns the object plan made at the start, poses [n, 3] of the object's frame."""
+        """Returns the object plan made at the start: planar poses of the object's frame, shape [n, 3] [m, m, rad]."""
         return from_center(self.geometry.surface, self._path)
 
     def warm_up(self) -> None:
@@ -84,9 +84,10 @@ class SequentialPlanner(Planner):
         return time.perf_counter() - began + self._object.setup_seconds
 
     def plan_object(self, pose: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Returns the object plan [n, 3] from a pose [3] to the goal, and whether it converged.
+        """Returns an object plan from a pose to the goal, shape [n, 3], and whether it converged.
 
-        These are lines 3 to 7 of Algorithm 3. The last pose is the goal itself in either case.
+        All poses are planar poses of the friction centre [m, m, rad]. These are lines 3 to 7 of Algorithm 3. The last
+        pose is the goal itself in either case.
         """
         path, converged = [pose], False
         while not converged and len(path) <= self.config.object.plan_steps:
@@ -95,9 +96,10 @@ class SequentialPlanner(Planner):
         return np.array([*path, self.goal]), converged
 
     def _improve(self, pose: np.ndarray) -> np.ndarray:
-        """Updates the wrenches from a pose [3]; returns the path [horizon + 1, 3] under the new nominal.
+        """Updates the wrenches from a pose, shape [3]; returns the path under the new nominal, shape [horizon + 1, 3].
 
-        These are lines 4 to 6 of Algorithm 3: update, simulate, shift.
+        All poses are planar poses of the friction centre [m, m, rad]. These are lines 4 to 6 of Algorithm 3: update,
+        simulate, shift.
         """
         self._object.set_state(pose)
         self._object_step()
@@ -112,11 +114,11 @@ class SequentialPlanner(Planner):
         self._time = min(self._time + 1, len(self._path) - 1)
 
     def tracked(self) -> np.ndarray:
-        """Returns the reference tracked in the latest step, shape [n, 3]."""
+        """Returns the reference of the latest step: planar poses of the friction centre, shape [n, 3] [m, m, rad]."""
         return super().tracked() if self._follower is None else self._follower.tracked()
 
     def to_go_from(self, pose: np.ndarray) -> float:
-        """Returns the distance that the object still has to travel from a pose [3] [m].
+        """Returns the distance [m] that the object still has to travel from a planar pose, shape [3] [m, m, rad].
 
         A radian of yaw counts as the setting ``object.yaw_length``.
         """

@@ -43,9 +43,11 @@ class Camera:
         self._height = pushed.rest_height + height_range(pushed.colliders)[1]
 
     def sees(self, joints: np.ndarray, pose: np.ndarray) -> bool:
-        """Returns whether enough of the object at a planar pose [3] is visible.
+        """Returns whether the arm leaves enough of the object visible: a fraction of at least :data:`SEEN_SHARE`.
 
-        The arm, at joint positions [dof] [rad], may hide the object.
+        Args:
+            joints: Joint positions of the arm, shape [dof] [rad; m for a prismatic joint].
+            pose: Planar pose of the object, shape [3] [m, m, rad].
         """
         return self.share_seen(joints, pose) >= SEEN_SHARE
 

@@ -129,7 +129,7 @@ class LabPlant:
         self._trail = [self._measure()]
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Applies an impulse [3] to the object [N s]."""
+        """Applies an impulse to the object at its centre of mass, in the world frame, shape [3] [N s]."""
         self._plant.knock(impulse)
 
     @property
@@ -142,7 +142,7 @@ class LabPlant:
         return self._plant.observe()
 
     def apply(self, joint_velocity: np.ndarray) -> None:
-        """Sends joint velocities [rad/s], shape [dof], and runs one control period.
+        """Sends joint velocities, shape [dof] [rad/s], and runs one control period.
 
         Raises:
             ValueError: The command is not finite.

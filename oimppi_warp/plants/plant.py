@@ -68,7 +68,7 @@ class Plant(Protocol):
         ...
 
     def apply(self, joint_velocity: np.ndarray) -> None:
-        """Moves with joint velocities [rad/s], shape [dof], for one control period."""
+        """Moves with joint velocities, shape [dof] [rad/s; m/s for a prismatic joint], for one control period."""
         ...
 
 
@@ -96,16 +96,21 @@ class MovablePlant(Protocol):
     """A plant whose arm and object can be placed and whose object can be pushed, as the viewer does."""
 
     def place(self, joint_position: np.ndarray, object_transform: np.ndarray) -> None:
-        """Places the arm at joint positions [dof] [rad] and the object at a transform [7], at rest."""
+        """Places arm and object, at rest.
+
+        Args:
+            joint_position: Joint positions, shape [dof] [rad; m for a prismatic joint].
+            object_transform: Position [m] and quaternion xyzw of the object's frame, shape [7].
+        """
         ...
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Applies an impulse [3] to the object [N s]."""
+        """Applies an impulse to the object at its centre of mass, in the world frame, shape [3] [N s]."""
         ...
 
     @property
     def contact_points(self) -> np.ndarray:
-        """Returns the current contact points and normal forces, shape [n, 6] [m, N]."""
+        """Returns the contact points [m] and normal forces [N] in the world frame, shape [n, 6]: 3 numbers each."""
         ...
 
 
@@ -115,7 +120,7 @@ def latency_of(plant: Plant) -> float:
 
 
 def has_tipped(object_transform: np.ndarray) -> bool:
-    """Returns whether an object with this transform [7] (position, quaternion xyzw) no longer lies flat."""
+    """Returns whether an object with this transform (position [m], quaternion xyzw), shape [7], is no longer flat."""
     x, y = object_transform[3:5]
     return bool(1 - 2 * (x * x + y * y) < UPRIGHT)
 
@@ -186,7 +191,7 @@ class SimulatedPlant:
         """Applies an impulse to the object's centre of mass, within the next control period.
 
         Args:
-            impulse: Shape [3] [N s].
+            impulse: Impulse in the world frame, shape [3] [N s].
         """
         self._knock += np.asarray(impulse) / self.control_period
 
@@ -242,7 +247,7 @@ class SimulatedPlant:
 
     @property
     def contact_points(self) -> np.ndarray:
-        """Returns the current contact points and normal forces, shape [n, 6] [m, N].
+        """Returns the contact points [m] and normal forces [N] in the world frame, shape [n, 6]: 3 numbers each.
 
         Contacts between the object and the table are omitted.
         """

@@ -56,7 +56,7 @@ def rendered(figure: Figure, *, kind: str = "png", dpi: int = 150) -> bytes:
 
 
 def add_rings(axes: Axes, rings: Iterable[np.ndarray], **style: Any) -> None:
-    """Adds closed rings [n, 2] as one patch."""
+    """Adds closed rings, shape [n, 2] [m] each, as one patch."""
     paths = [Outline(np.asarray(ring), closed=True) for ring in rings]
     if paths:
         axes.add_patch(PathPatch(Outline.make_compound_path(*paths), **style))

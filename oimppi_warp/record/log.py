@@ -40,6 +40,8 @@ import json
 import math
 import os
 import platform
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib import metadata
@@ -115,7 +117,7 @@ class EpisodeLog:
     Attributes:
         header: Description of the run, see the module's table.
         references: Object plans as ``(step, path)``: the step before which each was made (0 for SOI's) and its planar
-            poses, shape [length, 3].
+            poses, shape [length, 3] [m, m, rad].
     """
 
     def __init__(self, header: Mapping[str, Any]) -> None:
@@ -178,7 +180,12 @@ class EpisodeLog:
         self._rows += 1
 
     def add_reference(self, path: np.ndarray, step: int | None = None) -> None:
-        """Stores a copy of an object plan, planar poses [length, 3], made before ``step``; ``None``: the next step."""
+        """Stores a copy of an object plan.
+
+        Args:
+            path: Planar poses of the object, shape [length, 3] [m, m, rad].
+            step: Number of the step before which the plan was made; ``None``: the next step.
+        """
         self.references.append((self._rows if step is None else step, np.array(path, dtype=float).reshape(-1, 3)))
 
     def save(self, folder: str | Path) -> Path:
@@ -220,9 +227,10 @@ class EpisodeLog:
                 ends = np.cumsum(arrays["reference_lengths"])
                 paths = np.split(arrays["reference_points"], ends)[: len(ends)]
                 log.references = list(zip(arrays["reference_steps"].tolist(), paths, strict=True))
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            reason = f"{Path(error.filename).name}: {error.strerror}" if getattr(error, "filename", None) else error
             raise LogError(
-                f"{folder}: contains no complete record ({error})\n  allowed: a folder with {_NPZ} and {_JSON}"
+                f"{folder}: contains no complete record ({reason})\n  allowed: a folder with {_NPZ} and {_JSON}"
             ) from error
         log._rows = max((len(array) for array in log._data.values()), default=0)
         return log

@@ -26,25 +26,26 @@ class Metrics:
         ended: Reason for the end of the episode, see :mod:`oimppi_warp.record.log`.
         success: Whether the object stayed within tolerance for the hold time.
         success_tight, success_exact: The same for the tight and for the exact tolerance.
-        position_error_m, yaw_error_rad: Errors at the end of the episode.
-        mean_position_error_m: Position error averaged over time (the paper's epsilon_d).
-        min_clearance_m: Smallest phi_2; negative where the object overlapped an obstacle.
+        position_error_m, yaw_error_rad: Errors at the end of the episode [m, rad].
+        mean_position_error_m: Position error averaged over time (the paper's epsilon_d) [m].
+        min_clearance_m: Smallest phi_2 [m]; negative where the object overlapped an obstacle.
         steps: Number of control steps.
-        sim_time_s: Simulated time.
-        success_time_s: Simulated time at which the object came within tolerance and stayed; NaN without success.
-        preplan_time_s: Wall time of SOI's object plan.
+        sim_time_s: Simulated time of the episode [s].
+        success_time_s: Simulated time at which the object came within tolerance and stayed [s]; NaN without success.
+        preplan_time_s: Wall time of SOI's object plan [s].
         total_time_s: The paper's T: pre-planning, then each step as long as its planning or the control period,
             whichever is longer, until success (without success: to the end).
-        plan_ms_median, plan_ms_p95: Wall time of a plan.
-        object_plan_ms_median: The same for the object level alone.
-        control_hz: Inverse of the mean plan time (the paper's f).
-        max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces.
+        plan_ms_median, plan_ms_p95: Median and 95th percentile of the wall times of the plans [ms].
+        object_plan_ms_median: Median for the object level alone [ms].
+        control_hz: Inverse of the mean plan time (the paper's f) [Hz].
+        max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces
+            in the episode, each summed over the contact points [N].
         mean_effective_samples, mean_object_effective_samples: Effective sample sizes of the two levels.
         lost_samples: Total number of samples whose cost was not finite.
         missed_deadlines: Number of control steps in which a plan was due but not ready.
         stops: Number of control steps in which the arm was stopped, because the last plan had expired or no plan could
             be made.
-        max_lag_ms: Largest delay of the control loop behind the wall clock.
+        max_lag_ms: Largest delay of the control loop behind the wall clock [ms].
         detections, rejected_detections, recoveries: Number of detections that arrived, that were rejected, and that
             replaced the prediction.
         mean_estimate_error_m, max_estimate_error_m: Distance between the object's estimated and true positions.

@@ -31,12 +31,12 @@ class SupportsPlanning(Protocol):
         ...
 
     def plan(self, observation: Observation) -> Plan:
-        """Plans one control step."""
+        """Returns the plan for the control step that begins with ``observation``."""
         ...
 
 
 class PlanExecutor(Protocol):
-    """Executor that the planner runs in, like :class:`concurrent.futures.Executor`."""
+    """An executor in which the planner runs, like :class:`concurrent.futures.Executor`."""
 
     def submit(self, work: Callable[[Observation], _TimedPlan], observation: Observation, /) -> Future[_TimedPlan]:
         """Starts making a plan."""
@@ -49,15 +49,16 @@ class ControlStep:
 
     Attributes:
         command: Joint velocities sent to the plant, shape [dof] [rad/s].
-        plan: The plan that took effect in this period, if there was a new one.
+        plan: The plan that took effect in this period; ``None`` if there was no new one.
         plan_seconds: Wall time of that plan [s].
         preplan_seconds: Wall time of planning before the first plan [s]; 0 except in the step of that plan.
         observed: The plant's observation at the end of the period.
-        estimate: The object's estimated pose at the end of the period, shape [3]; NaN if there is none.
-        event: Result of processing a detection in this period.
+        estimate: Estimated planar pose of the object at the end of the period, shape [3] [m, m, rad]; NaN if there is
+            none.
+        event: Result of processing a detection in this period, one of :data:`oimppi_warp.record.log.EVENTS`.
         missed: Whether a plan was due but not ready.
         stopped: Whether the arm was stopped: the last plan had expired, or nothing could be planned.
-        lag: Delay of the loop behind the clock [s].
+        lag: Delay of the loop behind the wall clock [s].
     """
 
     command: np.ndarray
@@ -99,14 +100,14 @@ class _TimedPlanner:
 def lock_step(
     plant: Plant, planner: SupportsPlanning, estimator: Estimator | None, *, dof: int
 ) -> Generator[ControlStep]:
-    """Yields an endless sequence of control steps in which the world waits for the planner.
+    """Yields an endless sequence of control steps in which the plant waits for the planner.
 
     Each step applies ``u`` and observes ``x_{t+1}``: Algorithm 2, lines 7 and 8, and Algorithm 3, lines 13 and 14.
 
     Args:
         plant: The plant to move.
         planner: The planner.
-        estimator: Estimates the object's pose; ``None`` for a plant that reports its exact state.
+        estimator: Estimator of the object's pose; ``None`` for a plant that reports its exact state.
         dof: Number of joints.
 
     Raises:
@@ -147,7 +148,7 @@ def real_time(
     Args:
         plant: The plant to move; sending it a command takes less than a control period.
         planner: The planner, which runs in a separate thread.
-        estimator: Estimates the object's pose.
+        estimator: Estimator of the object's pose.
         dof: Number of joints.
         expires: Time for which a command is held when the next plan is late [s].
         clock, sleep: Functions of the wall clock [s].

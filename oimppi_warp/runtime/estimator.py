@@ -142,7 +142,8 @@ class Estimator:
 
         Args:
             observation: The current estimate, from :meth:`update`.
-            pending: Commands as pairs of duration [s] and joint velocities [dof] [rad/s].
+            pending: Commands as pairs of duration [s] and joint velocities, shape [dof] [rad/s; m/s for a prismatic
+                joint].
         """
         joints, total = [observation.joint_position], 0.0
         for duration, velocity in pending:
@@ -209,7 +210,7 @@ class Estimator:
         self._count = kept
 
     def _reset_to(self, pose: np.ndarray) -> None:
-        """Resets the estimate to a pose [3] of the friction centre, at the current time."""
+        """Resets the estimate to a planar pose of the friction centre, shape [3] [m, m, rad], at the current time."""
         at = self._count - 1
         if self._believed is None:
             self._believed = self._new_track(_CAPACITY)
@@ -218,7 +219,7 @@ class Estimator:
         self._believed.spread[at] = 0.0
 
     def _process(self, seen: float, pose: np.ndarray) -> None:
-        """Processes a detection: ``pose`` [3] of the friction centre at the time ``seen``."""
+        """Processes a detection: the pose of the friction centre, shape [3] [m, m, rad], at the time ``seen`` [s]."""
         at = int(np.argmin(np.abs(self._times[: self._count] - seen)))
         if seen < self._times[0] - 1e-6:
             at = 0 if self._believed is None else -1  # older than all entries: only usable as the first detection

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from oimppi_warp.scene import PlanarPose, Scene
 
 RANDOMIZED_DRAWS = 4
-"""Number of draws of the world that ``--randomize`` sets."""
+"""Number of random draws per sample that ``--randomize`` sets."""
 
 TOLERANCE = "position,yaw above zero, in metres and radians, e.g. 0.005,0.02"
 """Description of a tolerance on the command line."""
@@ -50,11 +50,11 @@ class SettingsRequest:
 
         Args:
             method: Name of the method that plans.
-            randomize: Whether to try each sample in :data:`RANDOMIZED_DRAWS` draws of the world, unless an assignment
-                says otherwise.
+            randomize: Whether to evaluate each sample under :data:`RANDOMIZED_DRAWS` random draws, unless an assignment
+                sets another number.
 
         Raises:
-            ConfigError: A setting is wrong.
+            ConfigError: The preset or a setting does not exist, or a value is not allowed.
         """
         if self.preset not in PRESETS:
             raise ConfigError(f"preset {self.preset!r} does not exist\n  allowed: {', '.join(PRESETS)}")
@@ -77,13 +77,14 @@ def prepare_scene(
 
     Args:
         scene: A USD file, or the name of a shipped scene.
-        start: A pose, the number of one of the scene's starts, or ``None`` to draw one with the seed.
-        goal: A pose, or ``None`` for the scene's goal.
+        start: A planar pose [m, m, rad], the index (from 0) of a start listed in the scene, or ``None`` to draw a start
+            with the seed.
+        goal: A planar pose [m, m, rad], or ``None`` for the scene's goal.
         seed: Seed of the start, if it is drawn.
 
     Raises:
         SceneError: The task cannot be done.
-        ConfigError: The scene has no start of that number.
+        ConfigError: The scene has no start with this index.
     """
     from oimppi_warp.geometry.feasibility import check_task, sample_start
     from oimppi_warp.usd import load_scene
@@ -139,7 +140,7 @@ def parse_tolerance(text: str | None) -> tuple[float, float] | None:
 
 
 def parse_start(text: str | None) -> PlanarPose | int | None:
-    """Parses the value of ``--start``: the number of one of a scene's starts, or a planar pose; ``None`` is kept.
+    """Parses the value of ``--start``: the index of a start listed in the scene, or a planar pose; ``None`` is kept.
 
     Raises:
         ConfigError: The text is neither.
@@ -148,7 +149,7 @@ def parse_start(text: str | None) -> PlanarPose | int | None:
         return None
     if text.strip().isdecimal():
         return int(text)
-    return parse_pose("--start", text, allowed=f"the number of one of the scene's starts, or {POSE}")
+    return parse_pose("--start", text, allowed=f"the index (from 0) of a start listed in the scene, or {POSE}")
 
 
 def _listed_start(scene: Scene, index: int) -> PlanarPose:

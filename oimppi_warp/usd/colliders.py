@@ -117,7 +117,7 @@ def _uniform(scene: SceneStage, prim: Usd.Prim, scale: np.ndarray) -> float:
 
 
 def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
-    """Returns the points of a mesh that is represented by its convex hull, shape [n, 3]."""
+    """Returns the points of a mesh that is represented by its convex hull, in the prim's frame, shape [n, 3]."""
     kind = approximation(prim)
     if kind != UsdPhysics.Tokens.convexHull:
         reason = ", but the mesh is not a closed convex surface" if kind == UsdPhysics.Tokens.none else ""

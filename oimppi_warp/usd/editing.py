@@ -228,7 +228,7 @@ def _matrix(transform: np.ndarray) -> Gf.Matrix4d:
 
 
 def _set_transform(prim: Usd.Prim, transform: list[float]) -> None:
-    """Places a prim at a world transform [7], keeping its scale."""
+    """Places a prim at a world transform (position [m], quaternion xyzw), shape [7], keeping its scale."""
     stood = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
     _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * _matrix(np.array(transform)))
 

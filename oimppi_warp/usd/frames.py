@@ -9,7 +9,7 @@ from pxr import Gf
 
 
 def scales(frame: Gf.Matrix4d) -> np.ndarray:
-    """Returns the lengths of a frame's axes, shape [3]."""
+    """Returns the scale of a frame along each of its axes, shape [3]; all 1 without scaling."""
     return np.array([frame.GetRow3(i).GetLength() for i in range(3)])
 
 
@@ -25,13 +25,18 @@ def is_orthogonal(frame: Gf.Matrix4d) -> bool:
 
 
 def transform(frame: Gf.Matrix4d) -> np.ndarray:
-    """Converts a frame, ignoring its scale, to (position, quaternion xyzw), shape [7]."""
+    """Converts a frame, ignoring its scale, to position [m] and quaternion xyzw, shape [7]."""
     q = frame.GetOrthonormalized().ExtractRotationQuat().GetNormalized()
     return np.array([*frame.ExtractTranslation(), *q.GetImaginary(), q.GetReal()])
 
 
 def matrix(position: Any, orientation: Any) -> Gf.Matrix4d:
-    """Returns the frame at a position [3] with an orientation (a Gf quaternion of any precision)."""
+    """Returns the frame with the given position and orientation.
+
+    Args:
+        position: Position, shape [3] [m]; rounded to the shortest decimals of single precision.
+        orientation: A Gf quaternion of any precision; it is normalized.
+    """
     q = Gf.Quatd(float(orientation.GetReal()), Gf.Vec3d(orientation.GetImaginary())).GetNormalized()
     return Gf.Matrix4d().SetTransform(Gf.Rotation(q), Gf.Vec3d(*map(shortest_decimal, position)))
 

@@ -341,7 +341,7 @@ class _Chain:
         )
 
     def in_last_link(self, prim: Usd.Prim) -> np.ndarray:
-        """Returns a prim's transform in the frame of the last link, shape [7].
+        """Returns a prim's position [m] and quaternion xyzw in the frame of the last link, shape [7].
 
         Raises:
             SceneError: The prim is not below the last link or a body welded to it, or it is scaled.

@@ -253,7 +253,7 @@ class SceneStage:
                 "the transform has values that are too large or not finite",
                 prim,
                 allowed=allowed,
-                fix="correct its xformOps or those of its ancestors",
+                fix="correct the xformOps of this prim or of its ancestors",
             )
         return frame
 

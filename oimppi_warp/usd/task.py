@@ -33,7 +33,7 @@ class TaskAttributes:
     tight_tolerance: Tolerance
 
     def starts_or(self, start: PlanarPose) -> np.ndarray:
-        """Returns the listed starts or, if there are none, ``start`` alone, shape [n, 3]."""
+        """Returns the listed starts or, if there are none, ``start`` alone, shape [n, 3] [m, m, rad]."""
         return self.starts if len(self.starts) else np.array([start])
 
 

@@ -127,7 +127,7 @@ class Canvas:
         self._lines("clearance", [_segments(_raised(at, height))], CLEARANCE, width=0.03)
 
     def _ghost(self, pose: np.ndarray) -> np.ndarray:
-        """Returns the edges [n, 2, 3] of the object at a planar pose [3]."""
+        """Returns the edges of the object at a planar pose [m, m, rad], shape [n, 2, 3] [m]."""
         c, s = np.cos(pose[2]), np.sin(pose[2])
         edges = []
         for ring in self._rings:
@@ -158,10 +158,10 @@ def _rings(polygon: Any) -> list[Any]:
 
 
 def _raised(points: np.ndarray, height: float) -> np.ndarray:
-    """Lifts points [n, 2] to a height, shape [n, 3]."""
+    """Lifts points, shape [n, 2], to a height; returns shape [n, 3] [m]."""
     return np.column_stack([points, np.full(len(points), height)])
 
 
 def _segments(path: np.ndarray) -> np.ndarray:
-    """Splits a path [n, 3] into segments [n - 1, 2, 3]."""
+    """Splits a path, shape [n, 3], into segments, shape [n - 1, 2, 3] [m]."""
     return np.stack([path[:-1], path[1:]], axis=1)

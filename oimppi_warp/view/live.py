@@ -175,7 +175,7 @@ class LiveView:
             self._viewer.log_gizmo(key, self._gizmos[name], translate=("X", "Y"), rotate=("Z",))
 
     def _dropped(self, name: str, to: np.ndarray, before: np.ndarray) -> None:
-        """Handles the end of a drag to a planar pose [3] from another."""
+        """Handles the end of a drag from one planar pose to another, shape [3] [m, m, rad] each."""
         pose: PlanarPose = (float(to[0]), float(to[1]), float(to[2]))
         scene = self._session.wanted.scene
         if name == "goal":

@@ -45,7 +45,12 @@ class PosedScene:
         self._coords = self.model.joint_q.numpy().copy()
 
     def pose(self, joints: np.ndarray, object_transform: np.ndarray) -> None:
-        """Moves the arm to joint positions [dof] [rad] and the object to a transform [7]."""
+        """Moves arm and object.
+
+        Args:
+            joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
+            object_transform: Position [m] and quaternion xyzw of the object's frame, shape [7].
+        """
         self._coords[self._joints] = joints
         self._coords[self._object] = object_transform
         coords = wp.array(self._coords, dtype=float, device="cpu")

@@ -121,7 +121,7 @@ class Session:
             self._moved = planar_transform(pose, self.wanted.scene.object.rest_height)
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Requests an impulse [3] [N s] on the object."""
+        """Requests an impulse on the object, in the world frame, shape [3] [N s]."""
         with self._lock:
             self._knock = impulse
 

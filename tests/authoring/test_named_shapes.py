@@ -49,7 +49,7 @@ def test_help_names_every_shape(capsys):
 
 def test_help_says_which_shapes_take_an_option(capsys):
     told = help_of("scene", "new", capsys=capsys)
-    assert "if the object's name does not include it. (with letter, text; default: 0.05)" in told
+    assert "from the table to its top [m]. (with letter, text; default: 0.05)" in told
     assert "(with mesh; default: m)" in told
 
 
@@ -68,7 +68,7 @@ def test_the_manual_has_the_table_of_shapes():
          "in metres"),
         ("prism:6x0.05", "needs 3 numbers above zero\n  allowed: prism:6x0.05x0.04 (sides x radius x height), "
          "radius in m, height in m"),
-        ("prism:2x0.05x0.04", "2 is not a valid number of sides\n  allowed: a whole number from 3 to 24"),
+        ("prism:2x0.05x0.04", "2 is not a valid number of sides\n  allowed: an integer from 3 to 24"),
         ("prism:4.5x0.05x0.04", "4.5 is not a valid number of sides"),
         ("prism:6x0.5x0.04", "out of range"),
         ("wedge:0.1", "allowed: t-block, lab-t"),
@@ -83,9 +83,9 @@ def test_a_spec_that_makes_nothing_is_refused_with_what_would(word, said):
 def test_an_option_that_no_shape_of_the_task_takes_is_refused():
     check_used(ShapeOptions(height=0.03, mass=1.0, friction=0.2), ("letter:S", "box:0.1x0.1x0.1@0.5,0"))
     check_used(ShapeOptions(scale="mm"), ("t-block", "somewhere/part.STL@0.5,0"))
-    with pytest.raises(ConfigError, match=r"--font Sans: .*\n.*with letters and words only"):
+    with pytest.raises(ConfigError, match=r"--font Sans .*\n.*only with letters or words"):
         check_used(ShapeOptions(font="Sans"), ("prism:6x0.05x0.04", "t-block@0.5,0"))
-    with pytest.raises(ConfigError, match=r"--lay as-is: .*\n.*with a mesh only"):
+    with pytest.raises(ConfigError, match=r"--lay as-is .*\n.*only with a mesh"):
         check_used(ShapeOptions(lay="as-is"), ("letter:S",))
 
 

@@ -290,8 +290,8 @@ IMPOSSIBLE = {
         "--obstacle box:0.1,0.1,0.1@0.5,a: not a pose\n  allowed: OBJECT@X,Y[,YAW] in metres and radians",
     ),
     "no robot": (["--robot", "hal9000"], "no such robot"),
-    "a size without letters": (["--size", "0.1"], "with letters and words only"),
-    "a unit without a mesh": (["--scale", "mm"], "with a mesh only"),
+    "a size without letters": (["--size", "0.1"], "only with letters or words"),
+    "a unit without a mesh": (["--scale", "mm"], "only with a mesh"),
     "no mass": (["--mass", "-1"], "--mass -1"),
 }
 

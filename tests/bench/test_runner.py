@@ -286,8 +286,8 @@ def test_a_trial_that_raised_is_status_1(episodes: Episodes, tmp_path: Path, mon
     [
         (["bench", "smok"], "did you mean smoke?"),
         (["bench", "smoke", "--jobs", "0"], "1 or more"),
-        (["bench", "smoke", "--trials", "0"], "a whole number from 1"),
-        (["bench", "smoke", "--seed", "4294967296"], "a whole number from 0 to 4294967295"),
+        (["bench", "smoke", "--trials", "0"], "an integer from 1"),
+        (["bench", "smoke", "--seed", "4294967296"], "an integer from 0 to 4294967295"),
         (["bench", "smoke", "--first", "999999", "--trials", "2"], "first + trials up to 1000000"),
         (["run", "task01", "--seed", "4294967296"], "allowed: 0 to 4294967295"),
         (["bench", "smoke", "--tasks", "task05"], "allowed: task01, task02"),

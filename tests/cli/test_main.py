@@ -170,7 +170,10 @@ BAD_INPUT = {
     "no time": (["run", "t", "--max-sim-seconds", "0"], "max_sim_seconds"),
     "goal that is no pose": (["run", "t", "--goal", "1,2"], "x,y,yaw"),
     "goal that is not finite": (["run", "t", "--goal", "nan,0,0"], "x,y,yaw"),
-    "start that is no pose": (["run", "t", "--start", "here"], "the number of one of the scene's starts, or x,y,yaw"),
+    "start that is no pose": (
+        ["run", "t", "--start", "here"],
+        "of a start listed in the scene, or x,y,yaw",
+    ),
     "start that the scene has not": (["run", "t", "--start", "10"], "0 to 1"),
     "start off the table": (["run", "t", "--start", "2,0,0"], "off the table"),
     "no tolerance": (["run", "t", "--tolerance", "5mm,0.02"], "--tolerance 5mm,0.02: not a tolerance"),

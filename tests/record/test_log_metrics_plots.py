@@ -83,6 +83,14 @@ def test_a_folder_without_a_record_is_an_error_that_says_what_is_needed(tmp_path
         EpisodeLog.load(tmp_path)
 
 
+@pytest.mark.parametrize("size", [0, 10, 2000])
+def test_a_truncated_record_is_an_error(tmp_path: Path, size: int):
+    file = make_log(steps=300).save(tmp_path) / "episode.npz"
+    file.write_bytes(file.read_bytes()[:size])
+    with pytest.raises(LogError, match="no complete record"):
+        EpisodeLog.load(tmp_path)
+
+
 def test_columns_left_out_are_nan_in_that_row_only():
     log = EpisodeLog({})
     log.append(time=0.0, object_pose=np.zeros(3))

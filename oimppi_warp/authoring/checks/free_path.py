@@ -34,10 +34,10 @@ class Bottleneck:
     """The narrowest point of the widest path to the goal.
 
     Attributes:
-        clearance: Free space left around the object there [m]; negative if the object does not fit.
-        pose: Pose of the object there.
-        neighbors: Names of the one or two things nearest to the object there.
-        gap: Distance between these two [m]; ``None`` if there is only one.
+        clearance: Clearance of the object at this point [m]; negative if the object does not fit.
+        pose: Planar pose of the object at this point [m, m, rad].
+        neighbors: Names of the one or two bodies nearest to the object at this point.
+        gap: Distance between the two bodies [m]; ``None`` if there is only one.
     """
 
     clearance: float
@@ -51,7 +51,7 @@ class FreePaths:
 
     Args:
         scene: The task; at its start and its goal, the object must overlap nothing.
-        geometry: Its distance fields.
+        geometry: Distance fields of the task.
     """
 
     def __init__(self, scene: Scene, geometry: Geometry) -> None:

@@ -141,12 +141,12 @@ def _hull_projection(hull: Hull) -> BaseGeometry:
 
 
 def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Returns the distances of points [n, 3] to a surface, shape [n] [m]."""
+    """Returns the distances of points, shape [n, 3] [m], to a surface, shape [n] [m]."""
     return np.abs(signed_depths(mesh, points))
 
 
 def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Returns depths of points [n, 3] below a surface, negative above it, shape [n] [m]; exact for triangles nearby.
+    """Returns the depths of points below a surface, negative above it, shape [n] [m]; exact for triangles nearby.
 
     Where an edge or a corner is nearest, its triangles are equally distant; the one whose plane the point is farthest
     from decides the side.

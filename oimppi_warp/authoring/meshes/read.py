@@ -158,7 +158,12 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
             trimesh.repair.fill_holes(mesh)
         if not mesh.is_watertight:
             if not _hole_count(mesh):
-                raise _open_error(file, "the surface intersects itself: some of its edges have more than two faces")
+                raise SceneError(
+                    "the mesh is not manifold: some edges are shared by more than two faces",
+                    file=file,
+                    allowed="a mesh whose edges each belong to at most two faces",
+                    fix=_MAKE_SOLID,
+                )
             _stitch(mesh)
         share = 1.0 - area / float(mesh.area)
         missing = (

@@ -40,16 +40,16 @@ class MeshObject:
 
     Attributes:
         name: Name of the object and of its file.
-        about: Its size, and the file that it was made from.
+        about: Size of the object, and the file that it was made from.
         hulls: Convex pieces in the object's frame: corners [n, 3] [m] and triangles [m, 3] each.
-        surface: Display surface in the same form; empty: the pieces are displayed.
+        surface: Display surface in the same form; if it is empty, the pieces are displayed.
         mass: Mass [kg].
         friction: Coulomb coefficient with the table.
-        center: Centre of mass, shape [3] [m].
+        center: Centre of mass in the object's frame, shape [3] [m].
         inertia: Inertia about the centre of mass, in the object's axes, shape [3, 3] [kg m^2].
         fit: How closely the pieces match the mesh.
         notes: Changes made to the mesh, one line each.
-        color: Red, green and blue.
+        color: Red, green and blue, each from 0 to 1.
     """
 
     name: str
@@ -119,12 +119,12 @@ def import_mesh(
 
     Args:
         file: STL, OBJ, GLB, PLY or OFF; its whole content becomes one object.
-        name: Name of the object; ``None``: the file's name.
+        name: Name of the object; ``None``: the file's name without its extension.
         mass: Mass [kg]; ``None``: that of wood of the same volume.
         friction: Coulomb coefficient with the table.
         scale: Unit of the mesh: mm, cm, m or inch; ``None``: metres.
-        lay: In its most stable pose, or with its z axis up, as modelled.
-        color: Red, green and blue.
+        lay: Pose on the table: ``"stable"`` (its most stable pose) or ``"as-is"`` (as modelled, z up).
+        color: Red, green and blue, each from 0 to 1.
 
     Raises:
         ConfigError: A number or unit is invalid.

@@ -76,7 +76,7 @@ class Pushable(Protocol):
         ...
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Writes the object's shape below the prim ``root`` of a stage, in the look ``look``."""
+        """Writes the object's shape below the prim ``root`` of a stage, with the colour and opacity of ``look``."""
 
     def write(self, file: Path, *, note: str = "") -> None:
         """Writes the object's file, with ``note`` appended to its documentation."""
@@ -113,11 +113,11 @@ class FlatObject:
 
     @property
     def yaw_matters(self) -> bool:
-        """Returns whether the object's yaw is visible, which a disc's is not."""
+        """Returns whether the object's yaw is visible; that of a disc is not."""
         return not all(isinstance(piece, Disc) for piece in self.pieces)
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
-        """Writes the pieces below the prim ``root`` of a stage, in the look ``look``."""
+        """Writes the pieces below the prim ``root`` of a stage, with the colour and opacity of ``look``."""
         for number, piece in enumerate(self.pieces):
             path = f"{root}/piece{number}"
             if isinstance(piece, Box):

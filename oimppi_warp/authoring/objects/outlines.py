@@ -85,7 +85,7 @@ def regular_prism(
     if sides not in range(SIDES_OF_PRISM[0], SIDES_OF_PRISM[1] + 1):
         few, many = SIDES_OF_PRISM
         raise ConfigError(
-            f"prism: {sides:g} is not a valid number of sides\n  allowed: a whole number from {few} to {many}"
+            f"prism: {sides:g} is not a valid number of sides\n  allowed: an integer from {few} to {many}"
         )
     count = int(sides)
     angles = math.tau * (np.arange(count) + 0.5) / count - math.pi / 2

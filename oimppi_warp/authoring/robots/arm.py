@@ -24,8 +24,8 @@ class Visual:
 
     Attributes:
         shape: Shape in the link's frame; its path is the name of its prim.
-        color: Linear RGB.
-        faces: Corners of each face, if the shape is a mesh.
+        color: Linear red, green and blue, each from 0 to 1.
+        faces: Vertex indices of each face if the shape is a mesh; otherwise empty.
     """
 
     shape: Collider
@@ -59,10 +59,10 @@ class ArmJoint:
     Attributes:
         position: Origin of the joint frame [m].
         turn: Orientation, as a quaternion xyzw.
-        lower, upper: Position limits [rad; m for a sliding joint].
-        effort: Effort limit [N m; N].
-        velocity: Velocity limit [rad/s; m/s].
-        kind: Whether it turns or slides.
+        lower, upper: Position limits [rad; m for a prismatic joint].
+        effort: Effort limit [N m; N for a prismatic joint].
+        velocity: Velocity limit [rad/s; m/s for a prismatic joint].
+        kind: ``"revolute"`` or ``"prismatic"``.
     """
 
     position: Vector
@@ -81,8 +81,8 @@ class Stick:
     Attributes:
         length, radius: Length and radius [m].
         mass: Mass [kg].
-        position: Position of its base in the last link's frame [m].
-        turn: Orientation, as a quaternion xyzw.
+        position: Position of the stick's base in the last link's frame [m].
+        turn: Orientation of the stick in that frame, as a quaternion xyzw.
     """
 
     length: float
@@ -93,7 +93,7 @@ class Stick:
 
     @property
     def mount(self) -> np.ndarray:
-        """Returns the pose of the stick's base in the last link's frame, shape [7]."""
+        """Returns the stick's base in the last link's frame: position [m] and quaternion xyzw, shape [7]."""
         return np.array([*self.position, *self.turn])
 
 

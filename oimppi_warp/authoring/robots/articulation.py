@@ -31,9 +31,9 @@ class Articulation:
 
     Args:
         builder: A builder filled by one of Newton's importers.
-        bodies, joints: Indices of links and joints by name.
-        file: Source file, for errors.
-        base: Frame of the base in the world, 4 x 4; ``None``: identity.
+        bodies, joints: Indices of the links and of the joints in the builder, by name.
+        file: Path of the source file, for error messages.
+        base: Transform of the base in the world, shape [4, 4] [m]; ``None``: identity.
     """
 
     def __init__(
@@ -56,11 +56,11 @@ class Articulation:
         """Builds the arm for a chain, with a start of all zeros (see :func:`.start_pose.with_start`).
 
         Args:
-            chain: Selects links and joints.
-            name: Name of its root prim.
-            doc: Description.
+            chain: Names of the links and joints of the arm.
+            name: Name of the arm's root prim.
+            doc: Description, written to the robot's file.
             length, radius: Dimensions of the stick [m].
-            axis: Axis of the flange that the stick points along.
+            axis: Axis of the flange along which the stick points: x, y, z, -x, -y or -z.
 
         Raises:
             SceneError: A link has no mass or an impossible inertia, or a mesh is flat.
@@ -191,7 +191,7 @@ class Articulation:
 
 
 def matrix_of(transform: object) -> np.ndarray:
-    """Converts a Newton transform (position, quaternion xyzw) to a 4 x 4 matrix."""
+    """Converts a Newton transform (position, quaternion xyzw) to a matrix, shape [4, 4]."""
     values = np.array(transform, dtype=float).ravel()
     frame = np.eye(4)
     frame[:3, :3] = rotation_matrix(values[3:] / np.linalg.norm(values[3:]))

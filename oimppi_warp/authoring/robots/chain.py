@@ -21,9 +21,9 @@ class Limits:
     """Limits of a joint; infinite where not specified.
 
     Attributes:
-        lower, upper: Position limits [rad; m for a sliding joint].
-        effort: Effort limit [N m; N].
-        velocity: Velocity limit [rad/s; m/s].
+        lower, upper: Position limits [rad; m for a prismatic joint].
+        effort: Effort limit [N m; N for a prismatic joint].
+        velocity: Velocity limit [rad/s; m/s for a prismatic joint].
     """
 
     lower: float
@@ -37,10 +37,10 @@ class TreeJoint:
     """A joint in the tree of links.
 
     Attributes:
-        name: Its name.
-        kind: The motion that it allows.
-        limits: Limits of a moving joint.
-        follows: Whether it follows another joint (mimic).
+        name: Name of the joint.
+        kind: Motion that the joint allows: ``"turns"``, ``"slides"`` or ``"fixed"``.
+        limits: Limits of the joint; ``None`` for a fixed joint, or if required limits are missing.
+        follows: Whether the joint follows another one (mimic).
     """
 
     name: str
@@ -54,11 +54,11 @@ class Chain:
     """A serial chain from a base to its flange, by link and joint names.
 
     Attributes:
-        joints: The moving joints, from base to flange.
+        joints: Names of the moving joints, from base to flange.
         groups: For the base, and for the link moved by each joint: that link, then everything fixed to it, each with
             the joint that fixes it (none for the first).
-        flange: The link that carries the stick.
-        limits: Limits of each joint.
+        flange: Name of the link that carries the stick.
+        limits: Limits of each moving joint.
     """
 
     joints: tuple[str, ...]
@@ -72,7 +72,7 @@ def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
 
     Args:
         tree: Links, with an edge from each parent to each child.
-        file: Source file, for errors.
+        file: Path of the source file, for error messages.
         flange: The link that carries the stick; other moving links are then ignored. Empty: the end of the only chain.
 
     Raises:

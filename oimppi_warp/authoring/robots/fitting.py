@@ -16,7 +16,7 @@ ROOMY = 1.3
 
 
 def fit_collider(name: str, points: np.ndarray) -> Collider:
-    """Fits a convex collider named ``name`` around points [n, 3] [m]; a hull has at most :data:`POINTS` vertices.
+    """Fits a convex collider named ``name`` around points, shape [n, 3] [m]; a hull has up to :data:`POINTS` vertices.
 
     Raises:
         ValueError: The points are coplanar.
@@ -35,7 +35,7 @@ def fit_collider(name: str, points: np.ndarray) -> Collider:
 
 
 def _axes(hull: trimesh.Trimesh) -> np.ndarray:
-    """Returns the principal axes of a hull, shape [3, 3]."""
+    """Returns the principal axes of a hull as rows, shape [3, 3]."""
     return np.linalg.eigh(np.asarray(hull.moment_inertia))[1].T
 
 
@@ -52,7 +52,7 @@ def _capsule(name: str, points: np.ndarray, axis: np.ndarray) -> Collider:
 
 
 def _circle(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Finds a small ball around points [n, 3] in a plane, moving the midpoint of the farthest two towards outliers."""
+    """Returns centre and radius of a small ball around points in a plane, shape [n, 3] [m], found iteratively."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     for step in range(1, 200):  # Badoiu and Clarkson: move towards the farthest point, by less each time
         center = center + (points[np.argmax(((points - center) ** 2).sum(axis=1))] - center) / (step + 1)

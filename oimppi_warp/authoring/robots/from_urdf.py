@@ -127,10 +127,11 @@ def _resolve(file: Path, root: ET.Element, members: set[str]) -> None:
             found = _mesh(file, name)
             if found is None:
                 raise SceneError(
-                    f"the mesh {name!r} does not exist",
+                    f"link {link.get('name')}: the collision mesh {name!r} does not exist",
                     file=file,
-                    allowed="a path relative to the URDF, or package://NAME/ for a folder NAME beside or above it",
-                    fix="add the file, or remove its <collision> element",
+                    allowed="a path relative to the URDF file, or package://NAME/PATH with the package folder NAME "
+                    "next to the URDF file or in a folder above it",
+                    fix="add the file, or remove the <collision> element that names it",
                 )
             mesh.set("filename", str(found))
         for visual in link.findall("visual"):
@@ -150,7 +151,13 @@ def _remove(link: ET.Element, elements: list[ET.Element]) -> None:
 
 
 def _mesh(file: Path, name: str) -> Path | None:
-    """Finds the file of a mesh: a path beside the URDF, or package://NAME/ for a folder NAME beside it or above it."""
+    """Finds the file of a mesh; returns ``None`` if it does not exist.
+
+    Args:
+        file: The URDF file.
+        name: A path relative to the URDF file, or package://NAME/PATH with the folder NAME next to it or in a folder
+            above it.
+    """
     folder = file.resolve().parent
     place = name.removeprefix("package://").removeprefix("file://")
     folders = (folder, *folder.parents) if name.startswith("package://") else (folder,)

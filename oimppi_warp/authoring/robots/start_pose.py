@@ -32,7 +32,7 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
 
     Args:
         arm: The arm, at any joint positions.
-        file: Source file, for the error.
+        file: Path of the robot's source file, for the error message.
 
     Raises:
         SceneError: No start pose was found.
@@ -99,7 +99,10 @@ def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
 
 
 def is_flat(robot: Robot) -> bool:
-    """Returns whether no joint can raise, lower or tilt the tool: all axes are vertical, or slide horizontally."""
+    """Returns whether the tool moves only horizontally.
+
+    That is the case if every revolute axis is vertical and every prismatic axis is horizontal.
+    """
     rotations = link_frames(robot, np.zeros(robot.dof))[0]
     upright = np.abs(rotations[:, 2, 2])
     return bool(np.where(revolute_joints(robot), upright > 1.0 - 1e-6, upright < 1e-6).all())

@@ -205,7 +205,7 @@ def _draw_run(axes: Axes, footprints: dict[str, Any], run: Result, color: str) -
 
 
 def _frame(footprints: dict[str, Any], runs: Sequence[Result]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the lower and upper corner of the displayed region, [2] each."""
+    """Returns the lower and upper corner of the displayed region, shape [2] [m] each."""
     size = max(np.abs(np.asarray(ring)).max() for ring in footprints["object"])
     reach = 0.02 + max(size, footprints["tolerance"])
     goal = np.asarray(footprints["goal"][:2])

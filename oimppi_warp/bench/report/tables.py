@@ -66,7 +66,10 @@ def brief_table(results: ResultSet) -> Table:
 
 
 def success_table(results: ResultSet) -> Table:
-    """Tabulates success at both tolerances and position errors."""
+    """Builds the table of success rates and position errors.
+
+    Success is given at the task's tolerance and at the tight one.
+    """
     rows = []
     for task, method, stats in _groups(results):
         errors = [stats.error_until, stats.error_until_success, stats.error, stats.error_success]
@@ -87,7 +90,7 @@ def success_table(results: ResultSet) -> Table:
 
 
 def exact_table(results: ResultSet) -> Table:
-    """Tabulates success at the exact tolerance and final errors, of trials that continued to that tolerance."""
+    """Builds the table of success rates at the exact tolerance and final errors, of trials run to that tolerance."""
     rows = []
     for task, method, stats in _groups(results):
         if stats.exact_counts:
@@ -141,7 +144,7 @@ def paper_table(results: ResultSet, table: str) -> Table:
 
 
 def time_table(results: ResultSet) -> Table:
-    """Tabulates times to success and plan times."""
+    """Builds the table of times to success and plan times."""
     rows = []
     for task, method, s in _groups(results):
         cells = (number(s.steps, 0), number(s.time, 1), _total([s]), number(s.plan_ms, 1), number(s.plan_ms_p95, 1))
@@ -161,7 +164,7 @@ def time_table(results: ResultSet) -> Table:
 
 
 def safety_table(results: ResultSet) -> Table:
-    """Tabulates clearances and forces."""
+    """Builds the table of clearances and contact forces."""
     rows = []
     for task, method, s in _groups(results):
         clear = f"{rate(s.clear)}" if s.clear.total else "-"
@@ -178,7 +181,7 @@ def safety_table(results: ResultSet) -> Table:
 
 
 def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[str, str]) -> Table:
-    """Tabulates paired comparisons, one per row; ``sides`` are the column headings of the two sides."""
+    """Builds a table of paired comparisons, one per row; ``sides`` are the names of the two results in its headings."""
     rows = []
     for each in found:
         cells = [f"{each.successes[0]}", f"{each.successes[1]}", f"{len(each.only_first)}", f"{len(each.only_second)}"]
@@ -201,7 +204,7 @@ def comparison_table(found: Sequence[Comparison], *, title: str, sides: tuple[st
 
 
 def differing_pairs(found: Comparison) -> Table:
-    """Tabulates the pairs that succeed on only one side, with the command that reruns the failed trial."""
+    """Builds the table of pairs that succeeded on one side only, with the command that reruns the failed trial."""
     rows = []
     for pairs, side in ((found.only_first, "A"), (found.only_second, "B")):
         for a, b in pairs:

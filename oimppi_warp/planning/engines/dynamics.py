@@ -25,9 +25,9 @@ class Dynamics(Protocol):
     """A model that turns control sequences into costs, from a state that it keeps.
 
     Attributes:
-        size: Length m of one control.
-        bound: Largest magnitude of each control entry, shape [m].
-        compute: The device and its threads.
+        size: Number m of entries of one control.
+        bound: Largest magnitude of each entry, shape [m], in the unit of the controls.
+        compute: Device, and number of CPU threads.
     """
 
     size: int
@@ -52,13 +52,13 @@ class RolloutTask:
 
     Attributes:
         scene: The task.
-        geometry: Its shapes.
+        geometry: Limit surface and distance fields of the scene.
         level: Settings of the robot level.
-        cost: Its weights.
+        cost: Cost weights of the robot level.
         dt: Control period [s].
-        compute: The device and its threads.
-        draws: Draws of the world for the rollouts.
-        to_go: Cost-to-go of the object [m], where its weight is not zero.
+        compute: Device, and number of CPU threads.
+        draws: Random draws of friction, mass, perceived pose and tool offset for the rollouts.
+        to_go: Cost-to-go of the object [m]; ``None`` if its weight is zero.
     """
 
     scene: Scene
@@ -76,8 +76,8 @@ class Trace:
     """Predicted outcome of a control sequence.
 
     Attributes:
-        tips: Tool tip, shape [horizon + 1, 3] [m].
-        poses: Object (friction centre), shape [horizon + 1, 3].
+        tips: Positions of the tool tip in the world frame, shape [horizon + 1, 3] [m].
+        poses: Planar poses of the object's friction centre, shape [horizon + 1, 3] [m, m, rad].
         terms: Weighted cost terms summed over the horizon, in the order of the engine's ``terms``.
     """
 
@@ -101,21 +101,21 @@ class RobotDynamics(ABC):
         task: The task to plan.
 
     Attributes:
-        known_success: Share of a benchmark's starts that each method, by its name, brings to the goal with this engine.
-            ``--engine auto`` takes only engines for which there is a figure for the method.
+        known_success: Success rate from 0 to 1 of each method with this engine in a benchmark, by the method's name.
+            ``--engine auto`` takes only engines whose success rate is known for the method.
         slower_than: Names of engines whose plans are known to take less time. ``--engine auto`` does not try this
-            engine where one of those is too slow.
-        one_graph: Whether its launches can be captured in a CUDA graph.
+            engine if one of those is too slow.
+        one_graph: Whether the launches of the engine can be captured in a CUDA graph.
         terms: Names of the cost terms.
         task: The task to plan.
-        size: Number of joints.
-        bound: Largest joint velocities to plan with, shape [dof] [rad/s].
-        compute: The device and its threads.
+        size: Number of joints (dof).
+        bound: Largest joint velocities to plan with, shape [dof] [rad/s; m/s for a prismatic joint].
+        compute: Device, and number of CPU threads.
         reference: Desired poses of the object's friction centre at each step from now, an input of the step
             (:class:`oimppi_warp.compute.step.Compute`), [horizon + 1 + align_ahead].
         waypoint: Waypoint of the tip while it is repositioned, an input [1] of (x, y, z [m], weight [1/m^2]).
         observation: The state to plan from.
-        goal: The goal [3] of the object's friction centre.
+        goal: The goal of the object's friction centre, shape [3] [m, m, rad].
     """
 
     known_success: ClassVar[Mapping[str, float]] = {}
@@ -147,7 +147,7 @@ class RobotDynamics(ABC):
         """
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """Sets the state to plan from, and the goal [3] of the object's friction centre."""
+        """Sets the state to plan from, and the goal of the object's friction centre, shape [3] [m, m, rad]."""
         self.observation, self.goal = observation, goal
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:

@@ -14,7 +14,7 @@ import warp as wp
 
 from oimppi_warp.compute.device import free_memory
 from oimppi_warp.compute.step import Launch
-from oimppi_warp.errors import DeviceError
+from oimppi_warp.errors import DeviceError, SceneError
 from oimppi_warp.geometry.footprint import rotation_matrix
 from oimppi_warp.kernels.rollouts.worlds import (
     Places,
@@ -55,7 +55,7 @@ class NewtonWorlds(NewtonDynamics):
 
     Raises:
         DeviceError: The device has too little free memory for so many worlds.
-        RuntimeError: In :meth:`traced`, if the buffers of contacts or constraints overflowed.
+        SceneError: In :meth:`traced`, if a world ran out of memory for contacts or constraints.
     """
 
     one_graph = True
@@ -154,14 +154,17 @@ class NewtonWorlds(NewtonDynamics):
         """Returns the trace of the cheapest sample.
 
         Raises:
-            RuntimeError: The contact buffers of some world overflowed.
+            SceneError: A world ran out of memory for contacts or constraints.
         """
         bits = int(self._overflows.host[0]) & _grave_overflows()
         if bits:
             data = self.solver.mjw_data
-            raise RuntimeError(
-                f"the contact buffers of the Newton engine overflowed (overflow bits {bits:#x}): room for "
-                f"{data.naconmax // data.nworld} contact points and {data.njmax} constraint rows per world"
+            raise SceneError(
+                "the Newton engine ran out of contact memory: this scene needs more than the "
+                f"{data.naconmax // data.nworld} contact points and {data.njmax} constraint rows reserved per world "
+                f"(overflow flags {bits:#x})",
+                file=self.task.scene.file,
+                fix="use --engine quasistatic, or simplify the collision shapes",
             )
         return super().traced()
 

@@ -64,11 +64,11 @@ class ObjectDynamics:
         self.path = compute.output((1, level.optimizer.horizon + 1), wp.vec3)
 
     def set_state(self, pose: np.ndarray) -> None:
-        """Sets the object's pose [3], of its friction centre."""
+        """Sets the planar pose of the object's friction centre, shape [3] [m, m, rad]."""
         self._start.host[0] = pose
 
     def to_go_at(self, pose: np.ndarray) -> float | None:
-        """Returns the cost-to-go at a pose [3] [m]; ``None`` if there is none."""
+        """Returns the cost-to-go [m] at a planar pose, shape [3] [m, m, rad]; ``None`` if it is not used."""
         return None if self._to_go_values.size == 0 else pose_field_at(self.to_go, pose, self._to_go_values)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:

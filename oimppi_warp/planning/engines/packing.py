@@ -46,7 +46,7 @@ def no_field(device: str) -> PoseField:
 
 
 def velocity_bound(scene: Scene, level: RobotLevel) -> np.ndarray:
-    """Returns the largest joint velocities to plan with, shape [dof] [rad/s]."""
+    """Returns the largest joint velocities to plan with, shape [dof] [rad/s; m/s for a prismatic joint]."""
     return np.minimum([joint.velocity_limit for joint in scene.robot.joints], level.joint_velocity_limit)
 
 

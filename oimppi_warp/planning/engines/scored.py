@@ -45,6 +45,6 @@ class ScoredDynamics(RobotDynamics):
         self._packed = packed
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
-        """Sets the state to plan from, and the goal [3] of the object's friction centre."""
+        """Sets the state to plan from, and the goal of the object's friction centre, shape [3] [m, m, rad]."""
         super().set_state(observation, goal)
         self._goal.host[0] = goal

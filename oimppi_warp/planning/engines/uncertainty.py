@@ -21,12 +21,12 @@ class Draws:
     They are drawn once and kept, so that plans differ by their controls, not by chance.
 
     Attributes:
-        per_sample: Rollouts of each control sequence (M).
-        worst: Number of the costliest of these, whose mean is the cost.
+        per_sample: Number of rollouts of each control sequence (M).
+        worst: Number of the costliest of these rollouts, whose mean cost is the cost of the sequence.
         friction: Factor on the object's friction on the table and obstacles, shape [count].
-        tool_friction: Factor on its friction on the tool, shape [count].
-        mass: Factor on its mass, shape [count].
-        pose: Error of its perceived pose: (x, y [m], yaw [rad]), shape [count, 3].
+        tool_friction: Factor on the object's friction on the tool, shape [count].
+        mass: Factor on the object's mass, shape [count].
+        pose: Error of the object's perceived pose (x, y [m], yaw [rad]), shape [count, 3].
         tool: Offset of the tool's tip across the tool, in the tip's frame [m], shape [count, 2].
     """
 

@@ -71,7 +71,7 @@ def _kind(type_name: Sdf.ValueTypeName) -> tuple[str, bool]:
     if isinstance(value, bool):
         kind = "bool"
     elif isinstance(value, int):
-        kind = "whole number"
+        kind = "integer"
     elif isinstance(value, float):
         kind = "number"
     elif isinstance(value, str):
