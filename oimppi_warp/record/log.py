@@ -228,7 +228,9 @@ class EpisodeLog:
                 paths = np.split(arrays["reference_points"], ends)[: len(ends)]
                 log.references = list(zip(arrays["reference_steps"].tolist(), paths, strict=True))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            reason = f"{Path(error.filename).name}: {error.strerror}" if getattr(error, "filename", None) else error
+            reason = str(error)
+            if isinstance(error, OSError) and error.filename:
+                reason = f"{Path(error.filename).name}: {error.strerror}"
             raise LogError(
                 f"{folder}: contains no complete record ({reason})\n  allowed: a folder with {_NPZ} and {_JSON}"
             ) from error

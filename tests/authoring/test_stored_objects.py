@@ -250,7 +250,7 @@ def test_textures_come_along_and_are_not_mixed_up(tmp_path):
     again.write(tmp_path / "again" / "a.usda")
     assert (tmp_path / "again" / "a.usda").read_bytes() == again.file.read_bytes()
     (tmp_path / "b" / "thing" / "wood.png").unlink()
-    with pytest.raises(SceneError, match=r"it depends on thing/wood.png, which does not exist"):
+    with pytest.raises(SceneError, match=r"the file depends on thing/wood.png, which does not exist"):
         pushed(tmp_path / "b" / "b.usda", tmp_path / "none")
     assert not (tmp_path / "none").exists()
 

@@ -77,7 +77,7 @@ def test_a_setting_of_another_optimizer_says_which_one_is_chosen():
 
 def test_an_optimizer_refuses_settings_of_another():
     dynamics, _, _ = small_tasks.object_level(small_tasks.shipped("task01"))
-    with pytest.raises(ConfigError, match="optimizer 'cem': its settings are Mppi"):
+    with pytest.raises(ConfigError, match="optimizer 'cem': its settings are of the type Mppi"):
         make_optimizer(dynamics, Mppi(kind="cem"), seed=0)
 
 
