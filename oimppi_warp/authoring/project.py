@@ -139,7 +139,10 @@ def find_robot(robot: str, folder: Path) -> Path:
 def _check_target(name: str, file: Path, force: bool) -> None:
     """Raises SceneError for invalid file names, existing files, and folders that are not writable."""
     if not re.fullmatch(r"[A-Za-z0-9][\w-]*", name, flags=re.ASCII):
-        raise SceneError(f"{name!r} is not a valid name", allowed="letters, digits, - and _, as in push_s")
+        raise SceneError(
+            f"{name!r} is not a valid name",
+            allowed="letters a to z, digits, - and _, beginning with a letter or digit, as in push_s",
+        )
     if file.exists() and not force:
         raise SceneError("the file already exists", file=file, allowed="a new name", fix="use --force to overwrite it")
     parent = next(place for place in (file.absolute(), *file.absolute().parents) if place.is_dir())
@@ -217,7 +220,7 @@ def _install(draft: Path, folder: Path, main: Path, own: frozenset[Path]) -> tup
     found = [path for path in found if not _same(draft / path, folder / path)]
     for path in found:
         if (folder / path).exists() and path != main and path not in own:
-            fix = f"choose another folder with --out, or rename this file or the new {path.name} that the task uses"
+            fix = f"choose another folder with --out, or rename the {path.name} that the new task uses"
             raise SceneError("a different file with this name already exists", file=folder / path, fix=fix)
     for path in sorted(found, key=lambda path: path == main):
         target = folder / path

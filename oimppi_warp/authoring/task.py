@@ -168,8 +168,8 @@ def write(
 def add_starts(stage: Usd.Stage, file: Path) -> None:
     """Writes ``oimppi:starts`` (the start, and nine others drawn around it) and ``oimppi:spread`` to a scene.
 
-    The spread is reduced where there is too little room. Seeds 1001 to 1009 are used, so that `oimppi run --seed`, with
-    lower seeds, draws others.
+    The spread is reduced where there is too little room, and only the start is written where there is none. Seeds 1001
+    to 1009 are used, so that ``oimppi run --seed N`` with N up to 1000 draws different starts.
 
     Args:
         stage: The scene, which is saved.

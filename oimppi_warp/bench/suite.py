@@ -179,7 +179,7 @@ def load_suite(suite: str | Path) -> Suite:
     tables = found.pop("entry", [{}])
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise ConfigError(f"{file}: entry is not a list of tables\n  allowed: [[entry]], followed by its keys")
-    common = _values(found, f"{file}: ")
+    common = _values(found, f"{file}: ", beside=("title", "entry"))
     entries = []
     for number, table in enumerate(tables):
         where = f"{file}: " if len(tables) == 1 else f"{file}, entry {number + 1}: "
@@ -293,13 +293,14 @@ def check_value(key: str, value: Any, where: str) -> None:
         raise ConfigError(f"{where}{key} = {value!r} cannot be used\n  allowed: {allowed}")
 
 
-def _values(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """Checks the keys of a table and converts its lists to tuples."""
+def _values(table: dict[str, Any], where: str, *, beside: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Checks the keys of a table, which may have others ``beside`` these, and converts its lists to tuples."""
     known = _keys()
     for key, value in table.items():
         if key not in known:
-            near = difflib.get_close_matches(key, [*known, "title", "entry"], n=1)
+            allowed = [*beside, *known]
+            near = difflib.get_close_matches(key, allowed, n=1)
             hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
-            raise ConfigError(f"{where}{key}: unknown key\n  allowed: title, entry, {', '.join(known)}{hint}")
+            raise ConfigError(f"{where}{key}: unknown key\n  allowed: {', '.join(allowed)}{hint}")
         check_value(key, value, where)
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}

@@ -258,7 +258,7 @@ class Planner:
         return distance(pose, self.goal, self.config.object.yaw_length)
 
     def object_statistics(self) -> Update | None:
-        """Returns the statistics of the object level's update in the latest step, if it planned."""
+        """Returns the statistics of the object level's update in the latest step; ``None`` if it did not plan."""
         return None
 
     def object_finished(self) -> float:

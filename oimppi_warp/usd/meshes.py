@@ -42,7 +42,10 @@ def simplify_meshes(stage: Usd.Stage) -> None:
 
 
 def triangles(prim: Usd.Prim) -> np.ndarray | None:
-    """Triangulates a mesh's faces, shape [n, 3]; ``None`` if they are invalid or refer to points that do not exist."""
+    """Returns a mesh's faces as triangles: indices of its points, shape [n, 3].
+
+    Returns ``None`` if the faces are invalid or refer to points that do not exist.
+    """
     mesh = UsdGeom.Mesh(prim)
     points = mesh.GetPointsAttr().Get() or []
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=int)

@@ -108,13 +108,16 @@ class _Chain:
             what = f"the robot's base is at {np.round(position, 4).tolist()}"
             raise scene.error(what, base, allowed="at the world's origin", fix="move the rest of the scene instead")
         held, at = self.frames(mounts[0])
-        if not np.allclose(np.array(at.GetInverse() * held), np.array(frame), atol=1e-5):
-            fix = "set physics:localPos0 and physics:localRot0 to the base's frame in the world, or move the base"
+        placed = at.GetInverse() * held
+        if not np.allclose(np.array(placed), np.array(frame), atol=1e-5):
+            where = np.round(np.array(placed.ExtractTranslation()), 4).tolist()
+            angle = (placed.ExtractRotation() * frame.ExtractRotation().GetInverse()).GetAngle()
             raise scene.error(
-                "the joint fixes the base at a pose other than the base's own",
+                f"the joint fixes the base at {where}, rotated by {angle:.3g} deg from the base's own pose",
                 mounts[0].GetPrim(),
-                fix=fix,
-                allowed="the base's frame in the world",
+                fix="set physics:localPos0 and physics:localRot0 to the base's position and rotation in the world, and "
+                "physics:localPos1 and physics:localRot1 to zero and identity; or move the base",
+                allowed=f"the base's own pose, at {np.round(position, 4).tolist()}",
             )
         self.base_frame = frame
         self.base = self.link([(base, frame)])  # shapes of the fixed base are in the world's frame

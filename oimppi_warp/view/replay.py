@@ -107,7 +107,11 @@ class ReplayView:
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 
     def tick(self, seconds: float) -> None:
-        """Advances playback by some seconds of wall time, unless paused."""
+        """Advances playback and draws the new picture.
+
+        Args:
+            seconds: Wall time that has passed [s]; while paused, each step request advances one control step instead.
+        """
         last = len(self._replay) - 1
         if self._viewer.should_step():
             rows = 1.0 if self._viewer.is_paused() else seconds * self._speed.value / self._period

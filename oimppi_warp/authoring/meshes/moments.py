@@ -59,6 +59,9 @@ def winding(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def points_in_box(bounds: np.ndarray, count: int) -> tuple[np.ndarray, float]:
-    """Returns points that fill a box evenly (Halton), shape [count, 3] [m], and the box's volume [m^3]."""
+    """Returns points that fill a box evenly (Halton), shape [count, 3] [m], and the box's volume [m^3].
+
+    ``bounds`` are the box's lower and upper corner, shape [2, 3] [m].
+    """
     unit = qmc.Halton(3, scramble=False).random(count)
     return bounds[0] + unit * (bounds[1] - bounds[0]), float(np.prod(bounds[1] - bounds[0]))

@@ -22,7 +22,7 @@ _ALIKE = 0.9  # poses with at least this share of the best one's probability cou
 
 
 def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
-    """Lays a mesh on the table: its centre of mass above the origin, z = 0 at half its height.
+    """Turns a mesh into its pose on the table, and centres it: centre of mass on the z axis, origin at half its height.
 
     The most stable pose is the one in which it would most often come to rest if dropped (trimesh, after Goldberg et
     al., 1999); among similar poses, the one that needs the smallest rotation is chosen. Long sides are aligned with the

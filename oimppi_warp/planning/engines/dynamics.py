@@ -35,12 +35,12 @@ class Dynamics(Protocol):
     compute: Compute
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
-        """Prepares writing the cost of each control sequence from the state that is set when it runs.
+        """Returns a launch that writes the cost of each control sequence, from the state that is set when it runs.
 
         It rolls out and evaluates S: lines 5 and 6 of Algorithm 1.
 
         Args:
-            controls: [sample, horizon] of vectors [m].
+            controls: [sample, horizon] of vectors, one number per control.
             costs: [sample], written.
         """
         ...
@@ -136,7 +136,7 @@ class RobotDynamics(ABC):
 
     @abstractmethod
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
-        """Prepares writing the cost of each joint velocity sequence; see :class:`Dynamics`.
+        """Returns a launch that writes the cost of each joint velocity sequence; see :class:`Dynamics`.
 
         An engine in NumPy returns a function that reads ``controls.numpy()``, shape [sample, horizon, dof], and ends
         with ``costs.assign(...)``.
@@ -151,7 +151,7 @@ class RobotDynamics(ABC):
         self.observation, self.goal = observation, goal
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
-        """Prepares writing the data that :meth:`traced` reads, after an update.
+        """Returns a launch that writes the data that :meth:`traced` reads, after an update.
 
         Args:
             nominal: The updated nominal, [horizon] of vectors.

@@ -95,7 +95,7 @@ class NewtonDynamics(ScoredDynamics):
         self._start_joints.host[0] = observation.joint_position
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
-        """Prepares writing the cost of each joint velocity sequence; see :class:`Dynamics`.
+        """Returns a launch that writes the cost of each joint velocity sequence; see :class:`Dynamics`.
 
         Args:
             controls: [sample, horizon] of vectors [dof], as many as the level has samples.

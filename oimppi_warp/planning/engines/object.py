@@ -76,10 +76,13 @@ class ObjectDynamics:
         return self.launch(controls, costs, self._unused)
 
     def trace(self, nominal: wp.array) -> Launch:
-        """Prepares writing the poses along one wrench sequence [horizon]."""
+        """Returns a launch that writes the poses along one wrench sequence [horizon]."""
         return self.launch(nominal.reshape((1, nominal.shape[0])), self._trace_cost, self.path.array)
 
     def launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> Launch:
-        """Prepares writing costs [sample] and poses [sample, horizon + 1] (or none) of wrenches [sample, horizon]."""
+        """Returns a launch that writes the costs of wrench sequences and, unless ``poses`` is empty, their poses.
+
+        Shapes: wrenches [sample, horizon], costs [sample], poses [sample, horizon + 1] or empty.
+        """
         inputs = [self._model, self._weights, self.to_go, self._start.array, self._goal, controls, self._dt]
         return self.compute.launch_samples(object_rollout, controls.shape[0], inputs, [costs, poses])

@@ -52,7 +52,7 @@ class QuasistaticDynamics(ScoredDynamics):
         self._object.host[0] = to_center(self.task.geometry.surface, observation.object_pose)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
-        """Prepares writing the cost of each joint velocity sequence; see :class:`Dynamics`."""
+        """Returns a launch that writes the cost of each joint velocity sequence; see :class:`Dynamics`."""
         if self._draws.per_sample == 1:
             return self.launch(controls, costs, self._no_terms, self._no_poses, self._no_poses, self._worlds)
         rolled = wp.zeros(controls.shape[0] * self._draws.per_sample, dtype=float, device=self.compute.device)
