@@ -360,11 +360,6 @@ MISTAKES = {
         "newton:damping is -0.1 N m s/deg",
         "a finite number, zero or more [N m s/deg]",
     ),
-    "a friction in words": (
-        typed(f"{ROBOT}/joints/joint2", "newton:friction", Sdf.ValueTypeNames.String, "0.1"),
-        "newton:friction is '0.1'",
-        "e.g. float newton:friction = 0.1",
-    ),
     "a mirrored object": (scaled("/World/Object", 1, 1, -1), "mirrored", "scale its shapes"),
     "an object scaled to nothing": (scaled("/World/Object", 1, 1, 0), "scaled to zero", "along its own axes"),
     "an empty obstacle": (drop("/World/Obstacles/Cube", "PhysicsCollisionAPI"), "the obstacle has no collider", "Cube"),

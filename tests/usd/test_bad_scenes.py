@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from pxr import Usd, UsdShade
+from pxr import Sdf, Usd, UsdShade
 from support.bad_scenes import (
     IMPOSSIBLE,
     MISTAKES,
+    ROBOT,
     far_reference,
     prim,
+    typed,
     walls,
 )
 from support.variants import variant
@@ -38,6 +40,14 @@ def test_a_mistake_is_told_once_and_without_consequences(tmp_path, mistake):
     assert what in found.what
     assert found.allowed
     assert found.fix
+
+
+def test_a_number_in_words_is_a_mistake_whether_or_not_newtons_schemas_are_registered(tmp_path):
+    """USD's registry of schemas is built once a process: what is found depends on what was imported before."""
+    words = typed(f"{ROBOT}/joints/joint2", "newton:friction", Sdf.ValueTypeNames.String, "0.1")
+    with pytest.raises(SceneError, match=r"newton:friction is ('0\.1'|of type string)[\s\S]*declare it") as error:
+        load_scene(variant(tmp_path, words))
+    assert "float" in str(error.value)
 
 
 @pytest.mark.parametrize("task", IMPOSSIBLE)
