@@ -416,14 +416,9 @@ def kernels(check: Check, arch: int | None = None) -> None:
 
 def _two_plans(planner: Planner) -> dict[str, Any]:
     """Starts an episode and plans twice from its start."""
-    import numpy as np
+    from bench_loops import first_observation
 
-    from oimppi_warp.observation import Observation, planar_transform
-
-    scene = planner.scene
-    transform = planar_transform(scene.start, scene.object.rest_height)
-    joints = np.array(scene.robot.start)
-    seen = Observation(0.0, joints, np.zeros_like(joints), np.array(scene.start), transform)
+    seen = first_observation(planner.scene)
     planner.start(seen)
     found = [planner.plan(seen) for _ in range(2)]
     return {

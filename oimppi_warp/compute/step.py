@@ -147,7 +147,7 @@ class Compute:
 
         if not self.on_gpu:
             return enqueue
-        return Graph(enqueue, self.device) if one_graph else _Eager(enqueue, self.device)
+        return _Graph(enqueue, self.device) if one_graph else _Eager(enqueue, self.device)
 
 
 class Stopwatch:
@@ -270,7 +270,7 @@ class _Shared:
             wp.copy(self._host, self._chunk, count=self._used)
 
 
-class Graph:
+class _Graph:
     """Launches captured as one graph on the first call, and replayed by every call, which waits for the end.
 
     Args:

@@ -62,7 +62,7 @@ def test_all_kernel_files_are_found():
 
 
 def resources(cubin: Path) -> dict[str, dict[str, int]]:
-    """What each function of a compiled file takes of a GPU, as CUDA's own tool reads it: REG, STACK, SHARED, LOCAL."""
+    """Returns registers (REG) and bytes of STACK, SHARED and LOCAL memory of each function of a cubin, by cuobjdump."""
     (tool,) = [file for file in distribution("nvidia-cuda-cuobjdump").files or () if file.name == "cuobjdump"]
     command = [str(tool.locate()), "--dump-resource-usage", str(cubin)]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
