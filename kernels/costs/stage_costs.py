@@ -177,6 +177,29 @@ def tilt_term(w: RobotWeights, s: Stage) -> float:
 # Terms that are not in the paper
 
 
+@term("track")
+def track_term(w: RobotWeights, s: Stage) -> float:
+    """Returns the cost of the distance to the plan, not squared: ``w_track d(x_o, x_o*)``, with d^2 of equation 16.
+
+    Its slope does not vanish at the plan, so that millimetres still outweigh the temperature.
+    """
+    return w.w_track * wp.sqrt(pose_distance_squared(s.pose, s.reference, w.w_theta))
+
+
+@term("stance")
+def stance_term(w: RobotWeights, s: Stage) -> float:
+    """Returns the cost of a tool that is not in place for a push towards the target: ``w_stance`` per metre of way.
+
+    The way is that of the stance field (``kernels/fields/stance.py``); closer than ``stance_fade`` to the target the
+    cost fades out. The cost is zero while repositioning.
+    """
+    cost = float(0.0)
+    if s.waypoint[3] <= 0.0 and w.w_stance > 0.0:
+        left = wp.sqrt(pose_distance_squared(s.pose, s.target, w.w_theta))
+        cost = w.w_stance * wp.min(left / wp.max(w.stance_fade, 1.0e-6), 1.0) * s.stance
+    return cost
+
+
 @term("height")
 def height_term(w: RobotWeights, s: Stage) -> float:
     """Returns the cost of the tip's height error: ``w_height (z_ee - height)^2``; zero while repositioning."""
@@ -218,7 +241,7 @@ def press_term(w: RobotWeights, s: Stage) -> float:
 
 @term("control")
 def control_term(w: RobotWeights, s: Stage) -> float:
-    """Returns the cost of control effort: ``w_control |u|^2``."""
+    """Returns the cost of control effort: ``w_control |u|^2``, with the control u."""
     return w.w_control * s.speed_squared
 
 

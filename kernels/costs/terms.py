@@ -67,13 +67,16 @@ class Stage:
         reference: Pose of the reference at this step [m, m, rad].
         target: Pose of the reference ``align_ahead`` steps later, for the alignment [m, m, rad].
         to_go: Cost-to-go of the pose [m]; 0 if its weight is zero.
+        stance: Remaining way of the tool to a place from which it pushes the object towards the target [m]; 0 if its
+            weight is zero.
         force: Contact force between object and environment, lambda_2 [N].
         arm_clearance: Clearance of arm and tool to obstacles and table, phi_3 [m].
         above: 1 if the tip is above the object, else 0.
         pressed: Depth to which the tool presses into an object that cannot yield [m].
         gap: Clearance phi_2 of the pose to which the tool pushes the object; ``NOT_PUSHED`` if it does not push [m].
         rise: Speed at which the tip rises while it pushes [m/s].
-        speed_squared: Squared norm of the joint velocities [rad^2/s^2].
+        speed_squared: Squared norm of the control: of the joint velocities [rad^2/s^2], or of the tip's velocity
+            [m^2/s^2] with ``robot.controls=tool``.
         collision: Contact force between robot and environment, lambda_3 [N].
         waypoint: Waypoint of the tip while repositioning (x, y, z [m]) and its weight [1/m^2], zero for none.
     """
@@ -88,6 +91,7 @@ class Stage:
     reference: wp.vec3
     target: wp.vec3
     to_go: float
+    stance: float
     force: float
     arm_clearance: float
     above: float

@@ -10,6 +10,9 @@ wp.set_module_options({"enable_backward": False})
 HOME = wp.constant(0.05)
 """Distance from the goal, yaw included, within which the path to it is straight [m]."""
 
+NEAR_GOAL = wp.constant(0.015)
+"""Distance from the goal, yaw included, within which the cost-to-go is the straight distance [m]."""
+
 ON_PLAN = wp.constant(0.02)
 """Distance from a plan's poses, yaw included, within which a path counts as on the plan [m]."""
 
@@ -150,6 +153,20 @@ def turned_distance(a: wp.vec3, b: wp.vec3, yaw_length: float) -> float:
     """Returns the distance between two poses [m], a radian of yaw counted as ``yaw_length`` [m]."""
     d = b - a
     return wp.length(wp.vec3(d[0], d[1], yaw_length * wrap_angle(d[2])))
+
+
+@wp.func
+def distance_to_go(to_go: PoseField, pose: wp.vec3, goal: wp.vec3, yaw_length: float) -> float:
+    """Returns the cost-to-go of a pose [m]; near the goal it is the straight distance, exactly.
+
+    A field that is linear between nodes is lowest at a node, which is up to half a cell away from the goal. From
+    ``NEAR_GOAL`` to twice that distance, the two are blended.
+    """
+    straight = turned_distance(pose, goal, yaw_length)
+    value = straight
+    if straight > NEAR_GOAL:
+        value = wp.lerp(straight, pose_field(to_go, pose)[0], wp.min(straight / NEAR_GOAL - 1.0, 1.0))
+    return value
 
 
 @wp.func

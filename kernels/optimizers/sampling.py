@@ -24,13 +24,15 @@ def make_sample_controls(size: int) -> wp.Kernel:
         counter: wp.array[int],
         seed: int,
         special: int,
+        least_noise: float,
         # out:
         controls: wp.array2d[vec],
     ):
         """Draws samples around the nominal: ``u = u_nominal + eps`` with ``eps ~ N(0, Sigma_u)`` (equation 9).
 
-        ``eps = basis noise_map z`` with standard normal ``z`` for every knot, and ``u`` is clipped to ``bound``. If
-        ``special`` is 1, the first two samples are the nominal and zero. Shapes: ``nominal`` [horizon], ``noise_map``
+        ``eps = scale basis noise_map z`` with standard normal ``z`` for every knot, and ``u`` is clipped to ``bound``.
+        The samples' ``scale`` falls from 1 to ``least_noise`` in geometric progression. If ``special`` is 1, the first
+        two samples are the nominal and zero. Shapes: ``nominal`` [horizon], ``noise_map``
         [1] (a square root of Sigma_u), ``basis`` [horizon, knot], ``bound`` [1], ``counter`` [1] (plans made so far:
         each draws its own noise), ``controls`` [sample, horizon].
         """
@@ -45,13 +47,14 @@ def make_sample_controls(size: int) -> wp.Kernel:
         else:
             state = wp.rand_init(seed + 7919 * counter[0], k)
             limit = bound[0]
+            scale = wp.pow(least_noise, float(k) / float(controls.shape[0]))
             for h in range(horizon):
                 controls[k, h] = nominal[h]
             for j in range(basis.shape[1]):
                 z = vec()
                 for i in range(size):
                     z[i] = wp.randn(state)
-                shift = noise_map[0] * z
+                shift = scale * (noise_map[0] * z)
                 if basis.shape[1] == horizon:  # white noise: one knot per step
                     controls[k, j] = controls[k, j] + shift
                 else:

@@ -3,7 +3,8 @@
 import warp as wp
 
 from oimppi_warp.kernels.costs.stage_costs import ObjectWeights, object_cost
-from oimppi_warp.kernels.geometry import PoseField, pose_field
+from oimppi_warp.kernels.fields.cost_to_go import HOME, distance_to_go, turned_distance
+from oimppi_warp.kernels.geometry import PoseField, wrap_angle
 from oimppi_warp.kernels.pushing import ObjectModel, mobility, settle
 
 wp.set_module_options({"enable_backward": False})
@@ -16,6 +17,7 @@ def object_rollout(
     model: ObjectModel,
     weights: ObjectWeights,
     to_go: PoseField,
+    yaw_length: float,
     start: wp.array[wp.vec3],
     goal: wp.array[wp.vec3],
     wrenches: wp.array2d[wp.vec3],
@@ -30,6 +32,7 @@ def object_rollout(
     ``h_o = dt D``), then out of obstacles by :func:`settle`. The cost is ``S_o = sum_h l_o``, equation 10 for the
     objective of equation 13; there is no terminal cost l_f.
 
+    Lengths: ``yaw_length`` [m] is what a radian of yaw counts as in the cost-to-go ``to_go``.
     Shapes: ``start`` [1], ``goal`` [1], ``wrenches`` [sample, horizon] (N, N, N m), ``costs`` [sample],
     ``poses`` [sample, horizon + 1] or empty.
     """
@@ -45,7 +48,7 @@ def object_rollout(
         pose = settled.pose
         way = float(0.0)
         if weights.w_to_go > 0.0:
-            way = pose_field(to_go, pose)[0]
+            way = distance_to_go(to_go, pose, goal[0], yaw_length)
         cost += object_cost(weights, pose, goal[0], settled.force, settled.clearance, way)
         if keep:
             poses[k, h + 1] = pose
@@ -53,7 +56,35 @@ def object_rollout(
 
 
 @wp.kernel
-def follow_path(path: wp.array2d[wp.vec3], reference: wp.array[wp.vec3]):
+def follow_path(
+    # in:
+    path: wp.array2d[wp.vec3],
+    # out:
+    reference: wp.array[wp.vec3],
+):
     """Copies a path, shape [1, horizon + 1], to the reference, shape [n], and holds its end (Algorithm 2, line 4)."""
     i = wp.tid()
     reference[i] = path[0, wp.min(i, path.shape[1] - 1)]
+
+
+@wp.kernel
+def end_at_goal(
+    # in:
+    goal: wp.array[wp.vec3],
+    yaw_length: float,
+    step: float,
+    # out:
+    path: wp.array2d[wp.vec3],
+):
+    """Replaces a path that begins within ``HOME`` of the goal by the straight one to the goal, at constant speed.
+
+    Sampled wrenches end near the goal, never at it. Shapes: ``goal`` [1], ``path`` [1, n]; ``step`` is the length of a
+    step, and ``yaw_length`` what a radian counts as [m]. Launched with one thread.
+    """
+    start = path[0, 0]
+    left = turned_distance(start, goal[0], yaw_length)
+    if left < HOME:
+        way = goal[0] - start
+        way[2] = wrap_angle(way[2])
+        for i in range(1, path.shape[1]):
+            path[0, i] = start + wp.min(1.0, float(i) * step / wp.max(left, 1.0e-6)) * way

@@ -1,4 +1,8 @@
-"""Rollouts of the robot level in one kernel: arm, contact, object, obstacles and costs, one thread per rollout."""
+"""Rollouts of the robot level in one kernel: arm, contact, object, obstacles and costs, one thread per rollout.
+
+Controls are joint velocities (:func:`make_robot_rollout`), or velocities of the tip of an arm that holds its tool
+upright (:func:`make_upright_rollout`). They differ in how the arm moves; contact, object and costs are the same.
+"""
 
 from functools import lru_cache
 
@@ -6,15 +10,118 @@ import warp as wp
 
 from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
 from oimppi_warp.kernels.costs.terms import NOT_PUSHED, ExtraTerms, module_of
-from oimppi_warp.kernels.kinematics import make_place_arm
+from oimppi_warp.kernels.kinematics import ArmPlacement, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, phi_1, push, settle
 from oimppi_warp.kernels.rollouts.uncertainty import Draw
-from oimppi_warp.kernels.task import RobotTask, above_penalty, over_object, stage_at
+from oimppi_warp.kernels.task import RobotTask, Stage, above_penalty, over_object, stage_at
+from oimppi_warp.kernels.upright import move_upright, place_upright
 
 wp.set_module_options({"enable_backward": False})
 
 PENETRATION_TOLERANCE = wp.constant(5.0e-4)
 """Penetration depth beyond which the arm is stopped [m]."""
+
+JAM = wp.constant(2.0e-3)
+"""Depth of the tool in an object that cannot yield, beyond which the arm is stopped [m]."""
+
+
+@wp.struct
+class Contact:
+    """Outcome of a motion of the tool beside, into or above the object.
+
+    Attributes:
+        stalled: Whether the arm is stopped: the motion does not take place.
+        pose: Pose of the object's friction centre after the motion.
+        force: Contact force between object and environment, lambda_2 [N].
+        gap: Clearance phi_2 of the pose to which the tool pushes the object; ``NOT_PUSHED`` if it does not push [m].
+        pressed: Depth to which the tool presses into an object that cannot yield [m].
+        rise: Speed at which the tip rises while it pushes [m/s].
+        above: 1 if the tip is above the object, else 0.
+    """
+
+    stalled: bool
+    pose: wp.vec3
+    force: float
+    gap: float
+    pressed: float
+    rise: float
+    above: float
+
+
+@wp.func
+def object_in_draw(model: ObjectModel, draw: Draw) -> ObjectModel:
+    """Returns the object with the friction of a draw of the world."""
+    body = ObjectModel()
+    body.force = model.force * draw.force
+    body.radius = model.radius
+    body.tool_friction = model.tool_friction * draw.tool_friction
+    body.top = model.top
+    body.clearance = model.clearance
+    body.body = model.body
+    body.slack = model.slack
+    return body
+
+
+@wp.func
+def touch(
+    task: RobotTask, body: ObjectModel, pose: wp.vec3, old: ArmPlacement, new: ArmPlacement, contact_steps: int
+) -> Contact:
+    """Returns the outcome of the arm's motion from one placement to another, for object and arm.
+
+    The arm stalls: a step that would move it further into an obstacle or the table, or the tool down onto the object,
+    is not taken. The object moves by :func:`push` and :func:`settle` (equation 2).
+    """
+    out = Contact()
+    out.pose = pose
+    out.gap = NOT_PUSHED
+    tip = new.tip
+    out.stalled = new.arm_clearance < -PENETRATION_TOLERANCE and new.arm_clearance < old.arm_clearance
+    if tip[2] >= body.top or old.tip[2] >= body.top:
+        if over_object(task, tip, pose):
+            out.above = above_penalty(task, tip)
+            if tip[2] < body.top:
+                out.stalled = True
+    if not out.stalled:
+        radius = task.environment.tool_radius
+        moved = pose
+        if tip[2] < body.top and old.tip[2] < body.top:
+            last = wp.vec2(old.tip[0], old.tip[1])
+            move = (wp.vec2(tip[0], tip[1]) - last) / float(contact_steps)
+            for _ in range(contact_steps):
+                moved = push(body, moved, last, last + move, radius)
+                last = last + move
+        if moved[0] != pose[0] or moved[1] != pose[1] or moved[2] != pose[2]:
+            settled = settle(body, moved, task.dt)
+            out.pose = settled.pose
+            out.force = settled.force
+            out.gap = settled.clearance
+            out.rise = wp.max(tip[2] - old.tip[2], 0.0) / task.dt
+            if out.force > 0.0:
+                # The obstacle pushed the object back: any remaining overlap of tool and object is a jam.
+                out.pressed = wp.max(radius - phi_1(body, out.pose, wp.vec2(tip[0], tip[1])), 0.0)
+                out.stalled = out.pressed > JAM
+    if out.stalled:
+        out.pose = pose
+    return out
+
+
+@wp.func
+def stage_of(
+    task: RobotTask, h: int, placed: ArmPlacement, tried: ArmPlacement, start: wp.vec3, contact: Contact
+) -> Stage:
+    """Returns the stage after a control step that began with the tip at ``start``.
+
+    ``placed`` is the arm as it came to rest, and ``tried`` where it would have been without a stall.
+    """
+    stage = stage_at(task, h, placed, contact.pose)
+    stage.velocity = wp.vec2(tried.tip[0] - start[0], tried.tip[1] - start[1]) / task.dt
+    stage.force = contact.force
+    stage.arm_clearance = tried.arm_clearance
+    stage.above = contact.above
+    stage.pressed = contact.pressed
+    stage.gap = contact.gap
+    stage.rise = contact.rise
+    return stage
 
 
 @lru_cache
@@ -64,17 +171,9 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
         k = n / per_sample
         draw = draws[n % draws.shape[0]]
         arm = task.arm
-        model = task.model
         environment = task.environment
         dt = task.dt
-        body = ObjectModel()
-        body.force = model.force * draw.force
-        body.radius = model.radius
-        body.tool_friction = model.tool_friction * draw.tool_friction
-        body.top = model.top
-        body.clearance = model.clearance
-        body.body = model.body
-        body.slack = model.slack
+        body = object_in_draw(task.model, draw)
         tool = arm.tip_position + arm.tip_rotation * wp.vec3(draw.tool[0], draw.tool[1], 0.0)
         q = start_joints[0]
         pose = start_object[0] + draw.pose
@@ -93,56 +192,14 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                 speed = wp.clamp(u[j], -arm.speed[j], arm.speed[j])
                 speed_squared += speed * speed
                 q[j] = wp.clamp(q[j] + dt * speed, wp.min(arm.lower[j], q[j]), wp.max(arm.upper[j], q[j]))
-            placed = place_arm(arm, environment, tool, q)
-            tip = placed.tip
-            arm_clearance = placed.arm_clearance
-
-            # The arm stalls: a step that would move it further into an obstacle or the table, or the tool down onto
-            # the object, is not taken.
-            stalled = arm_clearance < -PENETRATION_TOLERANCE and arm_clearance < old.arm_clearance
-            above = float(0.0)
-            if tip[2] >= body.top or old.tip[2] >= body.top:
-                if over_object(task, tip, pose):
-                    above = above_penalty(task, tip)
-                    if tip[2] < body.top:
-                        stalled = True
-            pressed = float(0.0)
-            force = float(0.0)
-            gap = NOT_PUSHED
-            rise = float(0.0)
-            new_pose = pose
-            if not stalled:
-                if tip[2] < body.top and old.tip[2] < body.top:
-                    last = wp.vec2(old.tip[0], old.tip[1])
-                    move = (wp.vec2(tip[0], tip[1]) - last) / float(contact_steps)
-                    for _ in range(contact_steps):
-                        new_pose = push(body, new_pose, last, last + move, environment.tool_radius)
-                        last = last + move
-                if new_pose[0] != pose[0] or new_pose[1] != pose[1] or new_pose[2] != pose[2]:
-                    settled = settle(body, new_pose, dt)
-                    new_pose = settled.pose
-                    force = settled.force
-                    gap = settled.clearance
-                    rise = wp.max(tip[2] - old.tip[2], 0.0) / dt
-                    if force > 0.0:
-                        # The obstacle pushed the object back: any remaining overlap of tool and object is a jam.
-                        gap_to_tool = phi_1(body, new_pose, wp.vec2(tip[0], tip[1]))
-                        pressed = wp.max(environment.tool_radius - gap_to_tool, 0.0)
-                        stalled = pressed > 2.0e-3
-            if stalled:
+            tried = place_arm(arm, environment, tool, q)
+            contact = touch(task, body, pose, old, tried, contact_steps)
+            placed = tried
+            if contact.stalled:
                 q = old_q
                 placed = old
-            else:
-                pose = new_pose
-
-            stage = stage_at(task, h, placed, pose)
-            stage.velocity = wp.vec2(tip[0] - old.tip[0], tip[1] - old.tip[1]) / dt
-            stage.force = force
-            stage.arm_clearance = arm_clearance
-            stage.above = above
-            stage.pressed = pressed
-            stage.gap = gap
-            stage.rise = rise
+            pose = contact.pose
+            stage = stage_of(task, h, placed, tried, old.tip, contact)
             stage.speed_squared = speed_squared
             total += robot_cost(task.weights, stage)
             if n < tips.shape[0]:
@@ -157,3 +214,75 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
             terms[n] = total
 
     return robot_rollout
+
+
+@lru_cache
+def make_upright_rollout(extra: ExtraTerms) -> wp.Kernel:
+    """Returns the rollout kernel whose controls are velocities of the tip, for a set of cost terms.
+
+    Args:
+        extra: Cost terms from outside the package.
+    """
+    vector = terms_vector(len(extra))
+    robot_cost = make_robot_cost(extra)
+
+    @wp.kernel(**module_of("upright_rollout", extra), enable_backward=False)
+    def upright_rollout(
+        # in:
+        first: int,
+        task: RobotTask,
+        draws: wp.array[Draw],
+        per_sample: int,
+        contact_steps: int,
+        start_tip: wp.array[wp.vec3],
+        start_object: wp.array[wp.vec3],
+        controls: wp.array2d[wp.vec3],
+        # out:
+        costs: wp.array[float],
+        terms: wp.array[vector],
+        tips: wp.array2d[wp.vec3],
+        poses: wp.array2d[wp.vec3],
+    ):
+        """Computes the cost of each rollout, and its terms, tips and poses unless their arrays are empty.
+
+        The arm moves by :func:`move_upright`; everything else is as in the kernel of :func:`make_robot_rollout`.
+
+        Shapes: ``start_tip`` [1], ``controls`` [sample, horizon] [m/s], the others as there.
+        """
+        n = first + wp.tid()
+        k = n / per_sample
+        draw = draws[n % draws.shape[0]]
+        upright = task.upright
+        radius = task.environment.tool_radius
+        lifting = task.waypoint[0][3] > 0.0
+        body = object_in_draw(task.model, draw)
+        placed = place_upright(upright, start_tip[0] + wp.vec3(draw.tool[0], draw.tool[1], 0.0))
+        pose = start_object[0] + draw.pose
+        total = vector()
+        if n < tips.shape[0]:
+            tips[n, 0] = placed.tip
+            poses[n, 0] = pose
+
+        for h in range(controls.shape[1]):
+            old = placed
+            u = controls[k, h]
+            tried = place_upright(upright, move_upright(upright, body, pose, old.tip, u, lifting, radius, task.dt))
+            contact = touch(task, body, pose, old, tried, contact_steps)
+            if not contact.stalled:
+                placed = tried
+            pose = contact.pose
+            stage = stage_of(task, h, placed, tried, old.tip, contact)
+            stage.speed_squared = wp.length_sq(u)
+            total += robot_cost(task.weights, stage)
+            if n < tips.shape[0]:
+                tips[n, h + 1] = placed.tip
+                poses[n, h + 1] = pose
+
+        cost = float(0.0)
+        for i in range(wp.static(len(vector()))):
+            cost += total[i]
+        costs[n] = cost
+        if n < terms.shape[0]:
+            terms[n] = total
+
+    return upright_rollout

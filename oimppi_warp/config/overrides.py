@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from oimppi_warp.config.fields import About, ExtraWeights, about
-from oimppi_warp.config.renamed import present_name
+from oimppi_warp.config.renamed import ADDED, present_name
 from oimppi_warp.config.settings import Config, RobotCost, Sampling, check_order
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import COST_TERMS, OPTIMIZERS
@@ -125,7 +125,8 @@ def set_option(config: T, assignment: str) -> T:
 def from_record(record: Mapping[str, Any]) -> Config:
     """Reads settings from a record's JSON, the inverse of :func:`oimppi_warp.record.log.to_json` of a ``Config``.
 
-    Names of earlier versions are converted; settings that the record does not have keep the defaults of ``Config``.
+    Names of earlier versions are converted. Settings that the record does not have get the value with the effect of an
+    earlier version (:data:`oimppi_warp.config.renamed.ADDED`), or else the default of ``Config``.
 
     Args:
         record: The settings as nested dictionaries.
@@ -135,7 +136,8 @@ def from_record(record: Mapping[str, Any]) -> Config:
     """
     labels = {item.name for item in fields(Config) if not about(item).option}
     config = replace(Config(), **{name: record[name] for name in labels if name in record})
-    values = {present_name(name): value for name, value in _flat(record, "") if name not in labels}
+    recorded = {present_name(name): value for name, value in _flat(record, "") if name not in labels}
+    values = {**ADDED, **recorded}
     values = {name.removesuffix(".kind"): value for name, value in values.items()}
     # The kind determines which settings an optimizer has, so it comes first.
     for name in sorted(values, key=lambda name: name.count(".")):

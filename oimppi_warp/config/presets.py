@@ -29,7 +29,7 @@ def best(method: str = "cloi") -> Config:
     """
     base = Config()
     if method == "mppi":  # tracks only the goal, along the shortest free path
-        return replace(base, cost=replace(base.cost, w_d=0.0, w_to_go=60.0, w_reference=0.0))
+        return replace(base, cost=replace(base.cost, w_to_go=100.0, w_track=0.0))
     if method == "soi":
         return replace(base, object=replace(base.object, optimizer=replace(base.object.optimizer, horizon=90)))
     return base
@@ -68,12 +68,17 @@ def paper(method: str = "cloi") -> Config:
         preset="paper",
         reference="time",
         reposition=Reposition(stall_seconds=0.0),
-        robot=RobotLevel(optimizer=mppi, noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2),
-        object=ObjectLevel(optimizer=replace(mppi, horizon=object_horizon), noise_range=0.0),
+        robot=RobotLevel(
+            optimizer=mppi, controls="joint", noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2
+        ),
+        object=ObjectLevel(optimizer=replace(mppi, horizon=object_horizon), noise_range=0.0, ends_at_goal=False),
         cost=RobotCost(
             w_d=100.0,
             w_theta=0.08,
             w_reference=0.0 if method == "mppi" else 100.0,
+            w_track=0.0,
+            w_stance=0.0,
+            w_ee=5.0,
             w_align=45.0,
             align_ahead=0,
             align_fade=0.0,
@@ -106,7 +111,12 @@ def lab(method: str = "cloi") -> Config:
     return replace(
         base,
         preset="lab",
-        robot=replace(base.robot, optimizer=replace(base.robot.optimizer, samples=512), joint_velocity_limit=0.4),
+        robot=replace(
+            base.robot,
+            optimizer=replace(base.robot.optimizer, samples=512),
+            tip_speed_limit=0.15,
+            joint_velocity_limit=0.8,
+        ),
         reposition=replace(base.reposition, stall_seconds=7.5, longest_seconds=8.0),
         object=replace(base.object, optimizer=replace(base.object.optimizer, samples=512)),
     )

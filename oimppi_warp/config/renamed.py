@@ -1,4 +1,4 @@
-"""Renamed settings: the names of earlier versions and the current ones.
+"""Renamed and added settings: the names of earlier versions, and what they did where a setting did not exist yet.
 
 This is the only such table. With it, ``--set``, :func:`oimppi_warp.set_option`, suites and records accept old names, so
 that a command from an old record or report still runs. Output always has the current names.
@@ -12,6 +12,7 @@ name.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 SETTINGS: Mapping[str, str] = {
     "robot.mppi": "robot.optimizer",
@@ -26,6 +27,16 @@ SETTINGS: Mapping[str, str] = {
     "regrasp.w_guide": "reposition.w_waypoint",
 }
 """Current dotted name of each renamed setting or group of settings, by its old dotted name."""
+
+ADDED: Mapping[str, Any] = {
+    "robot.controls": "joint",
+    "object.ends_at_goal": False,
+    "cost.w_track": 0.0,
+    "cost.w_stance": 0.0,
+    "episode.exact": False,
+}
+"""Value that has the effect of an earlier version without the setting, where that is not the present default. Records
+without the setting are read with it."""
 
 
 def present_name(name: str, table: Mapping[str, str] = SETTINGS) -> str:

@@ -73,6 +73,14 @@ class Mppi(Sampling):
         "the size within them. 0,0 keeps the temperature fixed, as in the paper.",
         high=1.0,
     )
+    least_noise: float = setting(
+        1.0,
+        "Smallest factor on the noise. The noise of the samples is scaled by factors from 1 down to this, in geometric "
+        "progression, so that some samples explore and others refine; 1 gives all samples the same noise, as in the "
+        "paper.",
+        low=1e-3,
+        high=1.0,
+    )
 
     def check(self, where: str) -> None:
         """Checks also that the bounds of ``effective_samples`` are in order; see :meth:`Sampling.check`."""
@@ -145,26 +153,42 @@ class Uncertainty:
 class RobotLevel:
     """The robot level, which plans joint velocities that make the object follow its plan (equation 14)."""
 
-    optimizer: Sampling = group(Mppi(), "Optimizer of the robot level.")
+    optimizer: Sampling = group(Mppi(least_noise=0.1), "Optimizer of the robot level.")
+    controls: Literal["joint", "tool"] = setting(
+        "tool",
+        "Controls that are sampled: joint velocities (`joint`), as in the paper, or velocities of the tip (`tool`). In "
+        "the latter case a servo holds the tool upright and the tip at the height `cost.height`, by resolved-rate "
+        "control, in the rollouts and on the arm.",
+    )
+    tip_noise: float = setting(
+        0.25,
+        "Standard deviation of the noise of the tip's velocity along each axis, with `robot.controls=tool`; vertical "
+        "noise only while the tool is lifted over the object.",
+        unit="m/s",
+    )
+    tip_speed_limit: float = setting(
+        0.3, "Largest speed of the tip along each axis, with `robot.controls=tool`.", unit="m/s", low=1e-3
+    )
     noise_space: Literal["joint", "tool"] = setting(
         "tool",
-        "Space in which the noise covariance Sigma_u (equation 9) is defined: joint velocities (`joint`), as in the "
-        "paper, or velocities of the tip (`tool`), which the damped pseudo-inverse of the Jacobian maps to the joints.",
+        "Space in which the noise covariance Sigma_u (equation 9) of joint velocities is defined: that of the joints "
+        "(`joint`), as in the paper, or of the tip (`tool`), whose velocities are mapped to the joints by the damped "
+        "pseudo-inverse of the Jacobian; with `robot.controls=joint`.",
     )
     joint_noise: float = setting(
         0.3,
-        "Standard deviation of the velocity noise of each joint (m/s for a sliding joint), with "
-        "`robot.noise_space=joint`.",
+        "Standard deviation of the velocity noise of each joint (m/s for a sliding joint), with `robot.controls=joint` "
+        "and `robot.noise_space=joint`.",
         unit="rad/s",
     )
     tool_noise: tuple[float, float, float, float, float, float] = setting(
         (0.2, 0.2, 0.06, 0.2, 0.2, 0.5),
         "Standard deviations of the noise of the tip's velocity along, and then about, the world's x, y and z axes, "
-        "with `robot.noise_space=tool`.",
+        "with `robot.controls=joint` and `robot.noise_space=tool`.",
         unit="m/s, m/s, m/s, rad/s, rad/s, rad/s",
     )
     joint_velocity_limit: float = setting(
-        0.6,
+        1.2,
         "Largest velocity planned for each joint (m/s for a sliding joint), unless the robot's own limit is lower.",
         unit="rad/s",
         low=1e-3,
@@ -202,6 +226,11 @@ class ObjectLevel:
         "Distance of the object from the goal, yaw error included, below which the noise decreases in proportion to "
         "the distance, down to a tenth; 0 keeps the noise constant; not in the paper.",
         unit="m",
+    )
+    ends_at_goal: bool = setting(
+        True,
+        "Replace CLOI's object plan by the straight path to the goal when the object is within 5 cm of the goal, yaw "
+        "error included; not in the paper.",
     )
     plan_steps: int = setting(
         600,
@@ -276,11 +305,11 @@ class ObjectCost:
 class RobotCost:
     """Weights of the robot level's stage cost ``l_o + l_r + l_c`` (equation 14); help marks terms not in the paper."""
 
-    w_d: float = setting(5.0, "Weight of the object's squared distance to the goal (equation 16).", unit="1/m^2")
+    w_d: float = setting(0.0, "Weight of the object's squared distance to the goal (equation 16).", unit="1/m^2")
     w_theta: float = setting(
-        0.1,
-        "Square of the length equivalent to a yaw error of 1 rad, in the squared distances that `cost.w_d` and "
-        "`cost.w_reference` weight (equation 16).",
+        0.0225,
+        "Square of the length equivalent to a yaw error of 1 rad, in the distances that `cost.w_d`, `cost.w_reference` "
+        "and `cost.w_track` weight (equation 16).",
         unit="m^2/rad^2",
     )
     w_f: float = setting(
@@ -302,13 +331,32 @@ class RobotCost:
         unit="1/m",
     )
     w_reference: float = setting(
-        300.0,
+        0.0,
         "Weight of the object's squared distance to its reference on the object plan, the coupling cost l_c "
         "(equation 14).",
         unit="1/m^2",
     )
+    w_track: float = setting(
+        100.0,
+        "Weight of the object's distance to its reference on the object plan, not squared, so that millimetres still "
+        "count near the goal; not in the paper.",
+        unit="1/m",
+    )
+    w_stance: float = setting(
+        10.0,
+        "Weight of the tool's remaining way around the object to a place from which a push moves the object towards "
+        "its target, yaw included; a worse place counts as a longer way. It takes the place of psi_align; not in the "
+        "paper.",
+        unit="1/m",
+    )
+    stance_fade: float = setting(
+        0.002,
+        "Distance between the object and its target below which the cost of `cost.w_stance` decreases in proportion; "
+        "not in the paper.",
+        unit="m",
+    )
     w_ee: float = setting(
-        5.0,
+        0.0,
         "Weight of the amount by which the squared distance between tip and object centre exceeds the square of "
         "`cost.r_0` (equation 17).",
         unit="1/m^2",
@@ -317,7 +365,7 @@ class RobotCost:
         0.12, "Distance between tip and object centre up to which there is no cost (equation 17).", unit="m"
     )
     w_align: float = setting(
-        2.0,
+        0.0,
         "Weight of psi_align, which penalizes a tool that is not behind the object relative to the object's desired "
         "direction of motion (equation 18).",
     )
@@ -330,8 +378,8 @@ class RobotCost:
     )
     align_ahead: int = setting(
         10,
-        "Number of control steps by which the target of `cost.w_align` is ahead on the object plan; the object's "
-        "desired direction of motion points to this target; not in the paper.",
+        "Number of control steps by which the target of `cost.w_align` and `cost.w_stance` is ahead on the object "
+        "plan; the object's desired direction of motion points to this target; not in the paper.",
     )
     align_fade: float = setting(
         0.02,
@@ -397,7 +445,10 @@ class RobotCost:
         unit="s^2/m^2",
     )
     w_control: float = setting(
-        0.0, "Weight of the sum of the squared joint velocities; not in the paper.", unit="s^2/rad^2"
+        0.0,
+        "Weight of the sum of the squared controls: joint velocities, or velocities of the tip [s^2/m^2]; not in the "
+        "paper.",
+        unit="s^2/rad^2",
     )
     w_collision: float = setting(
         0.0,
@@ -448,8 +499,8 @@ class Reposition:
     )
     headway: float = setting(
         0.01,
-        "Headway is made when the object's remaining path to the goal has become shorter by more than this since "
-        "headway was last made or, the first time, since pushing began.",
+        "Headway is made when the object's remaining path to the goal has become shorter by more than this, or by more "
+        "than a tenth, since headway was last made or, the first time, since pushing began.",
         unit="m",
     )
     w_waypoint: float = setting(

@@ -106,6 +106,23 @@ def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None 
     return float(np.einsum("tij,t,i,j->", cube, [1 - at, at], [1 - ax, ax], [1 - ay, ay]))
 
 
+def planar_field_at(field: PlanarField, point: np.ndarray, values: np.ndarray) -> float:
+    """Looks up a planar field on the host, bilinearly and clamped outside, as the kernels do.
+
+    Args:
+        field: The field.
+        point: Position, shape [2] [m].
+        values: The field's values on the host.
+    """
+    nx, ny = values.shape
+    x = min(max((float(point[0]) - field.origin[0]) * field.inv_step, 0.0), nx - 1 - 1e-3)
+    y = min(max((float(point[1]) - field.origin[1]) * field.inv_step, 0.0), ny - 1 - 1e-3)
+    i, j = int(x), int(y)
+    low = values[i, j] + (y - j) * (values[i, j + 1] - values[i, j])
+    high = values[i + 1, j] + (y - j) * (values[i + 1, j + 1] - values[i + 1, j])
+    return float(low + (x - i) * (high - low))
+
+
 def build_geometry(scene: Scene, device: str) -> Geometry:
     """Builds all distance fields of a scene on a device, or reads them from the cache."""
     start_warp()

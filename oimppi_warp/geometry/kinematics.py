@@ -20,21 +20,21 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
     Args:
         robot: The arm.
-        joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
+        joints: Joint positions, shape [..., dof] [rad; m for a prismatic joint].
 
     Returns:
-        Rotations [dof, 3, 3] and positions [dof, 3] in the world frame [m].
+        Rotations [..., dof, 3, 3] and positions [..., dof, 3] in the world frame [m].
     """
-    rest, step, revolute = _rest_transforms(robot), np.zeros((robot.dof, 4, 4)), revolute_joints(robot)
+    rest, step, revolute = _rest_transforms(robot), np.zeros((*np.shape(joints), 4, 4)), revolute_joints(robot)
     angles = np.where(revolute, joints, 0.0)
     c, s = np.cos(angles), np.sin(angles)
-    step[:, 0, 0], step[:, 0, 1], step[:, 1, 0], step[:, 1, 1] = c, -s, s, c
-    step[:, 2, 2] = step[:, 3, 3] = 1.0
-    step[:, 2, 3] = np.where(revolute, 0.0, joints)
+    step[..., 0, 0], step[..., 0, 1], step[..., 1, 0], step[..., 1, 1] = c, -s, s, c
+    step[..., 2, 2] = step[..., 3, 3] = 1.0
+    step[..., 2, 3] = np.where(revolute, 0.0, joints)
     frames = rest @ step
     for j in range(1, robot.dof):
-        frames[j] = frames[j - 1] @ frames[j]
-    return frames[:, :3, :3], frames[:, :3, 3]
+        frames[..., j, :, :] = frames[..., j - 1, :, :] @ frames[..., j, :, :]
+    return frames[..., :3, :3], frames[..., :3, 3]
 
 
 @lru_cache(maxsize=8)

@@ -106,7 +106,7 @@ def _region(points: np.ndarray) -> Reach:
 @lru_cache(maxsize=8)
 def can_lift(robot: Robot) -> bool:
     """Returns whether the robot can raise its tool without tilting it; otherwise it has to go around objects."""
-    linear, tilting = _rates(robot, robot.start)
+    linear, tilting = tip_rates(robot, robot.start)
     both = np.vstack([tilting, linear[2]])
     return bool(np.linalg.matrix_rank(both, tol=1e-6) > np.linalg.matrix_rank(tilting, tol=1e-6))
 
@@ -152,8 +152,8 @@ def _max_radius(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
     return 0.0 if joints is None else radius
 
 
-def _rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns Jacobians by the joint velocities: of the tip's position [3, dof], and of its z axis in x, y [2, dof]."""
+def tip_rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the Jacobians of the tip's position, shape [3, dof], and of its z axis in x and y, shape [2, dof]."""
     axis = tip_frame(robot, joints)[0][:, 2]
     linear, angular = np.split(tip_jacobian(robot, joints), 2)
     return linear, np.cross(angular.T, axis).T[:2]
@@ -175,7 +175,7 @@ def _solve_ik(
         error = np.array([*errors, axis[0], axis[1]])
         if np.abs(error).max() < 1e-5 and axis[2] < 0.0:
             return q
-        linear, tilting = _rates(robot, q)
+        linear, tilting = tip_rates(robot, q)
         jacobian = np.vstack([directions @ linear, tilting])
         if free is not None:
             jacobian = jacobian * free

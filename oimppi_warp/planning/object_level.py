@@ -34,7 +34,7 @@ class ObjectLevel:
         self._goal = goal
         self.path = self._dynamics.path
         self.to_go = self._dynamics.to_go if config.object_cost.w_to_go > 0.0 else None
-        self.launches = [*self.optimizer.improve, self._dynamics.trace(self.optimizer.nominal), self.optimizer.shift]
+        self.launches = [*self.optimizer.improve, *self._dynamics.trace(self.optimizer.nominal), self.optimizer.shift]
         self.setup_seconds = self._dynamics.setup_seconds
 
     def set_state(self, pose: np.ndarray) -> None:

@@ -18,13 +18,16 @@ from oimppi_warp.geometry.fields import build_geometry, from_center, pose_field_
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
 from oimppi_warp.planning.cost_to_go import build_to_go
-from oimppi_warp.planning.engines.dynamics import RolloutTask
+from oimppi_warp.planning.engines.dynamics import RobotDynamics, RolloutTask
 from oimppi_warp.planning.engines.factory import make_dynamics
+from oimppi_warp.planning.engines.packing import environment, velocity_bound
+from oimppi_warp.planning.engines.tip_controls import TipControls
 from oimppi_warp.planning.engines.uncertainty import draw
 from oimppi_warp.planning.object_level import distance
 from oimppi_warp.planning.optimizers.optimizer import Update, make_optimizer
 from oimppi_warp.planning.plan import Plan, Samples
 from oimppi_warp.planning.reposition import Repositioner
+from oimppi_warp.planning.upright import ToolServo, build_upright
 from oimppi_warp.scene import Scene
 
 _DAMPING = 0.05
@@ -92,6 +95,13 @@ class Planner:
             self._to_go_values = to_go.values.numpy()
         self._to_go = to_go
         self._setup_seconds = time.perf_counter() - began
+        height, limits = config.cost.height, velocity_bound(scene, level)
+        upright = None
+        self._servo = None
+        if level.controls == "tool":
+            around = environment(scene, self.geometry, config.cost)
+            upright = build_upright(scene, self.geometry, around, limits=limits, height=height, device=compute.device)
+            self._servo = ToolServo(scene, self.geometry, limits=limits, height=height, period=config.control_period)
         self.dynamics = make_dynamics(
             engine,
             RolloutTask(
@@ -103,13 +113,18 @@ class Planner:
                 compute=compute,
                 draws=draws,
                 to_go=to_go,
+                yaw_length=config.object.yaw_length,
+                upright=upright,
             ),
         )
-        self.optimizer = make_optimizer(self.dynamics, level.optimizer, seed=2 * seed + 1)
+        self._rollouts: RobotDynamics | TipControls = self.dynamics
+        if upright is not None and not self.dynamics.takes_tip_velocities:
+            self._rollouts = TipControls(self.dynamics)
+        self.optimizer = make_optimizer(self._rollouts, level.optimizer, seed=2 * seed + 1)
         self.object_launches: list[Launch] = []
         self._robot_launches = [
             *self.optimizer.improve,
-            self.dynamics.trace(self.optimizer.nominal, self.optimizer.costs),
+            self._rollouts.trace(self.optimizer.nominal, self.optimizer.costs),
             self.optimizer.shift,
         ]
         self._repositioner = Repositioner(
@@ -117,7 +132,7 @@ class Planner:
             self.geometry,
             config.reposition,
             turn=config.object.turn,
-            height=config.cost.height,
+            height=height,
             period=config.control_period,
         )
         self._tracked = self.goal[None]
@@ -179,15 +194,16 @@ class Planner:
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
         waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
         self.dynamics.waypoint.host[0] = waypoint
-        self.dynamics.set_state(observation, self.goal)
-        self.optimizer.noise.host[0] = self._noise(observation.joint_position, lifting=waypoint[3] > 0.0)
+        self._rollouts.set_state(observation, self.goal)
+        lifting = bool(waypoint[3] > 0.0)
+        self.optimizer.noise.host[0] = self._noise(observation.joint_position, lifting=lifting)
         self.set_reference(pose)
         began = time.perf_counter()
         self._step()
         trace = self.dynamics.traced()
         surface = self.geometry.surface
         return Plan(
-            command=self.optimizer.command.host[0].astype(float),
+            command=self._command(observation.joint_position, pose, lifting=lifting),
             update=self.optimizer.found(),
             object_update=self.object_statistics(),
             object_seconds=self.object_finished() - began,
@@ -211,7 +227,7 @@ class Planner:
             half = count // 2
             others = heaviest[half :: max((len(heaviest) - half) // (count - half), 1)]
             chosen = np.concatenate([heaviest[:half], others])
-            tips, terms = self.dynamics.paths(self.optimizer.controls, chosen[:count])
+            tips, terms = self._rollouts.paths(self.optimizer.controls, chosen[:count])
         shares = weights[chosen[:count]] / max(float(weights.max()), 1e-30)
         return Samples(tips, shares, dict(zip(self.dynamics.terms, terms[0].tolist(), strict=True)))
 
@@ -265,12 +281,21 @@ class Planner:
         """Returns the ``time.perf_counter`` at which the object level finished the latest step; NaN if unknown."""
         return math.nan
 
-    def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
-        """Returns a square root of the noise's covariance in joint space: ``root root^T = Sigma_u`` (equation 9).
+    def _command(self, joints: np.ndarray, pose: np.ndarray, *, lifting: bool) -> np.ndarray:
+        """Returns the joint velocities of the first control of the updated nominal, shape [dof] [rad/s]."""
+        control = self.optimizer.command.host[0].astype(float)
+        if self._servo is None:
+            return control
+        return self._servo.joint_velocity(joints, pose, control, lifting=lifting)
 
-        Shape [dof, dof].
+    def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
+        """Returns a square root of the noise's covariance: ``root root^T = Sigma_u`` (equation 9).
+
+        Its shape is [dof, dof] in the space of the joints, and [3, 3] in that of the tip.
         """
         robot = self.config.robot
+        if robot.controls == "tool":
+            return robot.tip_noise * np.diag([1.0, 1.0, float(lifting)])
         if robot.noise_space == "joint":
             return robot.joint_noise * np.eye(self.scene.robot.dof)
         jacobian = tip_jacobian(self.scene.robot, joints)

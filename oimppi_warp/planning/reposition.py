@@ -18,13 +18,12 @@ from oimppi_warp.config.settings import Reposition
 from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.geometry.footprint import footprint, outline, planar_points, wrap_angle
 from oimppi_warp.geometry.reach import can_lift, reach_of
+from oimppi_warp.planning.stance import Outline
 from oimppi_warp.scene import Scene
 
 NO_WAYPOINT = np.zeros(4)
 """No waypoint: its weight is zero."""
 
-_POINTS = 96
-"""Points of the outline that are compared."""
 _GAP = 0.012
 """Gap between the tool and the outline at the position from which it pushes [m]."""
 _CLEAR = 0.03
@@ -45,6 +44,8 @@ _ROOM = 0.01
 """Distance to the edge of the tip's reach below which a position is blocked [m]."""
 _BLOCKED = 10.0
 """Subtracted from the score of a blocked side, which puts it below every other; scores are cosines."""
+_SHARE = 0.1
+"""Share of the remaining distance that is headway where it is less than the setting."""
 _REMEMBERED = 8
 """Number of tried sides at which all but the latest two are forgotten, so that they may be tried again."""
 
@@ -67,16 +68,12 @@ class Repositioner:
         self._settings = settings
         self._turn = turn
         self._period = period
-        self._surface = geometry.surface
-        self._friction = scene.object.tool_friction
         self._radius = scene.robot.tool_radius
         self._heights = (height, geometry.top + _ABOVE)
         self._lifts = can_lift(scene.robot)
         self._reach = reach_of(scene.robot)
-        shape = outline(footprint(scene.object.colliders))
-        self._shape = shapely.affinity.translate(shape, *(-geometry.surface.center))
-        self._points, self._normals = _boundary(self._shape)
-        self._sides = self._points - (self._radius + _GAP) * self._normals  # tool positions, object frame
+        self._outline = Outline(scene, geometry.surface)
+        self._sides = self._outline.beside(self._radius + _GAP)  # tool positions, object frame
         blocks = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
         self._blocks = outline(footprint((*blocks, *scene.robot.base.colliders), lower=height, upper=geometry.top))
         self.reset()
@@ -106,7 +103,7 @@ class Repositioner:
             return NO_WAYPOINT
         if self._waypoints:
             return self._next_waypoint(tip, to_go)
-        if to_go < self._least - self._settings.headway:
+        if to_go < self._least - min(self._settings.headway, _SHARE * self._least):
             if math.isfinite(self._least):
                 self._tried.clear()
             self._least, self._stalled = to_go, 0.0
@@ -132,7 +129,7 @@ class Repositioner:
         move = reference[min(_AHEAD, len(reference) - 1)] - pose
         wanted = np.array([c * move[0] + s * move[1], c * move[1] - s * move[0], self._turn * wrap_angle(move[2])])
         positions = planar_points(pose, self._sides)
-        score = self._alignment(wanted) - _BLOCKED * self._blocked(positions)
+        score = self._outline.alignment(wanted) - _BLOCKED * self._blocked(positions)
         self._tried.append(self._sides[np.argmin(np.linalg.norm(positions - tip[:2], axis=1))])
         for side in self._tried:
             score -= np.linalg.norm(self._sides - side, axis=1) < _SAME_SIDE
@@ -144,7 +141,7 @@ class Repositioner:
         low, high = self._heights
         target = positions[best]
         body = shapely.affinity.translate(
-            shapely.affinity.rotate(self._shape, pose[2], origin=(0.0, 0.0), use_radians=True), pose[0], pose[1]
+            shapely.affinity.rotate(self._outline.shape, pose[2], origin=(0.0, 0.0), use_radians=True), pose[0], pose[1]
         )
         straight = shapely.LineString([tip[:2], target])
         self._waypoints = [np.array([*target, low])]
@@ -179,44 +176,8 @@ class Repositioner:
             paths.append((int(self._blocked(points).sum()), abs(length), points))
         return min(paths, key=lambda path: path[:2])[2]
 
-    def _alignment(self, wanted: np.ndarray) -> np.ndarray:
-        """Scores a push at each point of the outline by its agreement with a motion in the object's frame, [point].
-
-        It is the cosine of the angle between the wanted twist and the twist ``x_o' = D w`` of equation 5, in the metric
-        of ``D``, for the best force in the friction cone.
-        """
-        root = np.sqrt(self._surface.mobility * self._surface.force)  # square root of D, up to scale
-        twist = wanted / root
-        twist = twist / max(float(np.linalg.norm(twist)), 1e-9)
-        tangents = np.column_stack([-self._normals[:, 1], self._normals[:, 0]])
-        best = np.full(len(self._points), -1.0)
-        for share in np.linspace(-self._friction, self._friction, 5):
-            force = self._normals + share * tangents
-            torque = self._points[:, 0] * force[:, 1] - self._points[:, 1] * force[:, 0]
-            wrench = np.column_stack([force, torque]) * root
-            best = np.maximum(best, wrench @ twist / np.linalg.norm(wrench, axis=1))
-        return best
-
     def _blocked(self, positions: np.ndarray) -> np.ndarray:
         """Returns whether tool positions, shape [n, 2] [m], are next to an obstacle or at the edge of reach."""
         points = shapely.points(positions)
         near = shapely.distance(points, self._blocks) < self._radius + _MARGIN if self._blocks else False
         return near | (self._reach.margin(positions) < _ROOM)
-
-
-def _boundary(shape: shapely.Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """Returns evenly spaced points on an outline [m] and its inward unit normals there, shape [n, 2] each."""
-    rings = [part.exterior for part in shapely.get_parts(shape)]
-    length = sum(ring.length for ring in rings)
-    points, normals = [], []
-    for ring in rings:
-        count = max(round(_POINTS * ring.length / length), 3)
-        for at in (np.arange(count) + 0.5) * ring.length / count:
-            before, after = (np.array(ring.interpolate((at + d) % ring.length).coords[0]) for d in (-1e-4, 1e-4))
-            along = (after - before) / max(float(np.linalg.norm(after - before)), 1e-12)
-            normal = np.array([-along[1], along[0]])
-            point = 0.5 * (before + after)
-            inside = shapely.contains_xy(shape, *(point + 1e-3 * normal))
-            points.append(point)
-            normals.append(normal if inside else -normal)
-    return np.array(points), np.array(normals)

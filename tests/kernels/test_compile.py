@@ -25,6 +25,8 @@ ARGUMENTS = {
     "make_place_arm": [(chain,) for chain in CHAINS],
     "make_robot_cost": [((),)],
     "make_robot_rollout": [(chain, ()) for chain in CHAINS],
+    "make_upright_rollout": [((),)],
+    "make_upright_clearance": [(chain,) for chain in CHAINS],
     "make_pick_trace": [(len(TERMS),)],
     "make_track_object": [(chain,) for chain in CHAINS],
     "make_stage_costs": [(chain, precision, ()) for chain in CHAINS for precision in (wp.float32, wp.float64)],
@@ -57,7 +59,16 @@ MODULES = list(kernel_modules())
 
 def test_all_kernel_files_are_found():
     stems = {module.name.rpartition(".")[2].rstrip("_0123456789PR") for module in MODULES}
-    wanted = {"distance", "cost_to_go", "object", "robot_rollout", "sample_controls", "update", "update_nominal"}
+    wanted = {
+        "distance",
+        "cost_to_go",
+        "object",
+        "robot_rollout",
+        "upright_rollout",
+        "sample_controls",
+        "update",
+        "update_nominal",
+    }
     assert wanted <= stems
 
 

@@ -42,6 +42,7 @@ SMALL = Config(
     object=ObjectLevel(optimizer=MppiSettings(samples=256, horizon=40, temperature=0.1, knots=5)),
 )
 """Few samples, so that a test takes a moment."""
+JOINT_CONTROLS = replace(SMALL, robot=replace(SMALL.robot, controls="joint"))
 
 
 def make(scene: Scene, method: str = "cloi", config: Config = SMALL, *, seed: int = 0) -> Planner:
@@ -85,11 +86,13 @@ def test_a_plan_has_a_command_within_its_bounds_and_all_that_it_led_to(method):
         assert (plan.object_update is not None) == (method == "cloi")
 
 
-def test_the_robots_own_velocity_limit_holds_where_it_is_lower():
+@pytest.mark.parametrize("config", [SMALL, JOINT_CONTROLS], ids=["tool", "joint"])
+def test_the_robots_own_velocity_limit_holds_where_it_is_lower(config: Config):
     scene = shipped("task01")
     slow = tuple(replace(joint, velocity_limit=0.1) for joint in scene.robot.joints)
-    planner = make(replace(scene, robot=replace(scene.robot, joints=slow)), "mppi")
-    np.testing.assert_allclose(planner.dynamics.bound, 0.1)
+    planner = make(replace(scene, robot=replace(scene.robot, joints=slow)), "mppi", config)
+    if config is JOINT_CONTROLS:
+        np.testing.assert_allclose(planner.dynamics.bound, 0.1)
     assert np.abs(on_its_own_model(planner, scene, 3)[0][-1].command).max() <= 0.1 + 1e-6
 
 
@@ -220,8 +223,8 @@ def test_the_same_joint_velocities_on_a_turned_scene_cost_the_same(quarters):
 
 
 def test_a_turned_scene_gives_a_turned_plan():
-    # Noise in joint space is the same for the turned arm; noise in tool space would have to be turned, too.
-    config = replace(SMALL, robot=replace(SMALL.robot, noise_space="joint", joint_noise=0.2))
+    # Noise in joint space is the same for the turned arm; noise of the tip would have to be turned, too.
+    config = replace(SMALL, robot=replace(JOINT_CONTROLS.robot, noise_space="joint", joint_noise=0.2))
     scene = turning_scene()
     other = turned(scene, QUARTER)
     here, there = (make(s, "mppi", config) for s in (scene, other))
@@ -237,7 +240,7 @@ def test_a_turned_scene_gives_a_turned_plan():
 
 def test_noise_in_tool_space_moves_the_tip_as_it_says():
     scene = shipped("task01")
-    planner = make(scene, "mppi")
+    planner = make(scene, "mppi", JOINT_CONTROLS)
     joints = joints_at(scene.robot, (0.45, 0.1, 0.05))
     jacobian = tip_jacobian(scene.robot, joints)
     spread = jacobian @ planner._noise(joints)
@@ -250,15 +253,22 @@ def test_noise_in_tool_space_moves_the_tip_as_it_says():
 
 def test_noise_in_tool_space_stays_finite_at_a_singular_arm():
     scene = shipped("task01")
-    root = make(scene, "mppi")._noise(np.zeros(scene.robot.dof))
+    root = make(scene, "mppi", JOINT_CONTROLS)._noise(np.zeros(scene.robot.dof))
     assert np.isfinite(root).all()
     assert np.abs(root).max() < 10.0 * max(SMALL.robot.tool_noise) / 0.05
 
 
 def test_noise_in_joint_space_is_the_same_for_every_joint():
-    config = replace(SMALL, robot=replace(SMALL.robot, noise_space="joint", joint_noise=0.2))
+    config = replace(SMALL, robot=replace(JOINT_CONTROLS.robot, noise_space="joint", joint_noise=0.2))
     scene = shipped("task01")
     np.testing.assert_array_equal(make(scene, "mppi", config)._noise(scene.robot.start), 0.2 * np.eye(6))
+
+
+def test_noise_of_the_tip_is_vertical_only_while_it_is_lifted():
+    planner = make(shipped("task01"), "mppi")
+    here = planner.scene.robot.start
+    np.testing.assert_array_equal(planner._noise(here), np.diag([0.25, 0.25, 0.0]))
+    np.testing.assert_array_equal(planner._noise(here, lifting=True), 0.25 * np.eye(3))
 
 
 # What is tracked

@@ -10,6 +10,7 @@ from support import small_tasks
 
 from oimppi_warp.config.overrides import from_record, options, set_option
 from oimppi_warp.config.presets import PRESETS, best, lab
+from oimppi_warp.config.settings import RobotCost
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.tipping import can_tip
 from oimppi_warp.kernels.costs.stage_costs import ObjectWeights, RobotWeights
@@ -74,7 +75,7 @@ def test_a_can_is_not_turned_and_the_record_says_so():
     assert resolved.config.object.turn is False
     assert resolved.config.cost.w_theta == resolved.config.object_cost.w_theta == 0.0
     assert resolved.changes["object.turn"].asked is True
-    assert resolved.changes["cost.w_theta"].asked == 0.1
+    assert resolved.changes["cost.w_theta"].asked == RobotCost().w_theta
     assert "yaw" in resolved.changes["cost.w_theta"].reason
 
 

@@ -20,9 +20,11 @@ from oimppi_warp.config.settings import ObjectCost, RobotCost
 from oimppi_warp.geometry.footprint import Piece
 from oimppi_warp.geometry.kinematics import collider_spheres
 from oimppi_warp.kernels.costs.stage_costs import TERMS
+from oimppi_warp.kernels.fields.stance import StanceField
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.kernels.rollouts.quasistatic import PENETRATION_TOLERANCE
+from oimppi_warp.kernels.upright import UprightArm
 from oimppi_warp.scene import Robot
 
 LENGTH_TOLERANCE = 2e-5
@@ -33,6 +35,7 @@ RELATIVE_TOLERANCE = 2e-4
 """... and on costs, forces and gradients to this, relatively."""
 WEIGHT_TOLERANCE = 1e-6
 """... and on weights that sum to one to this."""
+NEAR_GOAL = 0.015
 JAM = 2e-3
 """Depth of a jam between tool and object from which the arm stalls [m]."""
 INTERPOLATION_ERROR = 0.006
@@ -264,6 +267,34 @@ def topple_cost(w: RobotCost, tip: np.ndarray, rotation: np.ndarray, velocity: n
     return share * (w.w_overhang * overhang**2 + w.w_rush * max(float(velocity @ way) - speed, 0.0) ** 2)
 
 
+def distance_to_go(field: Grid, pose: np.ndarray, goal: np.ndarray, yaw_length: float) -> float:
+    """The cost-to-go, and the straight distance close to the goal [m]."""
+    straight = float(np.linalg.norm(_apart(pose, goal, yaw_length)))
+    share = np.clip(straight / NEAR_GOAL - 1.0, 0.0, 1.0)
+    return float((1.0 - share) * straight + (share * field.at(pose)[0] if share > 0.0 else 0.0))
+
+
+def stance(field: StanceField, tip: np.ndarray, pose: np.ndarray, target: np.ndarray) -> float:
+    """How far the tool still is from where it pushes the object towards the target, read from the field [m]."""
+    into_object = planar_rotation(pose[2]).T
+    x, y = into_object @ (tip[:2] - pose[:2])
+    vx, vy = into_object @ (target[:2] - pose[:2])
+    spin = field.radius * wrap_angle(target[2] - pose[2])
+    azimuth = np.arctan2(vy, vx) / (2.0 * np.pi) % 1.0 * field.azimuths
+    elevation = (np.arctan2(spin, np.hypot(vx, vy)) / np.pi + 0.5) * (field.elevations - 1)
+    values = field.values.numpy().astype(float).reshape(field.elevations, field.azimuths, *field.values.shape[1:])
+    a, e = int(azimuth) % field.azimuths, min(int(elevation), field.elevations - 2)
+    total, steps = 0.0, 1.0 / field.inv_step
+    for da, wa in ((0, 1.0 - azimuth % 1.0), (1, azimuth % 1.0)):
+        for de, we in ((0, 1.0 - (elevation - e)), (1, elevation - e)):
+            layer = values[e + de, (a + da) % field.azimuths]
+            grid = Grid(layer, np.array(field.origin), np.full(2, steps))
+            total += wa * we * grid.at(np.array([x, y]))[0]
+    last = np.array(field.origin) + steps * (np.array(values.shape[2:]) - 1)
+    inside = np.clip([x, y], np.array(field.origin), last)
+    return float(total + np.hypot(*(np.array([x, y]) - inside)))
+
+
 NO_WAYPOINT = np.zeros(4)
 """No waypoint: its weight is zero."""
 
@@ -280,6 +311,7 @@ def robot_cost(
     reference: np.ndarray,
     target: np.ndarray,
     to_go: float = 0.0,
+    stance: float = 0.0,
     force: float,
     arm_clearance: float,
     above: float,
@@ -304,6 +336,10 @@ def robot_cost(
         if waypoint[3] > 0.0
         else w.w_align * align_cost(tip[:2], pose[:2], target[:2], w.gamma_0, w.align_fade),
         "tilt": w.w_tilt * tilt_cost(rotation),
+        "track": w.w_track * pose_distance_squared(pose, reference, w.w_theta) ** 0.5,
+        "stance": 0.0
+        if waypoint[3] > 0.0
+        else w.w_stance * min(pose_distance_squared(pose, target, w.w_theta) ** 0.5 / w.stance_fade, 1.0) * stance,
         "height": 0.0 if waypoint[3] > 0.0 else w.w_height * (tip[2] - w.height) ** 2,
         "arm_clearance": w.w_arm_clearance * max(w.arm_clearance - arm_clearance, 0.0) ** 2,
         "above": w.w_above * above,
@@ -412,7 +448,7 @@ class Rollout:
     """One robot rollout: terms summed over the horizon, and per step the joints, tips and object poses."""
 
     terms: dict[str, float] = field(default_factory=dict)
-    joints: list[np.ndarray] = field(default_factory=list)
+    joints: list[Any] = field(default_factory=list)
     tips: list[np.ndarray] = field(default_factory=list)
     poses: list[np.ndarray] = field(default_factory=list)
 
@@ -436,6 +472,7 @@ class World:
         contact_steps: Steps of the contact model in one control step.
         topple_speed: Speed from which coming close costs [m/s].
         size: Largest distance of the object's outline from its friction centre [m].
+        stance: The stance field; None if its weight is zero.
     """
 
     robot: Robot
@@ -448,6 +485,11 @@ class World:
     contact_steps: int
     topple_speed: float = 0.0
     size: float = 0.0
+    stance: StanceField | None = None
+
+    def stance_at(self, tip: np.ndarray, pose: np.ndarray, target: np.ndarray) -> float:
+        """How far the tool still is from a good place [m]; 0 without a stance field."""
+        return 0.0 if self.stance is None else stance(self.stance, tip, pose, target)
 
     def arm_clearance(self, joints: np.ndarray) -> float:
         """Clearance of arm and tool to the table and the obstacles (phi_3), at most a metre [m]."""
@@ -466,6 +508,20 @@ class World:
         return pose
 
 
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """The arm after a control: joint positions if known, the tip's frame [4, 4], phi_3 [m], the control's square."""
+
+    joints: Any
+    frame: np.ndarray
+    clearance: float
+    effort: float = 0.0
+
+    @property
+    def tip(self) -> np.ndarray:
+        return self.frame[:3, 3]
+
+
 def robot_rollout(
     world: World,
     joints: np.ndarray,
@@ -474,20 +530,74 @@ def robot_rollout(
     reference: np.ndarray,
     controls: np.ndarray,
 ) -> Rollout:
-    """The whole robot level for one control sequence [horizon, dof]; ``reference`` as the kernel has it."""
-    robot, body, dt = world.robot, world.body, world.dt
+    """The whole robot level for one sequence of joint velocities [horizon, dof]; ``reference`` as the kernel has it."""
+    robot = world.robot
     lower = np.minimum([joint.lower for joint in robot.joints], joints)
     upper = np.maximum([joint.upper for joint in robot.joints], joints)
-    frame, arm_clearance = tip_frame(robot, joints), world.arm_clearance(joints)
-    out = Rollout(dict.fromkeys(TERMS, 0.0), [joints], [frame[:3, 3]], [pose])
-    for h, control in enumerate(controls, start=1):
+
+    def place(at: np.ndarray, effort: float = 0.0) -> Placed:
+        return Placed(at, tip_frame(robot, at), world.arm_clearance(at), effort)
+
+    def moved(placed: Placed, pose: np.ndarray, control: np.ndarray) -> Placed:
         speed = np.clip(control, -world.speed, world.speed)
-        new_joints = np.clip(joints + dt * speed, lower, upper)
-        new_frame, new_clearance, new_pose = tip_frame(robot, new_joints), world.arm_clearance(new_joints), pose
-        tip, new_tip = frame[:3, 3], new_frame[:3, 3]
+        return place(np.clip(placed.joints + world.dt * speed, lower, upper), float(speed @ speed))
+
+    return _rollout(world, place(joints), pose, goal, reference, controls, moved)
+
+
+def upright_rollout(
+    world: World,
+    upright: UprightArm,
+    tip: np.ndarray,
+    pose: np.ndarray,
+    goal: np.ndarray,
+    reference: np.ndarray,
+    controls: np.ndarray,
+) -> Rollout:
+    """The whole robot level for one sequence of tip velocities [horizon, 3], while the tip is not being lifted."""
+    body, dt = world.body, world.dt
+
+    def looked_up(field: SpaceField, at: np.ndarray) -> float:
+        top = field.origin[2] + (field.values.shape[2] - 1 - 1e-3) / field.inv_step
+        return space_field(field, np.array([at[0], at[1], min(at[2], top)]))
+
+    def place(at: np.ndarray, effort: float = 0.0) -> Placed:
+        frame = np.diag([1.0, -1.0, -1.0, 1.0])  # straight down
+        frame[:3, 3] = at
+        return Placed(None, frame, looked_up(upright.clearance, at), effort)
+
+    def moved(placed: Placed, pose: np.ndarray, control: np.ndarray) -> Placed:
+        at = placed.tip
+        most = looked_up(upright.speed, at)
+        ahead = at[:2] + dt * min(1.0, most / max(np.hypot(*control[:2]), 1e-6)) * control[:2]
+        height = upright.height
+        if at[2] >= body.top and body.gap(pose, ahead) < world.robot.tool_radius + 0.01:
+            height = at[2]
+        rise = np.clip(6.0 * (height - at[2]), -0.15, 0.15)
+        rise = np.clip(rise, -abs(height - at[2]) / dt, abs(height - at[2]) / dt)
+        return place(np.array([*ahead, at[2] + dt * rise]), float(control @ control))
+
+    return _rollout(world, place(tip), pose, goal, reference, controls, moved)
+
+
+def _rollout(
+    world: World,
+    placed: Placed,
+    pose: np.ndarray,
+    goal: np.ndarray,
+    reference: np.ndarray,
+    controls: np.ndarray,
+    moved: Callable[[Placed, np.ndarray, np.ndarray], Placed],
+) -> Rollout:
+    """Contact, object and costs along a sequence of controls, with ``moved(arm, pose, control)`` for the arm."""
+    robot, body, dt = world.robot, world.body, world.dt
+    out = Rollout(dict.fromkeys(TERMS, 0.0), [placed.joints], [placed.tip], [pose])
+    for h, control in enumerate(controls, start=1):
+        tried, new_pose = moved(placed, pose, control), pose
+        tip, new_tip = placed.tip, tried.tip
 
         above = max(tip[2], new_tip[2]) >= body.top and body.gap(pose, new_tip[:2]) < robot.tool_radius
-        stalled = (new_clearance < -PENETRATION_TOLERANCE and new_clearance < arm_clearance) or (
+        stalled = (tried.clearance < -PENETRATION_TOLERANCE and tried.clearance < placed.clearance) or (
             above and new_tip[2] < body.top
         )
         pressed = force = rise = 0.0
@@ -500,33 +610,34 @@ def robot_rollout(
             if force > 0.0:
                 pressed = max(robot.tool_radius - body.gap(new_pose, new_tip[:2]), 0.0)
                 stalled = pressed > JAM
-        shown_clearance = new_clearance
         if not stalled:
-            joints, frame, arm_clearance, pose = new_joints, new_frame, new_clearance, new_pose
+            placed, pose = tried, new_pose
 
+        target = reference[h + world.weights.align_ahead]
         terms = robot_cost(
             world.weights,
-            tip=frame[:3, 3],
-            rotation=frame[:3, :3],
+            tip=placed.tip,
+            rotation=placed.frame[:3, :3],
             pose=pose,
             velocity=(new_tip - tip)[:2] / dt,
             top=body.top,
             goal=goal,
             reference=reference[h],
-            target=reference[h + world.weights.align_ahead],
+            target=target,
+            stance=world.stance_at(placed.tip, pose, target),
             force=force,
-            arm_clearance=shown_clearance,
+            arm_clearance=tried.clearance,
             above=float(above),
             pressed=pressed,
             gap=gap,
             rise=rise,
-            speed_squared=float(speed @ speed),
+            speed_squared=tried.effort,
             topple_speed=world.topple_speed,
             size=world.size,
         )
         out.terms = {name: out.terms[name] + terms[name] for name in TERMS}
-        out.joints.append(joints)
-        out.tips.append(frame[:3, 3])
+        out.joints.append(placed.joints)
+        out.tips.append(placed.tip)
         out.poses.append(pose)
     return out
 

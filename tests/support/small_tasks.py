@@ -23,9 +23,12 @@ from oimppi_warp.kernels.costs.stage_costs import TERMS, terms_vector
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.engines.dynamics import RolloutTask, control_type
 from oimppi_warp.planning.engines.object import ObjectDynamics
+from oimppi_warp.planning.engines.packing import environment, velocity_bound
 from oimppi_warp.planning.engines.quasistatic import QuasistaticDynamics
 from oimppi_warp.planning.engines.uncertainty import CERTAIN, Draws
 from oimppi_warp.planning.resolve import resolve
+from oimppi_warp.planning.stance import build_stance
+from oimppi_warp.planning.upright import build_upright
 from oimppi_warp.scene import Collider, Obstacle, PushedObject, Robot, Scene, Table
 from oimppi_warp.usd import load_scene
 
@@ -42,16 +45,27 @@ def rollout_task(
     device: str = DEVICE,
     threads: int | None = None,
     draws: Draws = CERTAIN,
+    upright: bool = False,
 ) -> RolloutTask:
-    """Returns the rollout task of an engine under test."""
+    """Returns the rollout task of an engine under test; with ``upright``, its controls are velocities of the tip."""
+    geometry, level, cost = (
+        geometry or build_geometry(scene, device),
+        level or RobotLevel(),
+        cost or effective_cost(scene),
+    )
+    arm = None
+    if upright:
+        around, limits = environment(scene, geometry, cost), velocity_bound(scene, level)
+        arm = build_upright(scene, geometry, around, limits=limits, height=cost.height, device=device)
     return RolloutTask(
         scene=scene,
-        geometry=geometry or build_geometry(scene, device),
-        level=level or RobotLevel(),
-        cost=cost or effective_cost(scene),
+        geometry=geometry,
+        level=level,
+        cost=cost,
         dt=DT,
         compute=Compute(device, threads=threads),
         draws=draws,
+        upright=arm,
     )
 
 
@@ -173,11 +187,12 @@ class Pushing:
     dynamics: QuasistaticDynamics
 
     @classmethod
-    def on(cls, scene: Scene, config: Config | None = None, **cost: Any) -> Pushing:
+    def on(cls, scene: Scene, config: Config | None = None, *, upright: bool = False, **cost: Any) -> Pushing:
         config = config or Config()
         config = resolve(replace(config, cost=replace(config.cost, **cost)), scene).config
         geometry = build_geometry(scene, DEVICE)
-        dynamics = QuasistaticDynamics(rollout_task(scene, level=config.robot, cost=config.cost, geometry=geometry))
+        made = rollout_task(scene, level=config.robot, cost=config.cost, geometry=geometry, upright=upright)
+        dynamics = QuasistaticDynamics(made)
         return cls(scene, geometry, config, dynamics)
 
     def twin(self) -> reference.World:
@@ -185,7 +200,7 @@ class Pushing:
         weights = self.config.cost
         return reference.World(
             robot=self.scene.robot,
-            speed=self.dynamics.bound,
+            speed=velocity_bound(self.scene, self.config.robot),
             body=reference.Body.of(self.dynamics._model),
             obstacles=self.geometry.space,
             top=self.geometry.space_top,
@@ -194,11 +209,12 @@ class Pushing:
             contact_steps=self.config.robot.contact_steps,
             topple_speed=weights.rush * tipping_speed(self.scene.object),
             size=self.geometry.size,
+            stance=build_stance(self.scene, self.geometry, DEVICE) if weights.w_stance > 0.0 else None,
         )
 
     def roll(self, joints: np.ndarray, pose: np.ndarray, controls: np.ndarray, *, goal: np.ndarray | None = None,
              reference: np.ndarray | None = None) -> Rollouts:  # fmt: skip
-        """Rolls out control sequences [K, horizon, dof] with the engine."""
+        """Rolls out control sequences [K, horizon, dof or 3] with the engine."""
         goal = np.array(self.scene.goal) if goal is None else goal
         if reference is None:
             reference = goal

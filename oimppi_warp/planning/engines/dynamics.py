@@ -16,8 +16,9 @@ from oimppi_warp.geometry.fields import Geometry, to_center
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.observation import Observation
-from oimppi_warp.planning.engines.packing import velocity_bound
+from oimppi_warp.planning.engines.packing import tip_bound, velocity_bound
 from oimppi_warp.planning.engines.uncertainty import CERTAIN, Draws
+from oimppi_warp.planning.upright import UprightModel
 from oimppi_warp.scene import Scene
 
 
@@ -59,6 +60,8 @@ class RolloutTask:
         compute: Device, and number of CPU threads.
         draws: Random draws of friction, mass, perceived pose and tool offset for the rollouts.
         to_go: Cost-to-go of the object [m]; ``None`` if its weight is zero.
+        yaw_length: Length that a radian of yaw counts as in the cost-to-go [m].
+        upright: The arm with its tool upright; ``None`` if the controls are joint velocities.
     """
 
     scene: Scene
@@ -69,6 +72,8 @@ class RolloutTask:
     compute: Compute
     draws: Draws = CERTAIN
     to_go: PoseField | None = None
+    yaw_length: float = 1.0
+    upright: UprightModel | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +94,9 @@ class Trace:
 class RobotDynamics(ABC):
     """A rollout engine of the robot level; controls are joint velocities [rad/s].
 
+    With ``robot.controls=tool``, the planner converts the sampled velocities of the tip to joint velocities, unless the
+    engine takes them itself (``takes_tip_velocities``); then these are its controls [m/s].
+
     An engine must define :meth:`rollout`, which starts from :attr:`observation` and :attr:`goal` or from what
     :meth:`set_state` derives from them. Everything else is optional. :meth:`trace`, :meth:`traced` and :meth:`paths`
     serve logs and the viewer; those of this class report the cost of a plan, and show arm and object at rest. An engine
@@ -105,11 +113,13 @@ class RobotDynamics(ABC):
             ``--engine auto`` takes only engines whose success rate is known for the method.
         slower_than: Names of engines whose plans are known to take less time. ``--engine auto`` does not try this
             engine if one of those is too slow.
+        takes_tip_velocities: Whether the engine takes velocities of the tip with ``robot.controls=tool``.
         one_graph: Whether the launches of the engine can be captured in a CUDA graph.
         terms: Names of the cost terms.
         task: The task to plan.
-        size: Number of joints (dof).
-        bound: Largest joint velocities to plan with, shape [dof] [rad/s; m/s for a prismatic joint].
+        upright: The arm with its tool upright, if the controls are velocities of the tip; else ``None``.
+        size: Number of entries of a control: that of joints (dof), or 3.
+        bound: Largest magnitude of each entry to plan with, shape [size]: [rad/s; m/s for a prismatic joint], or [m/s].
         compute: Device, and number of CPU threads.
         reference: Desired poses of the object's friction centre at each step from now, an input of the step
             (:class:`oimppi_warp.compute.step.Compute`), [horizon + 1 + align_ahead].
@@ -120,6 +130,7 @@ class RobotDynamics(ABC):
 
     known_success: ClassVar[Mapping[str, float]] = {}
     slower_than: ClassVar[frozenset[str]] = frozenset()
+    takes_tip_velocities: ClassVar[bool] = False
     one_graph: bool = False
     terms: tuple[str, ...] = ("cost",)
     observation: Observation
@@ -128,8 +139,12 @@ class RobotDynamics(ABC):
     def __init__(self, task: RolloutTask) -> None:
         self.task = task
         self.compute = task.compute
-        self.size = task.scene.robot.dof
-        self.bound = velocity_bound(task.scene, task.level)
+        self.upright = task.upright if self.takes_tip_velocities else None
+        if self.upright is None:
+            self.bound = velocity_bound(task.scene, task.level)
+        else:
+            self.bound = tip_bound(task.level)
+        self.size = len(self.bound)
         self.reference = task.compute.input(task.level.optimizer.horizon + 1 + task.cost.align_ahead, wp.vec3)
         self.waypoint = task.compute.input(1, wp.vec4)
         self._costs: wp.array | None = None

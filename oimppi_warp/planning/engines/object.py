@@ -11,7 +11,7 @@ from oimppi_warp.compute.step import Compute, Launch
 from oimppi_warp.config.settings import ObjectCost, ObjectLevel
 from oimppi_warp.geometry.fields import Geometry, pose_field_at
 from oimppi_warp.kernels.costs.stage_costs import ObjectWeights
-from oimppi_warp.kernels.rollouts.object import object_rollout
+from oimppi_warp.kernels.rollouts.object import end_at_goal, object_rollout
 from oimppi_warp.planning.cost_to_go import build_to_go
 from oimppi_warp.planning.engines.packing import fill_weights, no_field, object_model
 
@@ -42,7 +42,7 @@ class ObjectDynamics:
     ) -> None:
         self.compute = compute
         device = compute.device
-        self._dt = dt
+        self._dt, self._yaw_length = dt, level.yaw_length
         self._model = object_model(geometry, tool_friction=0.0)
         # The wrench that moves the object at the speed limit: x' = D w.
         self.bound = np.asarray(level.speed_limit) * [1.0, 1.0, float(level.turn)] / geometry.surface.mobility
@@ -57,6 +57,8 @@ class ObjectDynamics:
             self.to_go = no_field(device)
         self._to_go_values = self.to_go.values.numpy()
         self.setup_seconds = time.perf_counter() - began
+        self._step = level.speed_limit[0] * dt
+        self._ends_at_goal = level.ends_at_goal
         self._start = compute.input(1, wp.vec3)
         self._goal = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=device)
         self._unused = wp.zeros((0, 0), dtype=wp.vec3, device=device)
@@ -75,14 +77,30 @@ class ObjectDynamics:
         """Prepares the cost of each wrench sequence; see :class:`oimppi_warp.planning.engines.dynamics.Dynamics`."""
         return self.launch(controls, costs, self._unused)
 
-    def trace(self, nominal: wp.array) -> Launch:
-        """Returns a launch that writes the poses along one wrench sequence [horizon]."""
-        return self.launch(nominal.reshape((1, nominal.shape[0])), self._trace_cost, self.path.array)
+    def trace(self, nominal: wp.array) -> list[Launch]:
+        """Returns launches that write the poses along one wrench sequence, [horizon], to ``path``.
+
+        Close to the goal the path leads straight to it, with the setting ``object.ends_at_goal``.
+        """
+        launches = [self.launch(nominal.reshape((1, nominal.shape[0])), self._trace_cost, self.path.array)]
+        if self._ends_at_goal:
+            inputs = [self._goal, self._yaw_length, self._step]
+            launches.append(self.compute.launch(end_at_goal, 1, inputs, [self.path.array]))
+        return launches
 
     def launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> Launch:
         """Returns a launch that writes the costs of wrench sequences and, unless ``poses`` is empty, their poses.
 
         Shapes: wrenches [sample, horizon], costs [sample], poses [sample, horizon + 1] or empty.
         """
-        inputs = [self._model, self._weights, self.to_go, self._start.array, self._goal, controls, self._dt]
+        inputs = [
+            self._model,
+            self._weights,
+            self.to_go,
+            self._yaw_length,
+            self._start.array,
+            self._goal,
+            controls,
+            self._dt,
+        ]
         return self.compute.launch_samples(object_rollout, controls.shape[0], inputs, [costs, poses])

@@ -50,6 +50,11 @@ def velocity_bound(scene: Scene, level: RobotLevel) -> np.ndarray:
     return np.minimum([joint.velocity_limit for joint in scene.robot.joints], level.joint_velocity_limit)
 
 
+def tip_bound(level: RobotLevel) -> np.ndarray:
+    """Returns the largest velocity of the tip to plan with along each axis, shape [3] [m/s]."""
+    return np.full(3, level.tip_speed_limit)
+
+
 def environment(scene: Scene, geometry: Geometry, cost: RobotCost) -> Environment:
     """Packs the obstacles and the table, which the arm must keep clear of, for the kernels."""
     packed = Environment()

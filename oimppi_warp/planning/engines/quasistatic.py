@@ -10,7 +10,7 @@ import warp as wp
 
 from oimppi_warp.compute.step import Launch
 from oimppi_warp.geometry.fields import to_center
-from oimppi_warp.kernels.rollouts.quasistatic import make_robot_rollout
+from oimppi_warp.kernels.rollouts.quasistatic import make_robot_rollout, make_upright_rollout
 from oimppi_warp.kernels.rollouts.uncertainty import Draw, combine_costs
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.engines.dynamics import RolloutTask, Trace, control_type
@@ -19,7 +19,7 @@ from oimppi_warp.planning.engines.uncertainty import CERTAIN, Draws
 
 
 class QuasistaticDynamics(ScoredDynamics):
-    """Arm, contact and object; controls are joint velocities [rad/s].
+    """Arm, contact and object; controls are joint velocities [rad/s] or, with an upright arm, tip velocities [m/s].
 
     Args:
         task: The task to plan.
@@ -27,6 +27,7 @@ class QuasistaticDynamics(ScoredDynamics):
 
     # Share of task 02's starts with the preset ``best`` (``docs/results.md``).
     known_success: ClassVar[Mapping[str, float]] = {"cloi": 0.95, "soi": 1.0, "mppi": 1.0}
+    takes_tip_velocities = True
     one_graph = True
 
     def __init__(self, task: RolloutTask) -> None:
@@ -35,8 +36,12 @@ class QuasistaticDynamics(ScoredDynamics):
         self._draws = task.draws
         self._worlds = _pack(task.draws, device)
         self._nominal_world = _pack(CERTAIN, device)
-        self._kernel = make_robot_rollout(task.scene.robot.chain, self._extra)
-        self._joints = compute.input(1, control_type(self.size))
+        if self.upright is None:
+            self._kernel = make_robot_rollout(task.scene.robot.chain, self._extra)
+            self._arm = compute.input(1, control_type(self.size))
+        else:
+            self._kernel = make_upright_rollout(self._extra)
+            self._arm = compute.input(1, wp.vec3)
         self._object = compute.input(1, wp.vec3)
         self._no_terms = wp.zeros(0, dtype=self._terms_type, device=device)
         self._no_poses = wp.zeros((0, 0), dtype=wp.vec3, device=device)
@@ -48,11 +53,11 @@ class QuasistaticDynamics(ScoredDynamics):
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
         """Sets the state to plan from; see :class:`RobotDynamics`."""
         super().set_state(observation, goal)
-        self._joints.host[0] = observation.joint_position
+        self._arm.host[0] = observation.joint_position if self.upright is None else self._tip()
         self._object.host[0] = to_center(self.task.geometry.surface, observation.object_pose)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
-        """Returns a launch that writes the cost of each joint velocity sequence; see :class:`Dynamics`."""
+        """Returns a launch that writes the cost of each control sequence; see :class:`Dynamics`."""
         if self._draws.per_sample == 1:
             return self.launch(controls, costs, self._no_terms, self._no_poses, self._no_poses, self._worlds)
         rolled = wp.zeros(controls.shape[0] * self._draws.per_sample, dtype=float, device=self.compute.device)
@@ -99,7 +104,7 @@ class QuasistaticDynamics(ScoredDynamics):
             worlds,
             costs.shape[0] // controls.shape[0],
             self.task.level.contact_steps,
-            self._joints.array,
+            self._arm.array,
             self._object.array,
             controls,
         ]

@@ -11,7 +11,9 @@ from oimppi_warp.kernels.task import RobotTask
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.engines.cost_terms import weighted_terms
 from oimppi_warp.planning.engines.dynamics import RobotDynamics, RolloutTask
-from oimppi_warp.planning.engines.packing import environment, no_field, object_model, robot_weights
+from oimppi_warp.planning.engines.packing import environment, no_field, object_model, robot_weights, velocity_bound
+from oimppi_warp.planning.stance import build_stance, no_stance
+from oimppi_warp.planning.upright import no_upright
 
 
 class ScoredDynamics(RobotDynamics):
@@ -33,11 +35,14 @@ class ScoredDynamics(RobotDynamics):
         weights = robot_weights(scene, geometry, task.cost)
         weights.extra = wp.array([term.weight for term in added], dtype=float, device=device)
         packed = RobotTask()
-        packed.arm = pack_arm(scene.robot, self.bound, device)
+        packed.arm = pack_arm(scene.robot, velocity_bound(scene, task.level), device)
+        packed.upright = no_upright(device) if task.upright is None else task.upright.packed
         packed.model = self._model
         packed.environment = environment(scene, geometry, task.cost)
         packed.weights = weights
         packed.to_go = no_field(device) if task.to_go is None else task.to_go
+        packed.yaw_length = task.yaw_length
+        packed.stance = build_stance(scene, geometry, device) if task.cost.w_stance > 0.0 else no_stance(device)
         packed.goal = self._goal.array
         packed.reference = self.reference.array
         packed.waypoint = self.waypoint.array

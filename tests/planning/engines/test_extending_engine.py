@@ -11,6 +11,7 @@ from support import small_tasks
 from support.device import assert_same
 
 from oimppi_warp.compute.step import Launch
+from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
@@ -47,7 +48,8 @@ def reaching() -> Iterator[None]:
 
 def test_an_engine_in_numpy_is_planned_with(reaching, device):
     scene = small_tasks.shipped("task01")
-    planner = make_planner(scene, best("mppi"), method="mppi", engine="reaching", device=device, threads=1)
+    config = set_option(best("mppi"), "robot.controls=joint")
+    planner = make_planner(scene, config, method="mppi", engine="reaching", device=device, threads=1)
     joints = scene.robot.start
     planner.start(small_tasks.observe(scene))
     off = [np.linalg.norm(tip_frame(scene.robot, joints)[1] - TARGET)]

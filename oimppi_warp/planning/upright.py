@@ -1,0 +1,181 @@
+"""The arm with its tool upright: its fields for the kernels, and the servo that follows velocities of the tip.
+
+Controls are velocities of the tip in two dimensions (in three while the tool is lifted over the object). A servo holds
+the tool upright and the tip at its height by resolved-rate control: in the rollouts as :func:`move_upright`
+(``kernels/upright.py``), on the arm as :meth:`ToolServo.joint_velocity`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from scipy.ndimage import distance_transform_edt
+
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.geometry.fields import Geometry, planar_field_at
+from oimppi_warp.geometry.footprint import wrap_angle
+from oimppi_warp.geometry.kinematics import pack_arm, tip_frame
+from oimppi_warp.geometry.postures import STEP, Postures, halved, postures_of
+from oimppi_warp.geometry.reach import can_lift, tip_rates
+from oimppi_warp.kernels.geometry import SpaceField
+from oimppi_warp.kernels.kinematics import Environment
+from oimppi_warp.kernels.upright import ASIDE, HEIGHT_RATE, HEIGHT_SPEED, UprightArm, make_upright_clearance
+from oimppi_warp.scene import Scene
+
+_ABOVE = 0.06
+"""Height of the fields above the object's top [m]."""
+_TURN = 1.5
+"""Difference of a joint's position at neighbouring nodes beyond which they belong to different turns [rad]."""
+_OUTSIDE = -0.2
+"""Clearance of tip positions outside the fields [m]."""
+_SLOWEST = 0.02
+"""Least speed of the tip in the fields [m/s], where a joint's velocity limit would allow almost none."""
+_TILT_RATE = 4.0
+"""Rate at which the servo reduces the tool's tilt [1/s]."""
+_HOME_RATE = 0.5
+"""Rate at which the servo brings a redundant arm to its start posture [1/s]."""
+_DAMPING = 1e-5
+"""Damping of the servo's pseudo-inverse, in squared units of the Jacobian."""
+
+
+@dataclass(frozen=True, eq=False)
+class UprightModel:
+    """The arm with its tool upright.
+
+    Attributes:
+        packed: Its fields, for the kernels.
+        postures: Joint positions over tip positions.
+    """
+
+    packed: UprightArm
+    postures: Postures
+
+
+def build_upright(
+    scene: Scene, geometry: Geometry, environment: Environment, *, limits: np.ndarray, height: float, device: str
+) -> UprightModel:
+    """Computes the fields of an arm that holds its tool upright.
+
+    Args:
+        scene: The task.
+        geometry: Shapes of the scene.
+        environment: Obstacles and table, on the device.
+        limits: Joint velocity limits to plan with, shape [dof] [rad/s; m/s for a prismatic joint].
+        height: Height of the tip while pushing [m].
+        device: Warp device.
+
+    Raises:
+        ConfigError: The arm cannot hold its tool upright.
+    """
+    postures = postures_of(scene.robot, geometry.top + _ABOVE)
+    if not postures.reached.any():
+        raise ConfigError(
+            f"robot.controls = tool: {scene.robot.path} cannot hold its tool upright near its start\n"
+            "  to do:   --set robot.controls=joint, or start the robot with its tool pointing down"
+        )
+    packed = UprightArm()
+    packed.clearance = _clearance(scene, postures, environment, limits, device)
+    speed = (limits / np.maximum(postures.effort, 1e-6)).min(axis=-1)
+    speed = np.maximum(np.where(postures.reached, speed, 0.0), _SLOWEST)
+    packed.speed = _field(speed, postures, STEP, outside=_SLOWEST, device=device)
+    packed.height = height
+    return UprightModel(packed, postures)
+
+
+def no_upright(device: str) -> UprightArm:
+    """Returns an empty model, for a kernel that takes one but does not read it with these settings."""
+    field = SpaceField()
+    field.values = wp.zeros((0, 0, 0), dtype=float, device=device)
+    packed = UprightArm()
+    packed.clearance = packed.speed = field
+    return packed
+
+
+def _clearance(
+    scene: Scene, postures: Postures, environment: Environment, limits: np.ndarray, device: str
+) -> SpaceField:
+    """Returns the clearance of arm and tool over tip positions [m]; out of reach, minus the distance to the reach."""
+    robot = scene.robot
+    joints = halved(postures.joints, jump=_TURN)
+    reached = halved(postures.reached[..., None].astype(float))[..., 0] > 1.0 - 1e-6
+    shape = joints.shape[:3]
+    vec = wp.types.vector(length=robot.dof, dtype=float)
+    values = wp.zeros(int(np.prod(shape)), dtype=float, device=device)
+    flat = wp.array(joints.reshape(-1, robot.dof).astype(np.float32), dtype=vec, device=device)
+    inputs = [pack_arm(robot, limits, device), environment, flat]
+    wp.launch(make_upright_clearance(robot.chain), len(flat), inputs=inputs, outputs=[values], device=device)
+    clearance = values.numpy().reshape(shape)
+    for layer in range(shape[2]):
+        away = 0.5 * STEP * np.asarray(distance_transform_edt(~reached[..., layer]))
+        clearance[..., layer] = np.where(reached[..., layer], clearance[..., layer], -away)
+    return _field(clearance, postures, 0.5 * STEP, outside=_OUTSIDE, device=device)
+
+
+def _field(values: np.ndarray, postures: Postures, step: float, *, outside: float, device: str) -> SpaceField:
+    """Packs values over tip positions for the kernels."""
+    field = SpaceField()
+    field.values = wp.array(values.astype(np.float32), dtype=float, device=device)
+    field.origin = wp.vec3(*postures.origin)
+    field.inv_step = 1.0 / step
+    field.outside = outside
+    return field
+
+
+class ToolServo:
+    """Resolved-rate control of the arm: follows velocities of the tip, and holds the tool upright at its height.
+
+    Args:
+        scene: The task.
+        geometry: Shapes of the scene.
+        limits: Joint velocity limits, shape [dof] [rad/s; m/s for a prismatic joint].
+        height: Height of the tip while pushing [m].
+        period: Control period [s].
+    """
+
+    def __init__(self, scene: Scene, geometry: Geometry, *, limits: np.ndarray, height: float, period: float) -> None:
+        self._robot = scene.robot
+        self._lifts = can_lift(scene.robot)
+        self._geometry = geometry
+        self._body = geometry.body.values.numpy()
+        self._limits, self._height, self._period = limits, height, period
+
+    def joint_velocity(
+        self, joints: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, lifting: bool
+    ) -> np.ndarray:
+        """Returns the joint velocities that follow a velocity of the tip, within their limits, shape [dof] [rad/s].
+
+        Args:
+            joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
+            pose: Pose of the object's friction centre, shape [3] [m, m, rad].
+            velocity: Velocity of the tip, shape [3] [m/s]; the vertical one counts only while lifting.
+            lifting: Whether the tip is being lifted over the object.
+        """
+        robot = self._robot
+        rotation, tip = tip_frame(robot, joints)
+        linear, tilting = tip_rates(robot, joints)
+        jacobian = np.vstack([linear, tilting])
+        rows = [0, 1, 2, 3, 4] if self._lifts else [0, 1, 3, 4]
+        jacobian = jacobian[rows]
+        inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + _DAMPING * np.eye(len(rows)))
+
+        wanted = np.array([*velocity, *(-_TILT_RATE * rotation[:2, 2])])
+        fastest = float((self._limits / np.maximum(np.linalg.norm(inverse[:, :2], axis=1), 1e-6)).min())
+        wanted[:2] *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*wanted[:2])), 1e-9))
+        if not lifting:
+            ahead = tip[:2] + self._period * wanted[:2]
+            height = tip[2] if tip[2] >= self._geometry.top and self._over(pose, ahead) else self._height
+            error = height - tip[2]
+            rise = min(abs(HEIGHT_RATE * error), HEIGHT_SPEED, abs(error) / self._period)
+            wanted[2] = np.copysign(rise, error)
+        home = _HOME_RATE * (robot.start - joints)
+        rates = inverse @ wanted[rows] + home - inverse @ (jacobian @ home)
+        return rates / max(1.0, float(np.abs(rates / self._limits).max()))
+
+    def _over(self, pose: np.ndarray, point: np.ndarray) -> bool:
+        """Returns whether the tool at a point [2] is over the object or close to it, seen from above."""
+        c, s = np.cos(wrap_angle(pose[2])), np.sin(wrap_angle(pose[2]))
+        dx, dy = point - pose[:2]
+        gap = planar_field_at(self._geometry.body, np.array([c * dx + s * dy, c * dy - s * dx]), self._body)
+        return gap < self._robot.tool_radius + ASIDE

@@ -1,0 +1,166 @@
+"""The arm with its tool upright: its fields, its servo on the plant, and engines that take joint velocities."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from support import reference
+from support.device import DEVICE, run
+from support.small_tasks import DT, box, joints_at, observe, rollout_task, shipped, task
+
+from oimppi_warp.config.presets import best
+from oimppi_warp.config.settings import Config, Mppi, RobotLevel
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.geometry.fields import build_geometry, to_center
+from oimppi_warp.geometry.kinematics import tip_frame
+from oimppi_warp.observation import Observation
+from oimppi_warp.planning.engines.packing import environment, velocity_bound
+from oimppi_warp.planning.engines.quasistatic import QuasistaticDynamics
+from oimppi_warp.planning.engines.tip_controls import TipControls
+from oimppi_warp.planning.factory import make_planner
+from oimppi_warp.planning.upright import ToolServo, UprightModel, build_upright
+from oimppi_warp.plants.plant import ideal_plant
+from oimppi_warp.scene import Scene
+
+HEIGHT = Config().cost.height
+
+
+def upright_model(scene: Scene) -> UprightModel:
+    geometry, level, cost = build_geometry(scene, DEVICE), RobotLevel(), best().cost
+    limits = velocity_bound(scene, level)
+    return build_upright(
+        scene, geometry, environment(scene, geometry, cost), limits=limits, height=HEIGHT, device=DEVICE
+    )
+
+
+def servo(scene: Scene) -> ToolServo:
+    limits = velocity_bound(scene, RobotLevel())
+    return ToolServo(scene, build_geometry(scene, DEVICE), limits=limits, height=HEIGHT, period=DT)
+
+
+def test_the_clearance_is_that_of_the_arm_which_is_negative_out_of_reach():
+    scene = task(box(0.45, 0.1, (0.1, 0.1, 0.2)))
+    model = upright_model(scene)
+    geometry = build_geometry(scene, DEVICE)
+    twin = reference.World(
+        robot=scene.robot,
+        speed=np.ones(6),
+        body=None,  # pyright: ignore[reportArgumentType]
+        obstacles=geometry.space,
+        top=geometry.space_top,
+        weights=best().cost,
+        dt=DT,
+        contact_steps=1,
+    )
+    for tip in [(0.36, -0.1, 0.02), (0.38, 0.04, 0.02), (0.3, 0.3, 0.06), (0.45, 0.1, 0.04), (0.5, -0.2, 0.1)]:
+        joints = joints_at(scene.robot, tip)
+        found = reference.space_field(model.packed.clearance, np.array(tip))
+        expected = min(twin.arm_clearance(joints), tip[2])
+        # Beyond 5 cm the kernel's clearance is a lower bound.
+        assert found == pytest.approx(expected, abs=2e-3) or 0.05 <= found <= expected + 2e-3
+    assert reference.space_field(model.packed.clearance, np.array([0.72, 0.0, 0.02])) < 0.0
+
+
+def test_the_servo_holds_the_tool_upright_and_at_its_height_on_the_plant():
+    scene = replace(shipped("task01"), start=(0.5, 0.45, 0.0))
+    plant, follow = ideal_plant(scene, Config()), servo(scene)
+    pose = np.array(scene.start)
+    plant.place(joints_at(scene.robot, (0.35, -0.25, 0.05)), observe(scene).object_transform)
+    heights, tilts, tips = [], [], []
+    for step in range(80):
+        direction = 2.0 * np.pi * step / 80
+        seen = plant.observe()
+        velocity = 0.2 * np.array([np.cos(direction), np.sin(direction), 0.0])
+        plant.apply(follow.joint_velocity(seen.joint_position, pose, velocity, lifting=False))
+        rotation, tip = tip_frame(scene.robot, plant.observe().joint_position)
+        heights.append(tip[2])
+        tilts.append(np.arccos(np.clip(-rotation[2, 2], -1.0, 1.0)))
+        tips.append(tip)
+    assert np.abs(np.array(heights[20:]) - HEIGHT).max() < 1e-3
+    assert max(tilts) < 0.02
+    speeds = np.linalg.norm(np.diff(tips, axis=0)[20:, :2], axis=1) / DT
+    np.testing.assert_allclose(speeds, 0.2, rtol=0.05)
+
+
+def test_a_tip_above_the_object_is_not_lowered_and_one_beside_it_is():
+    scene = shipped("task01")
+    top = build_geometry(scene, DEVICE).top
+    for place, sinks in (((0.42, -0.2), False), ((0.42, 0.15), True)):
+        joints = joints_at(scene.robot, (*place, top + 0.02))
+        pose = np.array([0.42, -0.2, 0.3])
+        rates = servo(scene).joint_velocity(joints, pose, np.zeros(3), lifting=False)
+        fell = tip_frame(scene.robot, joints + DT * rates)[1][2] < top + 0.02 - 1e-3
+        assert fell == sinks
+
+
+def test_the_servo_keeps_the_direction_where_a_joint_is_at_its_limit():
+    scene = shipped("task01")
+    joints = joints_at(scene.robot, (0.6, 0.1, HEIGHT))
+    wanted = np.array([2.0, -1.0, 0.0])
+    rates = servo(scene).joint_velocity(joints, np.array(scene.start), wanted, lifting=True)
+    assert np.abs(rates).max() <= RobotLevel().joint_velocity_limit + 1e-9
+    moved = tip_frame(scene.robot, joints + 1e-3 * rates)[1] - tip_frame(scene.robot, joints)[1]
+    np.testing.assert_allclose(moved[1] / moved[0], wanted[1] / wanted[0], rtol=0.02)
+
+
+def test_an_engine_with_joint_velocities_predicts_what_one_with_tip_velocities_does():
+    scene = shipped("task01")
+    level = RobotLevel(optimizer=Mppi(samples=40, horizon=20))
+    pose = np.array([0.42, -0.20, 0.3])
+    joints = joints_at(scene.robot, (0.40, -0.33, HEIGHT))
+    seen = observe(scene, joints=joints, pose=pose)
+    rng = np.random.default_rng(2)
+    noise = np.array([0.03, 0.15, 0.0]) + rng.normal(scale=0.05, size=(40, 1, 3))
+    controls = np.repeat(noise, 20, axis=1).astype(np.float32)
+    outcomes = []
+    for direct in (True, False):
+        made = rollout_task(scene, level=level, upright=True)
+        engine = QuasistaticDynamics(made) if direct else JointEngine(made)
+        rollouts = engine if direct else TipControls(engine)
+        rollouts.set_state(seen, np.array(scene.goal))
+        engine.reference.host[:] = np.array([0.45, 0.1, 0.6])
+        packed = wp.array(controls, dtype=wp.vec3, device=DEVICE)
+        costs = wp.zeros(40, dtype=float, device=DEVICE)
+        run(engine.compute, rollouts.rollout(packed, costs))
+        tips = rollouts.paths(packed, np.arange(40))[0]
+        outcomes.append((costs.numpy(), tips))
+    direct, converted = outcomes
+    np.testing.assert_allclose(converted[1], direct[1], atol=2e-3)
+    assert np.corrcoef(direct[0], converted[0])[0, 1] > 0.98
+
+
+class JointEngine(QuasistaticDynamics):
+    """The quasi-static engine, asked for joint velocities."""
+
+    takes_tip_velocities = False
+
+
+def test_an_arm_that_cannot_hold_its_tool_upright_is_told_what_to_do():
+    scene = shipped("task01")
+    stiff = tuple(replace(joint, lower=-0.01, upper=0.01) for joint in scene.robot.joints)
+    robot = replace(scene.robot, joints=stiff, start=np.zeros(6))
+    with pytest.raises(ConfigError, match=r"robot\.controls = tool: .*\n.*--set robot\.controls=joint"):
+        upright_model(replace(scene, robot=robot))
+
+
+@pytest.mark.parametrize("controls", ["tool", "joint"])
+def test_a_plan_of_either_kind_of_controls_gives_joint_velocities_within_the_limit(controls: str):
+    scene = shipped("task02")
+    base = best("cloi")
+    level = replace(base.robot, controls=controls, optimizer=replace(base.robot.optimizer, samples=128))
+    planner = make_planner(scene, replace(base, robot=level), device=DEVICE)
+    seen: Observation = observe(scene)
+    planner.start(seen)
+    for _ in range(3):
+        plan = planner.plan(seen)
+        assert plan.command.shape == (6,)
+        assert 0.0 < np.abs(plan.command).max() <= level.joint_velocity_limit + 1e-6
+    samples = planner.samples(8)
+    np.testing.assert_allclose(
+        samples.tips[:, 0], np.tile(tip_frame(scene.robot, seen.joint_position)[1], (8, 1)), atol=1e-5
+    )
+    center = to_center(planner.geometry.surface, seen.object_pose)
+    np.testing.assert_allclose(to_center(planner.geometry.surface, plan.object_poses[0]), center, atol=1e-5)
