@@ -22,8 +22,8 @@ class Observation:
 
     Attributes:
         time: Time since the start of the episode [s].
-        joint_position: Joint positions, shape [dof] [rad].
-        joint_velocity: Joint velocities, shape [dof] [rad/s].
+        joint_position: Joint positions, shape [dof] [rad; m for a prismatic joint].
+        joint_velocity: Joint velocities, shape [dof] [rad/s; m/s for a prismatic joint].
         object_pose: Planar pose of the object's frame as last detected: (x [m], y [m], yaw [rad]), shape [3]; NaN
             before the first detection.
         object_transform: The same pose in space: position [m] and quaternion xyzw, shape [7]; NaN before the first
@@ -31,7 +31,7 @@ class Observation:
         object_time: Time at which the object had this pose [s]; NaN before the first detection. ``None`` if the plant
             always knows the pose; the pose is then that at ``time``.
         trail: Joint reports from that of the previous observation to the latest one: time [s] and joint positions
-            [rad], shape [n, 1 + dof]; empty if the plant reports only once per control period.
+            [rad; m for a prismatic joint], shape [n, 1 + dof]; empty if the plant reports only once per control period.
     """
 
     time: float
@@ -85,7 +85,8 @@ def check_shapes(observation: Observation, dof: int) -> None:
     ):
         shape = np.shape(getattr(observation, name))
         if shape != (length,):
-            raise ObservationError(f"observation.{name} has shape {shape}\n  allowed: ({length},) for this robot")
+            robot = " for this robot" if name.startswith("joint") else ""
+            raise ObservationError(f"observation.{name} has shape {shape}\n  allowed: ({length},){robot}")
     shape = np.shape(observation.trail)
     if len(shape) != 2 or (shape[0] > 0 and shape[1] != 1 + dof):
         raise ObservationError(

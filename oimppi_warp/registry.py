@@ -1,4 +1,4 @@
-"""Registries, in which methods, optimisers, engines, plants, cost terms and shapes are added by name.
+"""Registries, in which methods, optimizers, engines, plants, cost terms and shapes are added by name.
 
 The command line, suites, the viewer, tables and ``oimppi doctor`` offer the entries of the registries, so a new entry
 appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python with
@@ -51,7 +51,7 @@ class Registry(Mapping[str, T], Generic[T]):
         if value is None:
             return lambda decorated: self.register(name, decorated)
         if name in self and self._loaded.get(name) is not value:
-            raise ConfigError(f"{self.kind} {name!r} is registered already\n  to do:   choose another name")
+            raise ConfigError(f"{self.kind} {name!r} is already registered\n  to do:   choose another name")
         self._loaded[name] = value
         return value
 

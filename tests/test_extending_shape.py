@@ -88,5 +88,5 @@ def test_a_shape_that_was_removed_is_no_longer_known(shape, tmp_path, capsys):
 
 
 def test_a_shipped_name_cannot_be_taken():
-    with pytest.raises(ConfigError, match="shape 'box' is registered already"):
+    with pytest.raises(ConfigError, match="shape 'box' is already registered"):
         SHAPES.register("box", Shape(about="another box", make=angle))

@@ -13,6 +13,26 @@ from typing import Any
 Table = tuple[str, list[str], list[list[str]]]
 """Title, columns, rows."""
 
+PLAIN = "plain MPPI (robot level alone)"
+
+COLUMNS = {"samples": "K", "horizon": "H", "substeps": "substeps", "median_ms": "median [ms]"}
+"""Heading of each column of a sweep, by its name in the record."""
+
+ARITHMETIC = {
+    "integration": "joint integration",
+    "kinematics": "forward kinematics",
+    "room of whole links": "clearance of whole links",
+    "tip and tilt": "tip and tilt of the tool",
+    "contact, looked for": "search for contact",
+    "costs": "cost terms",
+    "gflops": "rate of the kernel [GFLOP/s]",
+    "kernel_peak_gflops": "kernel peak [GFLOP/s]",
+    "vector_peak_gflops": "vector peak [GFLOP/s]",
+    "of_kernel_peak": "rate as a fraction of the kernel peak",
+    "of_vector_peak": "rate as a fraction of the vector peak",
+}
+"""Words for each number of the arithmetic, by its name in the record."""
+
 
 def tables(record: dict[str, Any]) -> list[Table]:
     """Build all tables of a record."""
@@ -24,7 +44,8 @@ def tables(record: dict[str, Any]) -> list[Table]:
         one, most = level["one core"], level["all cores"]
         rows.append([name, _ms(one["median_ms"]), _ms(most["median_ms"]), f"{level['ratio']:.2f}", _ms(most["p95_ms"])])
     columns = ["", "1 core [ms]", f"{cores} cores [ms]", "ratio", f"p95, {cores} cores [ms]"]
-    found.append((f"Quasi-static engine, K {samples}", columns, rows))
+    title = f"Quasi-static engine, K {samples}, H 25 at the robot level and 60 at the object level"
+    found.append((title, columns, rows))
 
     names = list(levels["robot level"]["one core"]["stage_ms"])
     rows = []
@@ -35,7 +56,7 @@ def tables(record: dict[str, Any]) -> list[Table]:
                 cells.append(_ms(levels[level][count]["stage_ms"].get(stage)))
         rows.append([stage, *cells])
     heads = [f"{level}, {n} [ms]" for level in ("robot", "object") for n in ("1 core", f"{cores} cores")]
-    found.append(("Stages", ["", *heads], rows))
+    found.append(("Stages of these plans, each level alone", ["", *heads], rows))
 
     newton = record["newton"]
     plan, raw = newton["plan"], newton["raw mujoco.rollout"]
@@ -43,48 +64,67 @@ def tables(record: dict[str, Any]) -> list[Table]:
     rows += [["ratio", f"{newton['ratio']:.3f}", ""]]
     rows += [[f"of the plan: {stage}", _ms(ms), ""] for stage, ms in plan["stage_ms"].items()]
     found.append(
-        (f"Newton engine, {cores} threads, K {samples}, H 25, {newton['substeps']} substeps",
+        (f"Newton engine, {PLAIN}, {cores} cores, K {samples}, H 25, {newton['substeps']} substeps",
          ["", "median [ms]", "p95 [ms]"], rows)
     )  # fmt: skip
 
-    found += sweep_tables(record["sweeps"])
+    found += sweep_tables(record["sweeps"], f"{cores} cores", newton["substeps"])
 
     draws = record["randomized"]
     rows = [[name, _ms(draws[name]["median_ms"])] for name in ("off", "4 draws")] + [["ratio", f"{draws['ratio']:.2f}"]]
-    found.append((f"Randomized rollouts, quasi-static, K {samples}, {cores} cores", ["", "plan [ms]"], rows))
+    title = f"Randomized rollouts, quasi-static engine, {PLAIN}, {cores} cores, K {samples}, H 25"
+    found.append((title, ["", "median [ms]"], rows))
 
     sums = record["arithmetic"]
-    rows = [[f"operations per step: {part}", f"{count}"] for part, count in sums["operations_per_step"].items()]
-    rows += [[name.replace("_", " "), f"{sums[name]:g}"] for name in sums if name != "operations_per_step"]
-    found.append(("Arithmetic of the fused kernel, one core", ["", ""], rows))
-    found.append(("Memory", ["", "bytes"], [[name, f"{value:,.0f}"] for name, value in record["memory"].items()]))
+    parts = sums["operations_per_step"].items()
+    rows = [[f"operations per step: {ARITHMETIC.get(part, part)}", f"{count}"] for part, count in parts]
+    rows += [[ARITHMETIC.get(name, name), f"{sums[name]:g}"] for name in sums if name != "operations_per_step"]
+    title = f"Arithmetic of the quasi-static engine's kernel, {PLAIN}, one core, K {samples}, H 25"
+    found.append((title, ["", ""], rows))
+    rows = [[name, f"{value:,.0f}"] for name, value in record["memory"].items()]
+    found.append((f"Memory, H 25, {newton['substeps']} substeps", ["", "bytes"], rows))
     if record["start"]:
         rows = [
             [engine, f"{times['cold_s']:.1f}", f"{times['warm_s']:.1f}"] for engine, times in record["start"].items()
         ]
-        found.append(("Start to end of a run of one control step", ["", "cold caches [s]", "warm caches [s]"], rows))
+        title = "Start to end of `oimppi run` with one control step, CLOI, K 64 at the robot level"
+        found.append((title, ["", "cold caches [s]", "warm caches [s]"], rows))
     for name, gpu in record.get("gpus", {}).items():
-        found += gpu_tables(name, gpu, samples)
+        found += gpu_tables(name, gpu, samples, newton["substeps"])
     return found
 
 
-def gpu_tables(device: str, gpu: dict[str, Any], samples: int) -> list[Table]:
+def gpu_tables(device: str, gpu: dict[str, Any], samples: int, substeps: int) -> list[Table]:
     """Return the tables of a GPU: plan times with their stages, and sweeps."""
     rows = []
     for plan, entry in gpu["plans"].items():
         stages = ", ".join(f"{stage} {_ms(ms)}" for stage, ms in entry["stage_ms"].items())
         rows.append([plan, _ms(entry["median_ms"]), _ms(entry["p95_ms"]), stages])
-    found: list[Table] = [(f"{device}, K {samples}, H 25", ["", "median [ms]", "p95 [ms]", "stages [ms]"], rows)]
-    return found + sweep_tables(gpu["sweeps"], f"{device}: ")
+    title = f"{device}, K {samples} and H 25 at the robot level"
+    found: list[Table] = [(title, ["", "median [ms]", "p95 [ms]", "stages [ms]"], rows)]
+    return found + sweep_tables(gpu["sweeps"], device, substeps)
 
 
-def sweep_tables(sweeps: dict[str, list[dict[str, float]]], prefix: str = "") -> list[Table]:
-    """Return a table for each sweep."""
+def sweep_tables(sweeps: dict[str, list[dict[str, float]]], where: str, substeps: int) -> list[Table]:
+    """Return a table for each sweep.
+
+    Args:
+        sweeps: Rows of each sweep, by its title: ``ENGINE over QUANTITY``.
+        where: Cores or device, for the titles.
+        substeps: Substeps of the Newton engine in the sweeps over other quantities.
+    """
     found: list[Table] = []
     for title, entries in sweeps.items():
         heads = list(entries[0])
-        title = f"{prefix}{title}" if prefix else f"{title[0].upper()}{title[1:]}"
-        found.append((title, heads, [[f"{entry[head]:g}" for head in heads] for entry in entries]))
+        engine, _, quantity = title.partition(" over ")
+        words = [{"quasistatic": "Quasi-static engine", "newton": "Newton engine"}[engine] + f" over {quantity}"]
+        words += [PLAIN, where]
+        if "horizon" not in heads:
+            words.append("H 25")
+        if engine == "newton" and "substeps" not in heads:
+            words.append(f"{substeps} substeps")
+        columns = [COLUMNS[head] for head in heads]
+        found.append((", ".join(words), columns, [[f"{entry[head]:g}" for head in heads] for entry in entries]))
     return found
 
 

@@ -11,16 +11,16 @@ import numpy as np
 from oimppi_warp.bench.results import Result
 
 DEEP = -0.005
-"""Clearance below which the object counts as having penetrated an obstacle [m]; soft contacts allow about this much."""
+"""Value of phi_2 below which the object counts as pressed into something [m]; soft contacts allow about this much."""
 
 
 @dataclass(frozen=True)
 class Rate:
-    """A success rate with its 95 % confidence interval.
+    """A success rate with its confidence interval (95 % by default; see :func:`wilson`).
 
     Attributes:
         count, total: Number of successes, and number of trials.
-        low, high: Bounds of Wilson's interval; 0 and 1 without trials.
+        low, high: Bounds of Wilson's interval, from 0 to 1; 0 and 1 without trials.
     """
 
     count: int
@@ -39,7 +39,7 @@ def wilson(count: int, total: int, *, confidence: float = 0.95) -> Rate:
 
     Args:
         count, total: Number of successes, and number of trials.
-        confidence: Confidence level of the interval.
+        confidence: Confidence level of the interval, between 0 and 1.
     """
     if not total:
         return Rate(0, 0, 0.0, 1.0)
@@ -61,16 +61,19 @@ class Statistics:
         exact, exact_counts: The same for the exact tolerance.
         error, error_success: Mean position error over the whole episode, averaged over all trials, over successes [m].
         final_error, final_yaw_error: Errors at the end, median over all trials [m, rad].
-        error_until, error_until_success: The same, averaged only until success (the paper's epsilon_d) [m].
-        steps, time: Control steps and simulated time [s] to success, median over successes.
+        error_until, error_until_success: As ``error`` and ``error_success``, but the mean of each trial ends at its
+            success (the paper's epsilon_d) [m].
+        steps, time: Control steps, and simulated time [s], to success, medians over successes.
         total_time: The paper's T, mean over successes [s]: planning and moving until success.
         preplan_time: The part of the total time spent planning before the first step, mean over successes [s].
         plan_ms, plan_ms_p95: Medians over the trials of their median and 95th percentile plan times [ms].
         control_hz: Mean of the trials' control frequencies [Hz].
-        samples, object_samples: Mean effective sample sizes of the two levels.
-        clearance: Smallest clearance over all trials [m].
-        clear: Rate of the successes whose clearance never fell below :data:`DEEP`.
-        object_force, robot_force: Largest force of the object, and of the robot, on an obstacle [N].
+        samples, object_samples: Effective sample sizes of the robot level and the object level, means over the trials
+            of each trial's mean.
+        clearance: Smallest phi_2 over all trials [m], including failures.
+        clear: Rate of the successes whose phi_2 never fell below :data:`DEEP`.
+        object_force: Largest force between the object and an obstacle or the robot's base, over all trials [N].
+        robot_force: Largest force between arm or tool and an obstacle or the table, over all trials [N].
         raised: Number of trials that raised an error.
     """
 

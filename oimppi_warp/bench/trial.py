@@ -143,7 +143,8 @@ def trial_seed(seed: int, number: int) -> int:
 def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
     """Creates all trials of a suite, and loads the scenes of its tasks.
 
-    The lowest numbers use the scene's own starts, for any seed; all other starts are drawn with the trial's seed.
+    The lowest numbers use the starts that the scene lists, for any seed; all other starts are drawn with the trial's
+    seed.
     Start and seed depend only on the task, the suite's seed and the trial's number, so that methods can be compared in
     pairs.
 
@@ -152,7 +153,7 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
 
     Raises:
         SceneError: A scene cannot be read, or no start can be drawn.
-        ConfigError: Two entries have the same task and method, but no labels to tell them apart.
+        ConfigError: A task and method occur twice without different labels.
     """
     from oimppi_warp.usd import load_scene, scene_content
 

@@ -26,7 +26,7 @@ def check_task(scene: Scene) -> None:
 
     Raises:
         SceneError: At its start or goal the object is off the table, in an obstacle, in the robot's base or out of the
-            arm's reach; or the tool starts inside something.
+            arm's reach; or the tool touches the object or an obstacle at the start, or is too low or too high there.
     """
     for mistake in task_mistakes(scene):
         raise mistake
@@ -66,7 +66,7 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
     for what, path, other in fixed_outlines(scene):
         if shapely.area(shapely.intersection(shape, other)) > 1e-8:
             yield SceneError(
-                f"{label} is inside {what} <{path}>",
+                f"{label} overlaps {what} <{path}>",
                 file=scene.file,
                 prim=prim,
                 allowed="a pose at which the object overlaps nothing",
@@ -78,14 +78,20 @@ def pose_mistakes(scene: Scene, name: str, pose: PlanarPose) -> Iterator[SceneEr
 def sample_start(scene: Scene, seed: int) -> PlanarPose:
     """Draws a start from the scene's spread around its start; the same seed gives the same start.
 
-    At this start the object has :data:`START_CLEARANCE` around it, and the arm can reach all sides of the object.
+    At a drawn start the object is wholly on the table, at least :data:`START_CLEARANCE` away from obstacles, the
+    robot's base and the tool (if the tool is not above the object), and all of it is within the arm's reach, with room
+    for the tool behind it. If both spreads are zero, as by default, nothing is drawn: the scene's own start is returned
+    unchecked.
 
     Args:
         scene: The task.
         seed: An integer, zero or more.
 
+    Returns:
+        Planar pose of the object's frame: x, y, yaw [m, m, rad].
+
     Raises:
-        SceneError: None of :data:`MAX_DRAWS` draws is such a start.
+        SceneError: A spread is above zero, and none of :data:`MAX_DRAWS` draws is such a start.
     """
     position, yaw = scene.spread
     if position == 0.0 and yaw == 0.0:
@@ -149,7 +155,7 @@ def _reach_mistakes(scene: Scene, name: str, label: str, pose: PlanarPose) -> It
 
 
 def _reach_text(scene: Scene) -> str:
-    """Describes the arm's reach."""
+    """Describes the arm's reach for an error."""
     reach = reach_of(scene.robot)
     if reach.border is None:
         return f"up to {reach.radius:.2f} m from the arm's base"
@@ -158,7 +164,10 @@ def _reach_text(scene: Scene) -> str:
 
 
 def fixed_outlines(scene: Scene) -> Iterable[tuple[str, str, shapely.Geometry]]:
-    """Yields all that the object could collide with: a noun, the prim, and the area covered at the object's height."""
+    """Yields the robot's base and the obstacles: a noun, the prim, and the area covered at the object's height.
+
+    The area is seen from above, in the world frame [m]; it is empty for an obstacle above the object.
+    """
     low, high = (scene.object.rest_height + z for z in height_range(scene.object.colliders))
 
     def covered(colliders: Iterable[Collider]) -> shapely.Geometry:
@@ -189,8 +198,9 @@ def _tool_mistakes(scene: Scene) -> Iterator[SceneError]:
             outlines.append(("the obstacle", obstacle.path, outline(footprint(obstacle.colliders, lower=tip[2]))))
     for what, path, shape in outlines:
         if disc.intersects(shape):
+            x, y, z = np.round(tip, 3) + 0.0  # not -0
             yield SceneError(
-                f"the tool starts inside {what} <{path}>, with its tip at {np.round(tip, 3).tolist()}",
+                f"the tool touches {what} <{path}> at the start, with its tip at ({x:.3g}, {y:.3g}, {z:.3g}) m",
                 file=scene.file,
                 prim=scene.robot.path,
                 allowed="joint positions at which the tool touches nothing",

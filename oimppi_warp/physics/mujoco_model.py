@@ -40,11 +40,11 @@ class MujocoModel:
         joint_drive: Indices of their velocity drives in ``ctrl``, shape [dof].
         object_qpos: Addresses of the object's pose in ``qpos`` (position, quaternion wxyz), shape [7].
         object_qvel: Addresses of its velocity in ``qvel`` (linear in the world's frame, angular in its own), shape [6].
-        object_body: The object's body, shape [].
-        link_bodies: Bodies of the arm's moving links, shape [dof].
+        object_body: Index of the object's body, shape [].
+        link_bodies: Indices of the bodies of the arm's moving links, shape [dof].
         roles: Each geom's role, an index of :data:`ROLES`, shape [ngeom].
         sensors: Group of each contact force sensor, an index of :data:`SENSED`, shape [nsensor]; each has three
-            numbers in ``sensordata``, a force [N].
+            numbers in ``sensordata``, a force [N]. Empty for a model without sensors.
     """
 
     model: mujoco.MjModel
@@ -60,7 +60,7 @@ class MujocoModel:
 
 
 def translate_scene(scene: Scene, *, sensing: bool) -> MujocoModel:
-    """Returns the MuJoCo model of a scene, from the cache if possible.
+    """Returns the MuJoCo model of a scene, from the cache if possible; a model that has to be made is then cached.
 
     It does not depend on the start of object and arm: both are at zero in ``qpos0``.
 
@@ -100,7 +100,15 @@ def _translate(built: NewtonModel, *, sensing: bool) -> MujocoModel:
 
 
 def map_model(solver: SolverMuJoCo, built: NewtonModel) -> MujocoModel:
-    """Returns the MuJoCo model of a solver, with the addresses of the Newton model's first world in it."""
+    """Finds the joints and bodies of a Newton model in its solver's MuJoCo model, and lifts the arm's effort limits.
+
+    Args:
+        solver: The solver of the Newton model. The effort limits of the arm's joints are removed from its ``mj_model``.
+        built: The Newton model. If it has many worlds, the first is looked up: all have the same MuJoCo model.
+
+    Returns:
+        The solver's ``mj_model`` itself, not a copy, and the addresses in it; ``sensors`` is empty.
+    """
     import mujoco
 
     model = solver.mj_model

@@ -36,13 +36,16 @@ _PAIRS = (
 
 @dataclass(frozen=True)
 class Contacts:
-    """Largest normal forces within the last control period, each summed over the contact points [N].
+    """Largest normal forces within the last control period [N].
+
+    At each instant, the forces at all contact points of a pair are added up.
 
     Attributes:
         tool_object: Between tool and object.
         object_obstacle: Between the object and obstacles or the robot's base.
         robot_obstacle: Between arm or tool and obstacles or table.
-        object_table: Between object and table; equals the object's weight if nothing else touches it.
+        object_table: Between object and table; about the object's weight while it lies still and nothing else
+            touches it.
     """
 
     tool_object: float
@@ -68,7 +71,10 @@ class Plant(Protocol):
         ...
 
     def apply(self, joint_velocity: np.ndarray) -> None:
-        """Moves with joint velocities, shape [dof] [rad/s; m/s for a prismatic joint], for one control period."""
+        """Moves with joint velocities, shape [dof] [rad/s; m/s for a prismatic joint], for one control period.
+
+        In lock step, the period must be over when this returns; in real time, the control loop waits for its end.
+        """
         ...
 
 
@@ -100,7 +106,7 @@ class MovablePlant(Protocol):
 
         Args:
             joint_position: Joint positions, shape [dof] [rad; m for a prismatic joint].
-            object_transform: Position [m] and quaternion xyzw of the object's frame, shape [7].
+            object_transform: Position [m] and quaternion xyzw of the object's frame in the world, shape [7].
         """
         ...
 
@@ -133,7 +139,7 @@ class SimulatedPlant:
 
     Args:
         world: The scene; many plants can share it.
-        start: The object's start pose; ``None``: the scene's.
+        start: The object's start pose: x, y, yaw [m, m, rad]; ``None``: the scene's.
         control_period: Control period [s].
         substeps: Physics steps per control period.
 
@@ -179,8 +185,8 @@ class SimulatedPlant:
         """Places arm and object, at rest.
 
         Args:
-            joint_position: Shape [dof] [rad].
-            object_transform: Transform of the object's frame, shape [7].
+            joint_position: Joint positions, shape [dof] [rad; m for a prismatic joint].
+            object_transform: Position [m] and quaternion xyzw of the object's frame in the world, shape [7].
         """
         self.data.qpos[self._map.joint_qpos] = joint_position
         self.data.qpos[self._map.object_qpos] = np.asarray(object_transform)[[0, 1, 2, 6, 3, 4, 5]]
@@ -188,7 +194,7 @@ class SimulatedPlant:
         self._mj_forward(self.model, self.data)
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Applies an impulse to the object's centre of mass, within the next control period.
+        """Applies an impulse to the object's centre of mass, spread over the next control period.
 
         Args:
             impulse: Impulse in the world frame, shape [3] [N s].
@@ -214,8 +220,10 @@ class SimulatedPlant:
     def apply(self, joint_velocity: np.ndarray) -> None:
         """Drives the joints for one control period, within their velocity and position limits.
 
+        Impulses given to :meth:`knock` since the last call act in this period.
+
         Args:
-            joint_velocity: Shape [dof] [rad/s].
+            joint_velocity: Joint velocities, shape [dof] [rad/s; m/s for a prismatic joint].
 
         Raises:
             ValueError: The command is not finite.
@@ -242,7 +250,7 @@ class SimulatedPlant:
 
     @property
     def contacts(self) -> Contacts:
-        """Returns the largest contact forces within the last control step, sampled four times."""
+        """Returns the largest contact forces among those at four instants of the last control period."""
         return self._contacts
 
     @property

@@ -14,7 +14,11 @@ def scales(frame: Gf.Matrix4d) -> np.ndarray:
 
 
 def is_rigid(frame: Gf.Matrix4d) -> bool:
-    """Returns whether a frame is only rotated and translated, neither scaled nor mirrored."""
+    """Returns whether a frame is neither scaled nor mirrored.
+
+    It may be sheared; :func:`is_orthogonal` tests that. The shapes of a sheared body are reported as sheared when they
+    are read.
+    """
     return bool(np.allclose(scales(frame), 1.0, atol=1e-5)) and frame.GetDeterminant() > 0
 
 
@@ -25,7 +29,7 @@ def is_orthogonal(frame: Gf.Matrix4d) -> bool:
 
 
 def transform(frame: Gf.Matrix4d) -> np.ndarray:
-    """Converts a frame, ignoring its scale, to position [m] and quaternion xyzw, shape [7]."""
+    """Converts a frame, ignoring its scale and shear, to position [m] and quaternion xyzw, shape [7]."""
     q = frame.GetOrthonormalized().ExtractRotationQuat().GetNormalized()
     return np.array([*frame.ExtractTranslation(), *q.GetImaginary(), q.GetReal()])
 

@@ -9,7 +9,7 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 
 from oimppi_warp.scene import Collider, Joint, JointKind, Link, Robot, Welded
 from oimppi_warp.usd.colliders import read_colliders
-from oimppi_warp.usd.frames import matrix, scales, transform
+from oimppi_warp.usd.frames import format_numbers, matrix, scales, transform
 from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
 from oimppi_warp.usd.stage import MAX_LENGTH, SceneStage
 
@@ -85,6 +85,11 @@ def _start(scene: SceneStage, root: Usd.Prim, joints: tuple[Joint, ...]) -> np.n
     return start
 
 
+def _position(frame: Gf.Matrix4d) -> str:
+    """Formats a frame's position for a message."""
+    return f"{format_numbers(np.round(np.array(frame.ExtractTranslation()), 4) + 0.0)} m"  # + 0: not -0
+
+
 class _Chain:
     """The robot's bodies and joints, followed from its base."""
 
@@ -103,21 +108,23 @@ class _Chain:
             )
         base = self.ends(mounts[0])[1]
         frame = scene.body_frame(base)
-        position = np.array(frame.ExtractTranslation())
-        if not np.allclose(position, 0.0, atol=1e-6):
-            what = f"the robot's base is at {np.round(position, 4).tolist()}"
-            raise scene.error(what, base, allowed="at the world's origin", fix="move the rest of the scene instead")
+        if not np.allclose(np.array(frame.ExtractTranslation()), 0.0, atol=1e-6):
+            raise scene.error(
+                f"the robot's base is at {_position(frame)}",
+                base,
+                allowed="at the world's origin",
+                fix="move the base to the origin, and everything else by the same offset",
+            )
         held, at = self.frames(mounts[0])
         placed = at.GetInverse() * held
         if not np.allclose(np.array(placed), np.array(frame), atol=1e-5):
-            where = np.round(np.array(placed.ExtractTranslation()), 4).tolist()
             angle = (placed.ExtractRotation() * frame.ExtractRotation().GetInverse()).GetAngle()
             raise scene.error(
-                f"the joint fixes the base at {where}, rotated by {angle:.3g} deg from the base's own pose",
+                f"the joint fixes the base at {_position(placed)}, rotated by {angle:.3g} deg from the base's own pose",
                 mounts[0].GetPrim(),
                 fix="set physics:localPos0 and physics:localRot0 to the base's position and rotation in the world, and "
                 "physics:localPos1 and physics:localRot1 to zero and identity; or move the base",
-                allowed=f"the base's own pose, at {np.round(position, 4).tolist()}",
+                allowed=f"the base's own pose, at {_position(frame)}",
             )
         self.base_frame = frame
         self.base = self.link([(base, frame)])  # shapes of the fixed base are in the world's frame
@@ -249,7 +256,7 @@ class _Chain:
         """
         if body.GetPath() in self.reached:
             raise self.scene.error(
-                "the link has two parent joints", body, allowed="a serial arm", fix="remove one of the joints"
+                "the link has two parent joints", body, allowed="a serial arm", fix="remove one of these joints"
             )
         self.reached.add(body.GetPath())
 
@@ -282,7 +289,7 @@ class _Chain:
                 f"the joint is of type {prim.GetTypeName()}",
                 prim,
                 allowed=allowed,
-                fix="change its type; use a PhysicsFixedJoint to weld the tool on",
+                fix="change its type; a PhysicsFixedJoint welds a body to the link before it",
             )
         axis = (turns or slides).GetAxisAttr().Get()
         if axis != UsdPhysics.Tokens.z:
@@ -299,7 +306,7 @@ class _Chain:
             raise scene.error(
                 "the joint's frame differs from that of the link that it moves",
                 prim,
-                allowed="physics:localPos1 = 0 and physics:localRot1 = 1",
+                allowed="physics:localPos1 = (0, 0, 0) and physics:localRot1 = (1, 0, 0, 0)",
                 fix="move the link's frame to the joint, and keep its shapes and mass in place in the world",
             )
         kind, drive, inward = ("revolute", "angular", math.radians) if turns else ("prismatic", "linear", float)

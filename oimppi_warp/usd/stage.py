@@ -156,13 +156,10 @@ class SceneStage:
         if not self.stage.HasAuthoredMetadata("upAxis"):
             what = "the up axis is not given; USD would assume y"
             raise self.error(what, allowed='upAxis "Y" or "Z"', fix='set it at the top of the file: "Z" for z')
-        for name, unit in (("metersPerUnit", lengths), ("kilogramsPerUnit", masses)):
+        for name, unit, example in (("metersPerUnit", lengths, "metres"), ("kilogramsPerUnit", masses, "kilograms")):
             if not (np.isfinite(unit) and unit > 0.0):
-                raise self.error(
-                    f"{name} is {unit:g}",
-                    allowed="a number above zero",
-                    fix="set it to the unit of the numbers in the file: 1 for metres, and 1 for kilograms",
-                )
+                fix = f"set it to the unit of the numbers in the file: 1 for {example}"
+                raise self.error(f"{name} is {unit:g}", allowed="a finite number above zero", fix=fix)
 
     def prims(self, root: Usd.Prim | None = None) -> Iterator[Usd.Prim]:
         """Iterates over all active prims below ``root`` (inclusive), those in instances too, in file order."""
@@ -258,7 +255,13 @@ class SceneStage:
         return frame
 
     def body_frame(self, prim: Usd.Prim) -> Gf.Matrix4d:
-        """Returns a rigid body's frame in the world, without scale; a scaled or mirrored body is noted as a mistake."""
+        """Returns a rigid body's frame in the world, without scale or shear [m].
+
+        A body that is scaled or mirrored is noted as a mistake.
+
+        Raises:
+            SceneError: It has numbers that are too large or not finite.
+        """
         frame = self.frame(prim)
         if not is_rigid(frame):
             mirrored = " and mirrored" if frame.GetDeterminant() < 0.0 else ""

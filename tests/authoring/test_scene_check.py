@@ -94,7 +94,7 @@ def test_every_reference_that_cannot_be_followed_is_told(tmp_path):
 def test_a_wrong_start_and_a_wrong_goal_are_both_told(tmp_path):
     file = variant(tmp_path, several(object_to(0.5, 0.0), goal_to(0.8, 0.3, 0.0), put(ROBOT, START, [0.0] * 6)))
     whats = [what for severity, what in found(file) if severity == "error"]
-    assert "start (0.5, 0, 0) is inside the obstacle" in whats[0]
+    assert "start (0.5, 0, 0) overlaps the obstacle" in whats[0]
     assert "goal (0.8, 0.3, 0) is out of reach" in whats[1]
     assert "below the table" in whats[2]
 
@@ -109,7 +109,7 @@ def test_listed_starts_that_cannot_be_used_are_warned_of(tmp_path):
     starts = [Gf.Vec3d(0.3, -0.45, 0.0), Gf.Vec3d(0.5, 0.05, 0.0), Gf.Vec3d(0.75, -0.4, 0.0)]
     (first, what), (second, other) = found(variant(tmp_path, put("/World", "oimppi:starts", starts)))
     assert (first, second) == ("warning", "warning")
-    assert what == f"the object's start 1 (0.5, 0.05, 0) is inside the obstacle <{CUBE}>"
+    assert what == f"the object's start 1 (0.5, 0.05, 0) overlaps the obstacle <{CUBE}>"
     assert other.startswith("the object's start 2 (0.75, -0.4, 0) is out of reach")
 
 

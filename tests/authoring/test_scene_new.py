@@ -277,7 +277,7 @@ def test_where_there_is_little_room_starts_are_drawn_from_less(tmp_path):
 IMPOSSIBLE = {
     "out of reach": (["--goal", "0.9,0.3,0"], "out of reach"),
     "degrees": (["--goal", "0.5,0.3,90"], "90 degrees are 1.571"),
-    "in an obstacle": (["--obstacle", "box:0.1,0.1,0.1@0.5,0.3"], "is inside the obstacle"),
+    "in an obstacle": (["--obstacle", "box:0.1,0.1,0.1@0.5,0.3"], "overlaps the obstacle"),
     "no pose": (["--start", "0.3,0.2"], "not a pose"),
     "no object": (["--object", "t-blok"], "did you mean t-block?"),
     "no letter": (["--object", "letter:7"], "not in the built-in alphabet"),

@@ -333,7 +333,10 @@ BAD: dict[str, tuple[Callable[[], Parts], str, str]] = {
     ),
     "an unknown joint": (changed(j2=joint("j2", "shoulder", "upper", kind="screw")), "of type screw", "prismatic"),
     "a link in the air": (changed(lamp=link("lamp")), "2 links have no parent: world, lamp", "one base"),
-    "a link held twice": (changed(again=joint("again", "base", "fore")), "fore has two parent joints", "a tree"),
+    "a link held twice": (changed(again=joint("again", "base", "fore")), "2 parent joints: j3, again", "a tree"),
+    "a loop": (
+        changed(j1=joint("j1", "fore", "shoulder")), "links shoulder, upper, fore form a loop", "one of the joints: j2",
+    ),
     "a joint to nowhere": (changed(j6=joint("j6", "pitch", "hand")), "missing link 'hand'", "links of the URDF"),
     "a branch": (changed(arm2=link("arm2"), b=joint("b", "fore", "arm2")), "the arm branches", "--flange"),
     "a missing mesh": (
@@ -372,7 +375,7 @@ def test_a_bad_urdf_is_refused_with_words_that_help(tmp_path, case):
         ("<robot", "cannot be read as XML"),
         ("<sdf/>", "the root element is <sdf>"),
         ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m"/></robot>', "xacro, not URDF"),
-        ("<robot/>", "or there are none"),
+        ("<robot/>", "the file has no links"),
     ],
 )
 def test_what_is_no_urdf_is_refused(tmp_path, text, what):

@@ -85,9 +85,9 @@ def test_a_plant_is_registered_by_name_and_removed_again(device: str):
     try:
         log = Episode(scene, config, plant="kinematic", engine="quasistatic", device=device, seed=7).run()
         assert log.header["plant"] == "kinematic" and made == [7] and len(log) == 2
-        with pytest.raises(ConfigError, match="registered already"):
+        with pytest.raises(ConfigError, match="already registered"):
             PLANTS.register("kinematic", Kinematic)
-        with pytest.raises(ConfigError, match="registered already"):
+        with pytest.raises(ConfigError, match="already registered"):
             PLANTS.register("lab", kinematic)
     finally:
         PLANTS.unregister("kinematic")

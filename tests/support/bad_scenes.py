@@ -322,14 +322,14 @@ MISTAKES = {
     "a stick without a radius": (put(TIP, "oimppi:radius", 0.0), "oimppi:radius is 0", "more than zero"),
     "no articulation": (drop(ROBOT, "PhysicsArticulationRootAPI"), "no articulation root", "apply"),
     "a loose base": (without(f"{ROBOT}/joints/mount"), "not fixed to the world", "PhysicsFixedJoint"),
-    "a base elsewhere": (move_robot, "base is at [0.1, 0.0, 0.0]", "world's origin"),
+    "a base elsewhere": (move_robot, "base is at (0.1, 0, 0) m", "world's origin"),
     "a ball joint": (joint_of_type("PhysicsSphericalJoint"), "PhysicsSphericalJoint", "or PhysicsPrismaticJoint"),
     "a joint that slides without end": (slide_without_end, "unlimited travel", "in metres"),
     "a joint about x": (put(f"{ROBOT}/joints/joint2", "physics:axis", "X"), "about its X axis", "physics:axis = Z"),
     "a shifted joint": (
         put(f"{ROBOT}/joints/joint2", "physics:localPos1", Gf.Vec3f(0, 0, 0.1)),
         "differs from that of the link that it moves",
-        "physics:localPos1 = 0",
+        "physics:localPos1 = (0, 0, 0)",
     ),
     "crossed limits": (
         put(f"{ROBOT}/joints/joint2", "physics:lowerLimit", 200.0),
@@ -397,14 +397,14 @@ MISTAKES = {
 
 IMPOSSIBLE = {
     "a goal in an obstacle": (goal_to(0.5, 0.1, 0), "goal (0.5, 0.1, 0)", "obstacle </World/Obstacles/Cube>"),
-    "a goal in the base": (goal_to(0.1, 0.1, 0), "goal (0.1, 0.1, 0)", "inside the robot's base"),
+    "a goal in the base": (goal_to(0.1, 0.1, 0), "goal (0.1, 0.1, 0)", "overlaps the robot's base"),
     "a goal off the table": (goal_to(0.05, 0.68, 3), "goal (0.05, 0.68, 3)", "not wholly on the table"),
     "a goal out of reach": (goal_to(0.8, 0.3, 0), "out of reach", "up to 0.72 m"),
     "a start in an obstacle": (object_to(0.5, 0.0), "start (0.5, 0, 0)", "obstacle </World/Obstacles/Cube>"),
-    "a start in the base": (object_to(0.1, 0.05), "start (0.1, 0.05, 0)", "inside the robot's base"),
+    "a start in the base": (object_to(0.1, 0.05), "start (0.1, 0.05, 0)", "overlaps the robot's base"),
     "a start off the table": (object_to(0.3, -0.7), "start (0.3, -0.7, 0)", "not wholly on the table"),
     "a start out of reach": (object_to(0.75, -0.4), "out of reach", "0.86 m from the arm's base"),
-    "a tool in the object": (object_to(0.3, -0.22), "the tool starts inside the object", "oimppi:startJoints"),
+    "a tool in the object": (object_to(0.3, -0.22), "the tool touches the object", "oimppi:startJoints"),
     "a tool below the table": (put(ROBOT, START, [0.0] * 6), "below the table", "above z = 0"),
 }
 

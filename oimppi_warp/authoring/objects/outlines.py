@@ -70,17 +70,17 @@ def cylinder(radius: float, height: float, *, mass: float | None = None, frictio
 def regular_prism(
     sides: float, radius: float, height: float, *, mass: float | None = None, friction: float = FRICTION
 ) -> FlatObject:
-    """Creates an upright prism over a regular polygon, with one of its sides facing -y.
+    """Creates an upright prism over a regular polygon, with one of its sides facing -y in the object's frame.
 
     Args:
-        sides: Number of the polygon's sides.
+        sides: Number of the polygon's sides, an integer from 3 to 24 (:data:`SIDES_OF_PRISM`).
         radius: Distance from the polygon's centre to its corners [m].
         height: Height [m].
         mass: Mass [kg]; ``None``: computed from the density of wood.
         friction: Coulomb coefficient with the table.
 
     Raises:
-        ConfigError: A number, the mass or the friction is invalid.
+        ConfigError: The number of sides, a length, the mass or the friction is invalid.
     """
     if sides not in range(SIDES_OF_PRISM[0], SIDES_OF_PRISM[1] + 1):
         few, many = SIDES_OF_PRISM
@@ -114,10 +114,10 @@ def extrusion(
         height: Thickness [m].
         mass: Mass [kg]; ``None``: computed from the density of wood.
         friction: Coulomb coefficient with the table.
-        color: Red, green and blue.
+        color: Red, green and blue, each from 0 to 1.
 
     Raises:
-        ConfigError: A length, the mass or the friction is invalid.
+        ConfigError: A length (that of the outline's bounding box, or the height), the mass or the friction is invalid.
     """
     x0, y0, x1, y1 = outline.bounds
     checked_sides(doc, x1 - x0, y1 - y0, height)
@@ -165,7 +165,7 @@ def checked_friction(friction: float) -> float:
     """Returns a Coulomb coefficient, if it is above 0 and at most 2.
 
     Raises:
-        ConfigError: It is not.
+        ConfigError: It is out of this range.
     """
     if not (math.isfinite(friction) and 0.0 < friction <= 2.0):
         raise ConfigError(f"--friction {friction:g}: out of range\n  allowed: more than 0, up to 2")

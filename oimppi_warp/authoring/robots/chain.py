@@ -73,10 +73,12 @@ def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
     Args:
         tree: Links, with an edge from each parent to each child.
         file: Path of the source file, for error messages.
-        flange: The link that carries the stick; other moving links are then ignored. Empty: the end of the only chain.
+        flange: The link that carries the stick; moving links beyond or beside its chain are then left out. Empty: the
+            end of the only chain.
 
     Raises:
-        SceneError: The graph is not a tree, branches, or has a joint that a planner cannot drive.
+        SceneError: The graph is not a tree, has no moving joint or no link ``flange``, branches although no flange is
+            given, or has a joint that a planner cannot drive.
     """
     base = _base(tree, file)
     if flange and flange not in tree:
@@ -85,7 +87,10 @@ def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
     moving = [joint for joint in pairwise(path) if _joint(tree, *joint).kind != "fixed"]
     if not moving:
         raise SceneError(
-            "the robot has no moving joints", file=file, allowed="a chain of moving joints from base to flange"
+            "the robot has no moving joints",
+            file=file,
+            allowed="a chain of moving joints from base to flange",
+            fix="join its links by revolute or prismatic joints; with --flange, name a link that moves",
         )
     groups = tuple(tuple(_fixed_to(tree, link)) for link in [base, *(child for _, child in moving)])
     joints = [_joint(tree, *ends) for ends in moving]
@@ -103,12 +108,19 @@ def _joint(tree: nx.DiGraph, parent: str, child: str) -> TreeJoint:
 
 def _base(tree: nx.DiGraph, file: Path) -> str:
     """Returns the root link, which has no parent."""
+    if not tree:
+        raise SceneError("the file has no links", file=file, allowed="a tree of links", fix="add the robot's links")
     for link in tree:
         if tree.in_degree(link) > 1:
-            raise SceneError(f"link {link} has two parent joints", file=file, allowed="a tree of links")
+            holding = [_joint(tree, parent, link).name for parent in tree.predecessors(link)]
+            what = f"link {link} has {len(holding)} parent joints: {', '.join(holding)}"
+            raise SceneError(what, file=file, allowed="a tree of links", fix="keep only one of these joints")
     bases = [link for link in tree if tree.in_degree(link) == 0]
-    if not bases or not nx.is_directed_acyclic_graph(tree):
-        raise SceneError("the links form a loop, or there are none", file=file, allowed="a tree of links")
+    if not nx.is_directed_acyclic_graph(tree):
+        loop = [(parent, child) for parent, child, *_ in nx.find_cycle(tree)]
+        joints = ", ".join(_joint(tree, *ends).name for ends in loop)
+        what = f"the links {', '.join(parent for parent, _ in loop)} form a loop"
+        raise SceneError(what, file=file, allowed="a tree of links", fix=f"remove one of the joints: {joints}")
     if len(bases) > 1:
         what = f"{len(bases)} links have no parent: {', '.join(bases)}"
         raise SceneError(what, file=file, allowed="one base", fix="connect the others to it, or remove them")
@@ -155,13 +167,13 @@ def _checked(joint: TreeJoint, file: Path) -> Limits:
     limits = joint.limits
     unit, force = ("m", "N") if joint.kind == "slides" else ("rad", "N m")
     if limits is None or (joint.kind == "slides" and not abs(limits.upper - limits.lower) < float("inf")):
-        fix = "" if joint.kind == "slides" else "for a joint that turns without limits, use the type continuous"
+        endless = "" if joint.kind == "slides" else "; for a joint that turns without limits, use the type continuous"
         allowed = f"a lower and an upper limit [{unit}]"
-        raise SceneError(f"joint {joint.name} has no limits", file=file, allowed=allowed, fix=fix)
+        raise SceneError(f"joint {joint.name} has no limits", file=file, allowed=allowed, fix=f"set both{endless}")
     if not limits.lower < limits.upper:
         lower, upper = (_angle_or_length(value, unit) for value in (limits.lower, limits.upper))
         what = f"joint {joint.name}: the lower limit ({lower}) is not below the upper limit ({upper})"
-        raise SceneError(what, file=file, allowed="a lower limit below the upper one")
+        raise SceneError(what, file=file, allowed="a lower limit below the upper one", fix="correct the limits")
     if not (limits.effort > 0.0 and limits.velocity > 0.0):
         effort, velocity = f"{limits.effort:g} {force}", f"{_angle_or_length(limits.velocity, unit)} per second"
         what = f"joint {joint.name}: the effort limit is {effort} and the velocity limit is {velocity}"

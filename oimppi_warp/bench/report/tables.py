@@ -90,7 +90,10 @@ def success_table(results: ResultSet) -> Table:
 
 
 def exact_table(results: ResultSet) -> Table:
-    """Builds the table of success rates at the exact tolerance and final errors, of trials run to that tolerance."""
+    """Builds the table of success rates at the exact tolerance and of final errors.
+
+    It has a row for each task and method whose trials all continued to that tolerance.
+    """
     rows = []
     for task, method, stats in _groups(results):
         if stats.exact_counts:
@@ -172,9 +175,10 @@ def safety_table(results: ResultSet) -> Table:
         rows.append((task, method.upper(), number(1000 * s.clearance, 1), clear, *forces))
     return Table(
         "Clearance and forces",
-        "The smallest clearance of the object (negative: it was pressed into an obstacle), the number of successful "
-        "trials in which it never fell below -5 mm, and the largest contact forces between the object and an obstacle, "
-        "and between the robot and an obstacle or the table.",
+        "The smallest clearance of the object to obstacles, the robot's base and the table's edge (negative: they "
+        "overlapped), the number of successful trials in which it never fell below -5 mm, and the largest contact "
+        "forces between the object and an obstacle or the base, and between the robot and an obstacle or the table. "
+        "The smallest clearance and the largest forces are over all trials.",
         ("task", "method", "min. clearance [mm]", "never below -5 mm", "max. object force [N]", "max. robot force [N]"),
         tuple(rows),
     )

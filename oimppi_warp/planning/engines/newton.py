@@ -36,7 +36,7 @@ def contact_softness(step: float) -> tuple[float, float]:
 
 
 class NewtonDynamics(ScoredDynamics):
-    """Arm, contact and object in Newton's model of the scene; controls are joint velocities [rad/s].
+    """Arm, contact and object in Newton's model of the scene; controls are joint velocities.
 
     MuJoCo steps the arm (``x_r <- f_r + g_r u_r + h_r w_r``, equation 1) and the object (``x_o <- f_o + h_o w_o``,
     equation 2) under the contact forces between them and with the environment, friction included (equation 3). Forces
@@ -46,8 +46,10 @@ class NewtonDynamics(ScoredDynamics):
         task: The task to plan.
 
     Attributes:
-        forces: lambda_2 and lambda_3 of the latest rollouts, [rollout, horizon] [N].
-        tips, poses: Tool tip and object (friction centre) after each control step in them, [rollout, horizon].
+        forces: lambda_2 and lambda_3 of the latest rollouts, shape [rollout, horizon] of vectors [2] [N].
+        tips: Position of the tool tip after each control step in them, shape [rollout, horizon] of vectors [3] [m].
+        poses: Planar pose of the object's friction centre, likewise, shape [rollout, horizon] of vectors [3]
+            [m, m, rad].
     """
 
     def __init__(self, task: RolloutTask) -> None:
@@ -69,24 +71,32 @@ class NewtonDynamics(ScoredDynamics):
         self._trace_poses = compute.output(self._horizon, wp.vec3)
 
     def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the traces of some samples, each from its first rollout; see :class:`RobotDynamics`."""
+        """Returns the traces of some samples of the latest rollouts, each from its first rollout.
+
+        ``controls`` is not used. The tool tips, shape [n, horizon, 3] [m], leave out the current tip; see
+        :class:`RobotDynamics`.
+        """
         rollouts = np.asarray(samples) * self._draws.per_sample
         return self.tips.numpy()[rollouts], self._terms.numpy()[rollouts]
 
     @abstractmethod
     def simulate(self, controls: wp.array) -> Sequence[Launch]:
-        """Prepares the rollouts of control sequences [sample, horizon], ``draws.per_sample`` for each.
+        """Prepares the rollouts of control sequences, ``draws.per_sample`` for each.
 
         The launches fill ``forces``, ``_lost`` and the arrays that :meth:`states` returns.
+
+        Args:
+            controls: Joint velocities, shape [sample, horizon] of vectors [dof] [rad/s; m/s for a prismatic joint].
         """
 
     @abstractmethod
     def states(self) -> tuple[wp.array, wp.array, Any]:
-        """Returns the states after each control step, and their precision.
+        """Returns the arrays that hold the states after each control step, and their precision.
 
         Returns:
-            Joint positions [rollout, horizon] of vectors [dof], the object (position, quaternion wxyz)
-            [rollout, horizon] of vectors [7], and the type of their numbers.
+            Joint positions, shape [rollout, horizon] of vectors [dof] [rad; m for a prismatic joint]; transforms of the
+            object's own frame in the world (position [m], quaternion wxyz), shape [rollout, horizon] of vectors [7];
+            and the type of their numbers, ``wp.float32`` or ``wp.float64``.
         """
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
@@ -97,9 +107,12 @@ class NewtonDynamics(ScoredDynamics):
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         """Returns a launch that writes the cost of each joint velocity sequence; see :class:`Dynamics`.
 
+        The launch also fills :attr:`forces`, :attr:`tips` and :attr:`poses`.
+
         Args:
-            controls: [sample, horizon] of vectors [dof], as many as the level has samples.
-            costs: [sample], written.
+            controls: Joint velocities, shape [sample, horizon] of vectors [dof] [rad/s; m/s for a prismatic joint]; as
+                many samples as the level has.
+            costs: Costs, shape [sample]; written.
         """
         draws = self._draws
         joints, objects, precision = self.states()
@@ -121,7 +134,10 @@ class NewtonDynamics(ScoredDynamics):
         return roll
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
-        """Prepares the trace of the cheapest sample; rolling out the nominal would take as long as the plan."""
+        """Prepares the trace of the cheapest sample; ``nominal`` is not used.
+
+        Rolling out the nominal controls as well would double the time of a plan with batched worlds.
+        """
         inputs = [costs, self._draws.per_sample, self._terms, self.tips, self.poses]
         outputs = [self._trace_terms.array, self._trace_tips.array, self._trace_poses.array]
         return self.compute.launch_blocks(make_pick_trace(len(self.terms)), None, inputs, outputs)

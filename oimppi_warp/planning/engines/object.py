@@ -25,13 +25,15 @@ class ObjectDynamics:
         geometry: Shapes of the scene.
         level: Settings of the object level.
         cost: Its weights.
-        goal: Goal pose [3] of the object's friction centre.
+        goal: Goal of the object's friction centre, shape [3] [m, m, rad].
         dt: Control period [s].
         compute: The device and its threads.
 
     Attributes:
-        to_go: The cost-to-go, empty if it has no weight [m].
-        path: The poses that :meth:`trace` found, an output of shape [horizon + 1].
+        bound: The wrench that moves the object at its speed limit, shape [3] [N, N, N m].
+        to_go: The cost-to-go [m], empty if it has no weight.
+        path: The path that :meth:`trace` writes, planar poses of the friction centre, an output of shape
+            [1, horizon + 1] of vectors [3] [m, m, rad].
         setup_seconds: Wall time of computing or reading the cost-to-go [s].
     """
 
@@ -70,15 +72,21 @@ class ObjectDynamics:
         self._start.host[0] = pose
 
     def to_go_at(self, pose: np.ndarray) -> float | None:
-        """Returns the cost-to-go [m] at a planar pose, shape [3] [m, m, rad]; ``None`` if it is not used."""
+        """Returns the cost-to-go [m] at a planar pose of the friction centre, shape [3] [m, m, rad].
+
+        It is NaN if the pose is not finite, and ``None`` if the cost-to-go is not used.
+        """
         return None if self._to_go_values.size == 0 else pose_field_at(self.to_go, pose, self._to_go_values)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
-        """Prepares the cost of each wrench sequence; see :class:`oimppi_warp.planning.engines.dynamics.Dynamics`."""
+        """Returns a launch that writes the cost of each wrench sequence.
+
+        See :class:`oimppi_warp.planning.engines.dynamics.Dynamics`.
+        """
         return self.launch(controls, costs, self._unused)
 
     def trace(self, nominal: wp.array) -> list[Launch]:
-        """Returns launches that write the poses along one wrench sequence, [horizon], to ``path``.
+        """Returns launches that write the poses along one wrench sequence, shape [horizon], to :attr:`path`.
 
         Close to the goal the path leads straight to it, with the setting ``object.ends_at_goal``.
         """
@@ -91,7 +99,8 @@ class ObjectDynamics:
     def launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> Launch:
         """Returns a launch that writes the costs of wrench sequences and, unless ``poses`` is empty, their poses.
 
-        Shapes: wrenches [sample, horizon], costs [sample], poses [sample, horizon + 1] or empty.
+        Shapes: wrenches [sample, horizon] of vectors [3] [N, N, N m], costs [sample], poses [sample, horizon + 1] of
+        vectors [3] [m, m, rad], those of the friction centre.
         """
         inputs = [
             self._model,
