@@ -66,13 +66,17 @@ def wanted_motion(task: RobotTask, pose: wp.vec3, target: wp.vec3) -> wp.vec3:
     """Returns the direction in which the object should move: (x, y, yaw), of any length.
 
     It is that to the target or, where the object is led by the cost-to-go and not yet close to the goal, the steepest
-    descent of the cost-to-go.
+    descent of the cost-to-go. Where the yaw does not matter, it is zero.
     """
     motion = target - pose
     motion[2] = wrap_angle(motion[2])
+    if task.weights.w_theta <= 0.0:
+        motion[2] = 0.0
     if task.weights.w_to_go > 0.0 and turned_distance(pose, task.goal[0], task.yaw_length) > HOME:
         field = pose_field(task.to_go, pose)
-        motion = -wp.vec3(field[1], field[2], field[3] / (task.yaw_length * task.yaw_length))
+        motion = -wp.vec3(field[1], field[2], 0.0)
+        if task.weights.w_theta > 0.0:
+            motion[2] = -field[3] / (task.yaw_length * task.yaw_length)
     return motion
 
 

@@ -26,7 +26,7 @@ SKIN = wp.constant(0.004)
 class StanceField:
     """Remaining way of the tool [m], over directions of the object's motion and the tool's position.
 
-    A direction is a unit vector of (v_x, v_y, radius * yaw rate) in the object's frame, given by its azimuth in the
+    A direction is a unit vector of (v_x, v_y, yaw_length * yaw rate) in the object's frame, given by its azimuth in the
     plane of the first two and its elevation above that plane.
 
     Attributes:
@@ -34,7 +34,7 @@ class StanceField:
         origin: Position of node (0, 0), from the friction centre in the object's axes [m].
         inv_step: Nodes per metre.
         azimuths, elevations: Numbers of directions.
-        radius: Radius of the limit surface, the length that a radian of yaw counts as [m].
+        yaw_length: Length that a radian of yaw counts as [m].
     """
 
     values: wp.array3d[float]
@@ -42,7 +42,7 @@ class StanceField:
     inv_step: float
     azimuths: int
     elevations: int
-    radius: float
+    yaw_length: float
 
 
 @wp.kernel
@@ -139,7 +139,7 @@ def stance_field(field: StanceField, tool: wp.vec2, motion: wp.vec3) -> float:
     aa = fa - float(a0)
     across = wp.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
     last = float(field.elevations - 1)
-    fe = wp.clamp((wp.atan2(field.radius * motion[2], across) / PI + 0.5) * last, 0.0, last - 1.0e-3)
+    fe = wp.clamp((wp.atan2(field.yaw_length * motion[2], across) / PI + 0.5) * last, 0.0, last - 1.0e-3)
     e0 = int(fe)
     ae = fe - float(e0)
 

@@ -29,7 +29,7 @@ def best(method: str = "cloi") -> Config:
     """
     base = Config()
     if method == "mppi":  # tracks only the goal, along the shortest free path
-        return replace(base, cost=replace(base.cost, w_to_go=100.0, w_track=0.0))
+        return replace(base, cost=replace(base.cost, w_to_go=200.0, w_track=0.0))
     if method == "soi":
         return replace(base, object=replace(base.object, optimizer=replace(base.object.optimizer, horizon=90)))
     return base
@@ -71,7 +71,12 @@ def paper(method: str = "cloi") -> Config:
         robot=RobotLevel(
             optimizer=mppi, controls="joint", noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2
         ),
-        object=ObjectLevel(optimizer=replace(mppi, horizon=object_horizon), noise_range=0.0, ends_at_goal=False),
+        object=ObjectLevel(
+            optimizer=replace(mppi, horizon=object_horizon),
+            speed_limit=(0.12, 0.12, 1.0),
+            noise_range=0.0,
+            ends_at_goal=False,
+        ),
         cost=RobotCost(
             w_d=100.0,
             w_theta=0.08,
@@ -118,7 +123,11 @@ def lab(method: str = "cloi") -> Config:
             joint_velocity_limit=0.8,
         ),
         reposition=replace(base.reposition, stall_seconds=7.5, longest_seconds=8.0),
-        object=replace(base.object, optimizer=replace(base.object.optimizer, samples=512)),
+        object=replace(
+            base.object,
+            optimizer=replace(base.object.optimizer, samples=512),
+            speed_limit=(0.12, 0.12, 1.0),
+        ),
     )
 
 

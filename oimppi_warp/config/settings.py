@@ -161,7 +161,7 @@ class RobotLevel:
         "control, in the rollouts and on the arm.",
     )
     tip_noise: float = setting(
-        0.25,
+        0.35,
         "Standard deviation of the noise of the tip's velocity along each axis, with `robot.controls=tool`; vertical "
         "noise only while the tool is lifted over the object.",
         unit="m/s",
@@ -210,7 +210,7 @@ class ObjectLevel:
 
     optimizer: Sampling = group(Mppi(horizon=60, temperature=0.5, knots=5), "Optimizer of the object level.")
     speed_limit: tuple[float, float, float] = setting(
-        (0.12, 0.12, 1.0),
+        (0.2, 0.2, 5.0 / 3.0),
         "Largest velocity of the object (x, y, yaw) that the virtual wrench (the wrench with which the object level "
         "moves the object) may cause.",
         unit="m/s, m/s, rad/s",
@@ -343,7 +343,7 @@ class RobotCost:
         unit="1/m",
     )
     w_stance: float = setting(
-        10.0,
+        20.0,
         "Weight of the tool's remaining way around the object to a place from which a push moves the object towards "
         "its target, yaw included; a worse place counts as a longer way. It takes the place of psi_align; not in the "
         "paper.",

@@ -131,7 +131,7 @@ class Planner:
             scene,
             self.geometry,
             config.reposition,
-            turn=config.object.turn,
+            w_theta=config.cost.w_theta,
             height=height,
             period=config.control_period,
         )

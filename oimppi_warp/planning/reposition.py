@@ -18,7 +18,7 @@ from oimppi_warp.config.settings import Reposition
 from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.geometry.footprint import footprint, outline, planar_points, wrap_angle
 from oimppi_warp.geometry.reach import can_lift, reach_of
-from oimppi_warp.planning.stance import Outline
+from oimppi_warp.planning.stance import Outline, yaw_length_of
 from oimppi_warp.scene import Scene
 
 NO_WAYPOINT = np.zeros(4)
@@ -57,22 +57,22 @@ class Repositioner:
         scene: The task.
         geometry: Limit surface and distance fields of the scene.
         settings: Settings that determine when to reposition, and for how long.
-        turn: Whether the task specifies the object's yaw.
+        w_theta: Square of the length that a radian of yaw counts as [m^2/rad^2]; 0 if the yaw does not matter.
         height: Height of the tip while it pushes [m].
         period: Control period [s].
     """
 
     def __init__(
-        self, scene: Scene, geometry: Geometry, settings: Reposition, *, turn: bool, height: float, period: float
+        self, scene: Scene, geometry: Geometry, settings: Reposition, *, w_theta: float, height: float, period: float
     ) -> None:
         self._settings = settings
-        self._turn = turn
+        self._turn = w_theta > 0.0
         self._period = period
         self._radius = scene.robot.tool_radius
         self._heights = (height, geometry.top + _ABOVE)
         self._lifts = can_lift(scene.robot)
         self._reach = reach_of(scene.robot)
-        self._outline = Outline(scene, geometry.surface)
+        self._outline = Outline(scene, geometry.surface, yaw_length=yaw_length_of(geometry.surface, w_theta))
         self._sides = self._outline.beside(self._radius + _GAP)  # tool positions, object frame
         blocks = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
         self._blocks = outline(footprint((*blocks, *scene.robot.base.colliders), lower=height, upper=geometry.top))

@@ -18,7 +18,7 @@ _BESIDE = 0.08
 """Extent of the grid beyond the object [m]."""
 _AZIMUTHS, _ELEVATIONS = 24, 13
 """Directions of the object's motion: every 15 degrees."""
-_DETOUR = 0.3
+_DETOUR = 1.0
 """Way that a place of contact counts as more if its push is at right angles to the wanted motion [m]."""
 _SWEEPS = 16
 """Sweeps over the grid, four in each direction: the way around an object bends a few times."""
@@ -32,14 +32,16 @@ class Outline:
     Args:
         scene: The task.
         surface: Limit surface of the object.
+        yaw_length: Length that a radian of yaw counts as [m].
 
     Attributes:
         shape: The outline.
         points, normals: Points [m] and inward unit normals there, shape [n, 2].
     """
 
-    def __init__(self, scene: Scene, surface: LimitSurface) -> None:
-        self._surface = surface
+    def __init__(self, scene: Scene, surface: LimitSurface, *, yaw_length: float) -> None:
+        self._mobility = surface.mobility * surface.force
+        self._metric = np.array([1.0, 1.0, yaw_length])
         self._friction = scene.object.tool_friction
         shape = outline(footprint(scene.object.colliders))
         self.shape = shapely.affinity.translate(shape, *(-surface.center))
@@ -52,8 +54,8 @@ class Outline:
     def alignment(self, motions: np.ndarray) -> np.ndarray:
         """Scores a push at each point by its agreement with motions of the object.
 
-        It is the cosine of the angle between the wanted twist and the twist ``x_o' = D w`` of equation 5, in the metric
-        of ``D``, for the best force in the friction cone.
+        It is the cosine of the angle between the wanted twist and the twist ``x_o' = D w`` of equation 5, for the best
+        force in the friction cone. A radian counts as ``yaw_length``, as in the distance that the push should reduce.
 
         Args:
             motions: Wanted motions (x, y, yaw) in the object's axes, of any length, shape [..., 3].
@@ -61,30 +63,37 @@ class Outline:
         Returns:
             Cosines, shape [..., n].
         """
-        root = np.sqrt(self._surface.mobility * self._surface.force)  # square root of D, up to scale
-        twist = motions / root
-        twist = twist / np.maximum(np.linalg.norm(twist, axis=-1, keepdims=True), 1e-9)
+        wanted = motions * self._metric
+        wanted = wanted / np.maximum(np.linalg.norm(wanted, axis=-1, keepdims=True), 1e-9)
         tangents = np.column_stack([-self.normals[:, 1], self.normals[:, 0]])
-        best = np.full((*twist.shape[:-1], len(self.points)), -1.0)
+        best = np.full((*wanted.shape[:-1], len(self.points)), -1.0)
         for share in np.linspace(-self._friction, self._friction, 5):
             force = self.normals + share * tangents
             torque = self.points[:, 0] * force[:, 1] - self.points[:, 1] * force[:, 0]
-            wrench = np.column_stack([force, torque]) * root
-            best = np.maximum(best, twist @ (wrench / np.linalg.norm(wrench, axis=1)[:, None]).T)
+            twist = np.column_stack([force, torque]) * self._mobility * self._metric
+            best = np.maximum(best, wanted @ (twist / np.linalg.norm(twist, axis=1)[:, None]).T)
         return best
 
 
-def build_stance(scene: Scene, geometry: Geometry, device: str) -> StanceField:
-    """Builds the stance field on a device, or reads it from the cache."""
-    outline_ = Outline(scene, geometry.surface)
-    radius, tool = geometry.surface.radius, scene.robot.tool_radius
+def build_stance(scene: Scene, geometry: Geometry, w_theta: float, device: str) -> StanceField:
+    """Builds the stance field on a device, or reads it from the cache.
+
+    Args:
+        scene: The task.
+        geometry: Shapes of the scene.
+        w_theta: Square of the length that a radian of yaw counts as [m^2/rad^2]; 0 if the yaw does not matter.
+        device: Warp device.
+    """
+    length = yaw_length_of(geometry.surface, w_theta)
+    outline_ = Outline(scene, geometry.surface, yaw_length=length)
+    tool = scene.robot.tool_radius
     azimuth = 2.0 * np.pi * np.arange(_AZIMUTHS) / _AZIMUTHS
     elevation = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _ELEVATIONS)[:, None]
     motions = np.stack(
         np.broadcast_arrays(
             np.cos(elevation) * np.cos(azimuth),
             np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation) / radius + 0.0 * azimuth,
+            np.sin(elevation) / length + 0.0 * azimuth,
         ),
         axis=-1,
     ).reshape(-1, 3)
@@ -114,8 +123,17 @@ def build_stance(scene: Scene, geometry: Geometry, device: str) -> StanceField:
     field = StanceField()
     field.values = wp.array(cached("stance", content, compute), dtype=float, device=device)
     field.origin, field.inv_step = origin, 1.0 / _STEP
-    field.azimuths, field.elevations, field.radius = _AZIMUTHS, _ELEVATIONS, radius
+    field.azimuths, field.elevations, field.yaw_length = _AZIMUTHS, _ELEVATIONS, length
     return field
+
+
+def yaw_length_of(surface: LimitSurface, w_theta: float) -> float:
+    """Returns the length that a radian of yaw counts as [m]: ``sqrt(w_theta)``.
+
+    Where the yaw does not matter it is the radius of the limit surface, so that a push that turns the object instead of
+    moving it does not count as a good one.
+    """
+    return float(np.sqrt(w_theta)) if w_theta > 0.0 else surface.radius
 
 
 def no_stance(device: str) -> StanceField:

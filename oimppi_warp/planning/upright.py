@@ -96,7 +96,10 @@ def no_upright(device: str) -> UprightArm:
 def _clearance(
     scene: Scene, postures: Postures, environment: Environment, limits: np.ndarray, device: str
 ) -> SpaceField:
-    """Returns the clearance of arm and tool over tip positions [m]; out of reach, minus the distance to the reach."""
+    """Returns the clearance of arm and tool over tip positions [m].
+
+    It is at most the distance to the border of the reach, where the arm is singular; beyond, minus that distance.
+    """
     robot = scene.robot
     joints = halved(postures.joints, jump=_TURN)
     reached = halved(postures.reached[..., None].astype(float))[..., 0] > 1.0 - 1e-6
@@ -108,9 +111,15 @@ def _clearance(
     wp.launch(make_upright_clearance(robot.chain), len(flat), inputs=inputs, outputs=[values], device=device)
     clearance = values.numpy().reshape(shape)
     for layer in range(shape[2]):
-        away = 0.5 * STEP * np.asarray(distance_transform_edt(~reached[..., layer]))
-        clearance[..., layer] = np.where(reached[..., layer], clearance[..., layer], -away)
+        inside, outside = (0.5 * STEP * _distances(where[..., layer]) for where in (reached, ~reached))
+        clearance[..., layer] = np.where(reached[..., layer], np.minimum(clearance[..., layer], inside), -outside)
     return _field(clearance, postures, 0.5 * STEP, outside=_OUTSIDE, device=device)
+
+
+def _distances(where: np.ndarray) -> np.ndarray:
+    """Returns the distance of each marked node, shape [nx, ny], to the nearest that is not, in grid steps."""
+    # What lies around the grid is not marked either.
+    return np.asarray(distance_transform_edt(np.pad(where, 1)))[1:-1, 1:-1]
 
 
 def _field(values: np.ndarray, postures: Postures, step: float, *, outside: float, device: str) -> SpaceField:
@@ -125,6 +134,9 @@ def _field(values: np.ndarray, postures: Postures, step: float, *, outside: floa
 
 class ToolServo:
     """Resolved-rate control of the arm: follows velocities of the tip, and holds the tool upright at its height.
+
+    Height and tilt have priority: near a singular posture, or at the joints' velocity limits, the tip moves more slowly
+    across the table, but does not sink.
 
     Args:
         scene: The task.
@@ -155,23 +167,29 @@ class ToolServo:
         robot = self._robot
         rotation, tip = tip_frame(robot, joints)
         linear, tilting = tip_rates(robot, joints)
-        jacobian = np.vstack([linear, tilting])
-        rows = [0, 1, 2, 3, 4] if self._lifts else [0, 1, 3, 4]
-        jacobian = jacobian[rows]
-        inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + _DAMPING * np.eye(len(rows)))
+        height = slice(0 if self._lifts else 1, None)  # a robot that cannot lift its tool has no height to hold
+        held = np.vstack([linear[2], tilting])[height]
+        hold, free = _damped_inverse(held), np.eye(robot.dof)
+        free = free - hold @ held
+        move = _damped_inverse(linear[:2] @ free)
 
-        wanted = np.array([*velocity, *(-_TILT_RATE * rotation[:2, 2])])
-        fastest = float((self._limits / np.maximum(np.linalg.norm(inverse[:, :2], axis=1), 1e-6)).min())
-        wanted[:2] *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*wanted[:2])), 1e-9))
-        if not lifting:
-            ahead = tip[:2] + self._period * wanted[:2]
-            height = tip[2] if tip[2] >= self._geometry.top and self._over(pose, ahead) else self._height
-            error = height - tip[2]
-            rise = min(abs(HEIGHT_RATE * error), HEIGHT_SPEED, abs(error) / self._period)
-            wanted[2] = np.copysign(rise, error)
-        home = _HOME_RATE * (robot.start - joints)
-        rates = inverse @ wanted[rows] + home - inverse @ (jacobian @ home)
-        return rates / max(1.0, float(np.abs(rates / self._limits).max()))
+        speed = np.array(velocity[:2])
+        fastest = float((self._limits / np.maximum(np.linalg.norm(move, axis=1), 1e-6)).min())
+        speed *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*speed)), 1e-9))
+        rise = velocity[2] if lifting else self._rise(tip, pose, tip[:2] + self._period * speed)
+        holding = hold @ np.array([rise, *(-_TILT_RATE * rotation[:2, 2])])[height]
+        home = (free - move @ linear[:2] @ free) @ (_HOME_RATE * (robot.start - joints))
+        moving = move @ (speed - linear[:2] @ holding) + home
+        # Height and tilt come first: what the joints have left is for the motion across the table.
+        holding /= max(1.0, float(np.abs(holding / self._limits).max()))
+        left = (self._limits - np.abs(holding)) / np.maximum(np.abs(moving), 1e-9)
+        return holding + min(1.0, float(left.min())) * moving
+
+    def _rise(self, tip: np.ndarray, pose: np.ndarray, ahead: np.ndarray) -> float:
+        """Returns the vertical velocity towards the height for pushing [m/s]; a tip above the object stays there."""
+        height = tip[2] if tip[2] >= self._geometry.top and self._over(pose, ahead) else self._height
+        error = float(height - tip[2])
+        return float(np.copysign(min(abs(HEIGHT_RATE * error), HEIGHT_SPEED, abs(error) / self._period), error))
 
     def _over(self, pose: np.ndarray, point: np.ndarray) -> bool:
         """Returns whether the tool at a point [2] is over the object or close to it, seen from above."""
@@ -179,3 +197,8 @@ class ToolServo:
         dx, dy = point - pose[:2]
         gap = planar_field_at(self._geometry.body, np.array([c * dx + s * dy, c * dy - s * dx]), self._body)
         return gap < self._robot.tool_radius + ASIDE
+
+
+def _damped_inverse(jacobian: np.ndarray) -> np.ndarray:
+    """Returns the damped pseudo-inverse of a Jacobian [n, dof], shape [dof, n]."""
+    return jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + _DAMPING * np.eye(len(jacobian)))

@@ -8,6 +8,7 @@ from support import reference
 from support.device import DEVICE
 from support.small_tasks import block, shipped, task
 
+from oimppi_warp.config.settings import RobotCost
 from oimppi_warp.geometry.fields import build_geometry
 from oimppi_warp.planning.engines.packing import object_model
 from oimppi_warp.planning.stance import Outline, build_stance
@@ -17,7 +18,7 @@ ORIGIN = np.zeros(3)
 
 def way_of(scene, tips, motion) -> np.ndarray:
     """The way [m] of tips [n, 2] for an object at the origin that should move by ``motion``."""
-    field = build_stance(scene, build_geometry(scene, DEVICE), DEVICE)
+    field = build_stance(scene, build_geometry(scene, DEVICE), RobotCost().w_theta, DEVICE)
     return np.array([reference.stance(field, np.append(tip, 0.0), ORIGIN, np.asarray(motion)) for tip in tips])
 
 
@@ -60,7 +61,7 @@ def test_the_length_of_the_wanted_motion_does_not_matter():
 def test_a_push_agrees_best_with_the_motion_that_it_causes():
     scene = shipped("task01")
     geometry = build_geometry(scene, DEVICE)
-    outline = Outline(scene, geometry.surface)
+    outline = Outline(scene, geometry.surface, yaw_length=0.15)
     body = reference.Body.of(object_model(geometry, tool_friction=scene.object.tool_friction))
     radius = scene.robot.tool_radius
     scores = []

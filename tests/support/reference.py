@@ -279,7 +279,7 @@ def stance(field: StanceField, tip: np.ndarray, pose: np.ndarray, target: np.nda
     into_object = planar_rotation(pose[2]).T
     x, y = into_object @ (tip[:2] - pose[:2])
     vx, vy = into_object @ (target[:2] - pose[:2])
-    spin = field.radius * wrap_angle(target[2] - pose[2])
+    spin = field.yaw_length * wrap_angle(target[2] - pose[2])
     azimuth = np.arctan2(vy, vx) / (2.0 * np.pi) % 1.0 * field.azimuths
     elevation = (np.arctan2(spin, np.hypot(vx, vy)) / np.pi + 0.5) * (field.elevations - 1)
     values = field.values.numpy().astype(float).reshape(field.elevations, field.azimuths, *field.values.shape[1:])

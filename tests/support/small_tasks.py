@@ -209,7 +209,7 @@ class Pushing:
             contact_steps=self.config.robot.contact_steps,
             topple_speed=weights.rush * tipping_speed(self.scene.object),
             size=self.geometry.size,
-            stance=build_stance(self.scene, self.geometry, DEVICE) if weights.w_stance > 0.0 else None,
+            stance=build_stance(self.scene, self.geometry, weights.w_theta, DEVICE) if weights.w_stance > 0.0 else None,
         )
 
     def roll(self, joints: np.ndarray, pose: np.ndarray, controls: np.ndarray, *, goal: np.ndarray | None = None,

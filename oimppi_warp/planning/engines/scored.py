@@ -42,7 +42,9 @@ class ScoredDynamics(RobotDynamics):
         packed.weights = weights
         packed.to_go = no_field(device) if task.to_go is None else task.to_go
         packed.yaw_length = task.yaw_length
-        packed.stance = build_stance(scene, geometry, device) if task.cost.w_stance > 0.0 else no_stance(device)
+        packed.stance = no_stance(device)
+        if task.cost.w_stance > 0.0:
+            packed.stance = build_stance(scene, geometry, task.cost.w_theta, device)
         packed.goal = self._goal.array
         packed.reference = self.reference.array
         packed.waypoint = self.waypoint.array
