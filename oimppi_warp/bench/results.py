@@ -191,7 +191,10 @@ def load_results(path: str | Path) -> ResultSet:
 def result_from(row: dict[str, Any]) -> Result:
     """Creates a result from its JSON, the inverse of :func:`result_row`."""
     row = _options_of_command(row["command"]) | row  # rows of earlier versions lack the device and the threads
-    row["run"] = RunSpec(**{item.name: row.pop(item.name) for item in fields(RunSpec)})
+    options = {item.name: row.pop(item.name) for item in fields(RunSpec) if item.name in row}
+    if options.get("knock") is not None:
+        options["knock"] = tuple(options["knock"])
+    row["run"] = RunSpec(**options)
     row["start"] = tuple(row["start"])
     for name in ("success_steps", "error_until_success_m"):
         row[name] = math.nan if row[name] is None else row[name]

@@ -270,6 +270,11 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         ),
         "mode": _one_of(MODES),
         "plant": _one_of(PLANTS),
+        "friction": (lambda value: _number(value) and 0 < value <= 10, "a friction coefficient above 0, up to 10"),
+        "knock": (
+            lambda value: isinstance(value, list) and len(value) == 3 and all(_number(x) and x >= 0 for x in value),
+            "time [s], force [N] and duration [s], like [5, 3, 0.3]",
+        ),
         "label": (
             lambda value: isinstance(value, str) and value.translate(_JOINTS).isalnum(),
             "letters, digits, _ and -",

@@ -93,6 +93,10 @@ class Trial:
         for option in ("mode", "plant"):
             if (value := getattr(run, option)) != getattr(RunSpec(), option):
                 words += [f"--{option}", value]
+        if run.friction is not None:
+            words += ["--friction", repr(run.friction)]
+        if run.knock is not None:
+            words += ["--knock", *map(repr, run.knock)]
         if settings.assignments:
             words += ["--set", *settings.assignments]
         return words

@@ -96,7 +96,7 @@ def paper(method: str = "cloi") -> Config:
             w_overhang=0.0,
             w_rush=0.0,
         ),
-        episode=EpisodeConfig(tight=False),
+        episode=EpisodeConfig(tight=False, exact=False),
         object_cost=ObjectCost(w_d=100.0, w_theta=0.08, w_to_go=0.0, w_margin=0.0, w_push_ring=0.0),
     )
 
@@ -123,6 +123,7 @@ def lab(method: str = "cloi") -> Config:
             joint_velocity_limit=0.8,
         ),
         reposition=replace(base.reposition, stall_seconds=7.5, longest_seconds=8.0),
+        episode=replace(base.episode, exact=False),
         object=replace(
             base.object,
             optimizer=replace(base.object.optimizer, samples=512),

@@ -1,4 +1,4 @@
-"""Options of a run: method, engine, device, seed, plant and mode."""
+"""Options of a run: method, engine, device, seed, plant, mode and disturbances."""
 
 from __future__ import annotations
 
@@ -55,6 +55,17 @@ class RunSpec:
     mode: Mode = "lockstep"
     """Timing: the plant waits for each plan (lockstep) or runs in parallel with the planner in real time (realtime)."""
 
+    friction: Annotated[
+        float | None, arg(metavar="MU", help_behavior_hint="(default: the scene's, which the planner knows)")
+    ] = None
+    """Friction coefficient between object and table in the plant; the planner keeps the scene's."""
+
+    knock: Annotated[tuple[float, float, float] | None, arg(metavar="T N S", help_behavior_hint="(default: none)")] = (
+        None
+    )
+    """Knock on the object in the plant: time [s], force [N] and duration [s].
+    The force acts sideways: to the left of the direction from the object to its goal."""
+
     def changed(self, **options: Any) -> RunSpec:
         """Returns a copy with some options changed, after validation.
 
@@ -85,4 +96,11 @@ class RunSpec:
             raise ConfigError(f"threads = {self.threads} cannot be used\n  allowed: 1 or more")
         if not 0 <= self.seed <= LARGEST_SEED:
             raise ConfigError(f"seed = {self.seed} cannot be used\n  allowed: 0 to {LARGEST_SEED}")
+        if self.friction is not None and not 0.0 < self.friction <= 10.0:
+            raise ConfigError(f"friction = {self.friction:g} cannot be used\n  allowed: above 0, up to 10")
+        if self.knock is not None and not (min(self.knock) >= 0.0 and max(self.knock) <= 1e4):
+            given = ", ".join(f"{number:g}" for number in self.knock)
+            raise ConfigError(
+                f"knock = {given} cannot be used\n  allowed: time [s], force [N] and duration [s], each 0 to 10000"
+            )
         return self

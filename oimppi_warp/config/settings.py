@@ -523,7 +523,7 @@ class EpisodeConfig:
         "success. Results for both tolerances are reported in either case.",
     )
     exact: bool = setting(
-        False,
+        True,
         "Continue a successful episode until the exact tolerance (5 mm, 0.02 rad) is held as well. Success within it "
         "is reported in either case.",
     )

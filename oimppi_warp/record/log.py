@@ -141,6 +141,8 @@ class EpisodeLog:
             threads=self.header.get("threads"),
             plant=self.header.get("plant", "ideal"),
             mode=self.header.get("mode", "lockstep"),
+            friction=self.header.get("friction"),
+            knock=None if (knock := self.header.get("knock")) is None else (knock[0], knock[1], knock[2]),
         )
 
     def __len__(self) -> int:

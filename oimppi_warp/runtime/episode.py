@@ -22,7 +22,7 @@ from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.planning.resolve import entries_used, resolve
-from oimppi_warp.plants.plant import ContactPlant, Plant, TruthfulPlant, has_tipped, latency_of
+from oimppi_warp.plants.plant import ContactPlant, MovablePlant, Plant, TruthfulPlant, has_tipped, latency_of
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
 from oimppi_warp.registries import PLANTS
@@ -108,9 +108,16 @@ class Episode:
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
         if plant is None:
-            self.plant: Plant = PLANTS.get_checked(spec.plant)(scene, config, seed=spec.seed)
+            actual = scene
+            if spec.friction is not None:
+                actual = replace(scene, object=replace(scene.object, friction=spec.friction))
+            self.plant: Plant = PLANTS.get_checked(spec.plant)(actual, config, seed=spec.seed)
         else:
             self.plant = plant
+        if spec.friction is not None and plant is not None:
+            raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")
+        if spec.knock is not None and not isinstance(self.plant, MovablePlant):
+            raise ConfigError(f"knock: the plant {type(self.plant).__name__} has no knock(impulse)")
         resolved = resolve(config, scene, control_period=self.plant.control_period)
         self.config = config = validate(resolved.config)
         if not 0.0 <= latency_of(self.plant) <= _LONGEST_LATENCY:
@@ -128,6 +135,7 @@ class Episode:
         )
         self._control_steps = self._loop()
         self._plans = 0
+        self._sideways: np.ndarray | None = None
         self._problem = ""
         self.log = EpisodeLog(
             {
@@ -196,7 +204,8 @@ class Episode:
         wanted_steps = hold_steps(settings.hold_seconds, self.config.control_period)
         held = 0
         try:
-            for _ in range(round(settings.max_sim_seconds / self.config.control_period)):
+            for index in range(round(settings.max_sim_seconds / self.config.control_period)):
+                self._knock(index * self.config.control_period)
                 step = next(self._control_steps)
                 position_error, yaw_error = self._record(step)
                 yield step
@@ -222,6 +231,20 @@ class Episode:
             return real_time(self.plant, self.planner, estimator, dof=dof, expires=self.config.episode.plan_expires)
         behind = self.plant.observe().object_time is not None or latency_of(self.plant) > 0.0
         return lock_step(self.plant, self.planner, Estimator(self.scene, self.config) if behind else None, dof=dof)
+
+    def _knock(self, time: float) -> None:
+        """Knocks the object as the run's option ``knock`` says, in the control period that begins at ``time`` [s]."""
+        if self.spec.knock is None or not isinstance(self.plant, MovablePlant):
+            return
+        begin, force, duration = self.spec.knock
+        period = self.config.control_period
+        share = min(time + period, begin + duration) - max(time, begin)
+        if share <= 0.0:
+            return
+        if self._sideways is None:  # the direction is kept during the knock
+            ahead = np.array(self.scene.goal[:2]) - self.plant.observe().object_pose[:2]
+            self._sideways = np.array([-ahead[1], ahead[0], 0.0]) / max(float(np.hypot(*ahead)), 1e-9)
+        self.plant.knock(force * share * self._sideways)
 
     def _has_fallen(self) -> bool:
         """Returns whether the object has tipped over or fallen off the table, as far as the plant knows."""

@@ -30,7 +30,7 @@ def suite_of(folder: Path, text: str) -> Suite:
 
 def test_the_shipped_suites_have_the_trials_that_they_promise():
     found = {suite.name: suite for suite in shipped_suites()}
-    assert set(found) == {"ablation", "best-sim", "exact", "lab", "paper-sim", "smoke"}
+    assert set(found) == {"ablation", "best-sim", "disturbed", "exact", "lab", "paper-sim", "smoke"}
     for name, preset in (("paper-sim", "paper"), ("best-sim", "best")):
         trials, scenes = make_trials(found[name])
         assert len(trials) == 6 * 3 * 10
@@ -121,7 +121,7 @@ def test_a_trial_is_written_with_its_options_beside_its_other_fields():
     row = make_trial(assignments=("cost.w_d=3",)).row()
     assert set(row) == {
         *("task", "scene", "content", "number", "start", "method", "engine", "device", "threads", "seed", "plant"),
-        *("mode", "preset", "assignments", "max_sim_seconds", "tolerance"),
+        *("mode", "friction", "knock", "preset", "assignments", "max_sim_seconds", "tolerance"),
     }
     assert (row["method"], row["assignments"]) == ("cloi", ["cost.w_d=3"])
 
@@ -203,6 +203,21 @@ def test_the_command_says_everything_and_mode_and_plant_only_when_they_are_speci
         "--start 0.3,-0.45,0.0 --max-sim-seconds 2.5 --set cost.w_d=3 reference=time"
     )
     assert "--mode realtime --plant lab" in make_trial(mode="realtime", plant="lab").command
+    disturbed = make_trial(friction=0.25, knock=(5.0, 3.0, 0.3))
+    assert disturbed.command.endswith("--friction 0.25 --knock 5.0 3.0 0.3")
+    assert disturbed.key != make_trial().key
+
+
+def test_a_suite_with_disturbances_says_them_and_keeps_them_in_its_results(tmp_path):
+    file = tmp_path / "shaken.toml"
+    file.write_text(SMALL + "friction = 0.25\nknock = [5, 3, 0.3]\n")
+    (entry,) = load_suite(file).entries
+    assert entry.run.friction == 0.25 and entry.run.knock == (5, 3, 0.3)
+    assert entry.row()["knock"] == [5, 3, 0.3]
+    for line in ("friction = 0", "knock = [5, 3]"):
+        file.write_text(SMALL + line)
+        with pytest.raises(ConfigError, match="cannot be used"):
+            load_suite(file)
 
 
 BAD = {
