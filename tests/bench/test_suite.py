@@ -269,7 +269,7 @@ def test_a_part_of_a_suite_can_be_run():
 
 
 def test_suites_are_package_data():
-    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 6
+    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 7
     import tomllib
 
     project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())
