@@ -151,8 +151,7 @@ def make_joint_controls(dof: int) -> wp.Kernel:
         model: ObjectModel,
         postures: wp.array3d[vec],
         start_joints: wp.array[vec],
-        start_tip: wp.array[wp.vec3],
-        start_object: wp.array[wp.vec3],
+        start: wp.array[wp.vec3],
         waypoint: wp.array[wp.vec4],
         controls: wp.array2d[wp.vec3],
         dt: float,
@@ -161,12 +160,12 @@ def make_joint_controls(dof: int) -> wp.Kernel:
     ):
         """Converts velocities of the tip to joint velocities that follow them, from the current joint positions.
 
-        Shapes: ``postures`` [nx, ny, nz], on the grid of ``upright.speed`` [rad], ``start_joints``, ``start_tip``,
-        ``start_object`` and ``waypoint`` [1], ``controls`` [sample, horizon] [m/s], ``joint_controls`` likewise
-        [rad/s].
+        Shapes: ``postures`` [nx, ny, nz], on the grid of ``upright.speed`` [rad], ``start_joints`` [1], ``start`` [2]:
+        the tip's position and the object's pose, ``waypoint`` [1], ``controls`` [sample, horizon] [m/s],
+        ``joint_controls`` likewise [rad/s].
         """
         n = first + wp.tid()
-        tip = start_tip[0]
+        tip = start[0]
         q = start_joints[0]
         origin = upright.speed.origin
         inv_step = upright.speed.inv_step
@@ -175,7 +174,7 @@ def make_joint_controls(dof: int) -> wp.Kernel:
         # What the joints deviate from the posture by at first is kept: the servo removes it slowly.
         offset = q - posture(postures, origin, inv_step, tip)
         for h in range(controls.shape[1]):
-            tip = move_upright(upright, model, start_object[0], tip, controls[n, h], lifting, radius, dt)
+            tip = move_upright(upright, model, start[1], tip, controls[n, h], lifting, radius, dt)
             wanted = posture(postures, origin, inv_step, tip) + offset
             u = vec()
             for j in range(dof):

@@ -73,10 +73,14 @@ def shortfall(value: float, wanted: float) -> float:
 
 
 @wp.func
-def outside_ring(pose: wp.vec3, ring: wp.vec2) -> float:
-    """Returns the distance of the object's centre to the ring around the base in which the arm pushes well [m]."""
-    distance = wp.sqrt(pose[0] * pose[0] + pose[1] * pose[1])
-    return wp.max(ring[0] - distance, 0.0) + wp.max(distance - ring[1], 0.0)
+def outside_ring(pose: wp.vec3, ring: wp.vec2, goal: wp.vec3) -> float:
+    """Returns the distance of the object's centre to the ring around the base in which the arm pushes well [m].
+
+    The ring is widened to the goal, so that an object may end where it should.
+    """
+    distance = wp.length(wp.vec2(pose[0], pose[1]))
+    there = wp.length(wp.vec2(goal[0], goal[1]))
+    return wp.max(wp.min(ring[0], there) - distance, 0.0) + wp.max(distance - wp.max(ring[1], there), 0.0)
 
 
 @wp.func
@@ -91,7 +95,7 @@ def object_cost(w: ObjectWeights, pose: wp.vec3, goal: wp.vec3, force: float, cl
         + w.w_f * contact_cost(force, w.f_0)
         + w.w_margin * shortfall(clearance, w.margin)
         + w.w_to_go * to_go
-        + w.w_push_ring * outside_ring(pose, w.push_ring)
+        + w.w_push_ring * outside_ring(pose, w.push_ring, goal)
     )
 
 
@@ -230,7 +234,7 @@ def push_ring_term(w: RobotWeights, s: Stage) -> float:
     """
     along = wp.max(w.edge_lower[0] - s.pose[0], 0.0) + wp.max(s.pose[0] - w.edge_upper[0], 0.0)
     across = wp.max(w.edge_lower[1] - s.pose[1], 0.0) + wp.max(s.pose[1] - w.edge_upper[1], 0.0)
-    return w.w_push_ring * outside_ring(s.pose, w.push_ring) + w.w_edge * (along + across)
+    return w.w_push_ring * outside_ring(s.pose, w.push_ring, s.goal) + w.w_edge * (along + across)
 
 
 @term("press")

@@ -117,16 +117,17 @@ def make_sample_deviating(size: int) -> wp.Kernel:
         counter: wp.array[int],
         seed: int,
         special: int,
+        least_noise: float,
         # out:
         controls: wp.array2d[vec],
         perturbations: wp.array2d[vec],
     ):
-        """Samples ``u = clip(nominal + noise_map e)`` with ``e = deviation * (basis z)`` and standard normal ``z``.
+        """Samples ``u = clip(nominal + noise_map e)`` with ``e = scale deviation (basis z)`` and standard normal ``z``.
 
-        If ``special`` is 1, the first two samples are the nominal and zero; they count as unperturbed. Shapes:
-        ``nominal`` and ``deviation`` [horizon], ``noise_map`` [1] (a square root of Sigma_u), ``basis`` [horizon,
-        knot], ``bound`` [1], ``counter`` [1] (plans made so far: each draws its own noise), ``controls`` and
-        ``perturbations`` (e) [sample, horizon].
+        The samples' ``scale`` falls from 1 to ``least_noise`` in geometric progression. If ``special`` is 1, the first
+        two samples are the nominal and zero; they count as unperturbed. Shapes: ``nominal`` and ``deviation``
+        [horizon], ``noise_map`` [1] (a square root of Sigma_u), ``basis`` [horizon, knot], ``bound`` [1], ``counter``
+        [1] (plans made so far: each draws its own noise), ``controls`` and ``perturbations`` (e) [sample, horizon].
         """
         k = first + wp.tid()
         horizon = controls.shape[1]
@@ -141,6 +142,7 @@ def make_sample_deviating(size: int) -> wp.Kernel:
         else:
             state = wp.rand_init(seed + 7919 * counter[0], k)
             limit = bound[0]
+            scale = wp.pow(least_noise, float(k) / float(controls.shape[0]))
             for j in range(basis.shape[1]):
                 z = vec()
                 for i in range(size):
@@ -151,7 +153,7 @@ def make_sample_deviating(size: int) -> wp.Kernel:
                     for h in range(horizon):
                         perturbations[k, h] = perturbations[k, h] + basis[h, j] * z
             for h in range(horizon):
-                e = wp.cw_mul(deviation[h], perturbations[k, h])
+                e = scale * wp.cw_mul(deviation[h], perturbations[k, h])
                 perturbations[k, h] = e
                 u = nominal[h] + noise_map[0] * e
                 for i in range(size):

@@ -35,6 +35,14 @@ class Sampling:
         "Number of knots of the random cubic splines over the horizon that form the noise; 0 draws the noise of every "
         "step independently, as in the paper.",
     )
+    least_noise: float = setting(
+        1.0,
+        "Smallest factor on the noise. The noise of the samples is scaled by factors from 1 down to this, in geometric "
+        "progression, so that some samples explore and others refine; 1 gives all samples the same noise, as in the "
+        "paper.",
+        low=1e-3,
+        high=1.0,
+    )
     special_samples: bool = setting(
         True, "Use the nominal control sequence and the zero sequence as the first two samples; not in the paper."
     )
@@ -71,14 +79,6 @@ class Mppi(Sampling):
         (0.0, 0.0),
         "Lower and upper bound of the effective sample size, as fractions of K; the temperature is adapted to keep "
         "the size within them. 0,0 keeps the temperature fixed, as in the paper.",
-        high=1.0,
-    )
-    least_noise: float = setting(
-        1.0,
-        "Smallest factor on the noise. The noise of the samples is scaled by factors from 1 down to this, in geometric "
-        "progression, so that some samples explore and others refine; 1 gives all samples the same noise, as in the "
-        "paper.",
-        low=1e-3,
         high=1.0,
     )
 
@@ -253,8 +253,8 @@ class ObjectLevel:
 
 _RING = (
     "Inner and outer radius of the ring around the base in which the arm pushes well. Values are for the xArm6, which "
-    "reaches 0.72 m; they are scaled to the reach of other robots. A robot that does not turn about its base has no "
-    "such ring."
+    "reaches 0.72 m; they are scaled to the reach of other robots. The ring is widened to a goal outside it. A robot "
+    "that does not turn about its base has no such ring."
 )
 
 

@@ -49,7 +49,7 @@ def build_to_go(
         clearance: phi_2.
         way: Known path: poses [n, 3] of the friction centre, of which the last is the goal; one pose is the goal alone.
         yaw_length: Length that a radian of yaw counts as [m].
-        push_ring: Distances from the base's axis between which the arm can push well [m].
+        push_ring: Distances from the base's axis between which the arm can push well [m]; widened to the goal.
         bound: The cost-to-go to the goal alone, if known: an initial bound that saves most sweeps.
         device: Warp device of the result.
     """
@@ -59,7 +59,9 @@ def build_to_go(
     host.origin, host.inv_step, host.inv_yaw_step = clearance.origin, clearance.inv_step, clearance.inv_yaw_step
     travel = kernels.TravelCost()
     travel.yaw_length, travel.comfort, travel.crowded, travel.blocked = yaw_length, _COMFORT, _CROWDED, _BLOCKED
-    travel.ring_inner, travel.ring_outer, travel.far = push_ring[0], min(push_ring[1], 1e3), _OUT_OF_REACH
+    at_goal = float(np.hypot(*way[-1, :2]))
+    travel.ring_inner, travel.ring_outer = min(push_ring[0], at_goal), max(min(push_ring[1], 1e3), at_goal)
+    travel.far = _OUT_OF_REACH
 
     def compute() -> np.ndarray:
         to_go = wp.full(host.values.shape, _UNKNOWN, dtype=float, device="cpu")

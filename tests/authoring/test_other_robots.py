@@ -271,7 +271,7 @@ def test_a_point_goes_around_the_object_where_an_arm_goes_over_it(device: str):
     highest = {}
     for name in ("task01", "point01"):
         scene = replace(shipped(name), object=block((0.16, 0.04, 0.05)))
-        watching = Repositioner(scene, build_geometry(scene, device), settings, turn=True, height=0.012, period=DT)
+        watching = Repositioner(scene, build_geometry(scene, device), settings, w_theta=0.0225, height=0.012, period=DT)
         at, stops = tip, []
         for _ in range(400):
             waypoint = watching.waypoint(at, pose, reference_poses, 0.5)
@@ -294,7 +294,7 @@ def test_a_point_takes_the_free_way_around(device: str):
     scene = replace(shipped("point01"), object=block((0.16, 0.04, 0.05)))
     wall = box(0.55, 0.0, (0.06, 0.3, 0.1))
     scene = replace(scene, obstacles=(Obstacle("/wall", (wall,)),))
-    watching = Repositioner(scene, build_geometry(scene, device), Reposition(), turn=True, height=0.012, period=DT)
+    watching = Repositioner(scene, build_geometry(scene, device), Reposition(), w_theta=0.0225, height=0.012, period=DT)
     body = shapely.box(0.32, -0.02, 0.48, 0.02)
     for begin in (0.36, 0.44):  # the shorter way from the second is past the wall
         way = watching._around(np.array([begin, 0.05]), np.array([begin, -0.05]), body)

@@ -267,8 +267,9 @@ def test_noise_in_joint_space_is_the_same_for_every_joint():
 def test_noise_of_the_tip_is_vertical_only_while_it_is_lifted():
     planner = make(shipped("task01"), "mppi")
     here = planner.scene.robot.start
-    np.testing.assert_array_equal(planner._noise(here), np.diag([0.25, 0.25, 0.0]))
-    np.testing.assert_array_equal(planner._noise(here, lifting=True), 0.25 * np.eye(3))
+    spread = planner.config.robot.tip_noise
+    np.testing.assert_array_equal(planner._noise(here), np.diag([spread, spread, 0.0]))
+    np.testing.assert_array_equal(planner._noise(here, lifting=True), spread * np.eye(3))
 
 
 # What is tracked

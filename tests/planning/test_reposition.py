@@ -21,8 +21,8 @@ LONG = (0.16, 0.04, 0.05)
 """A block, long in x."""
 
 
-def watch(scene: Scene, settings: Reposition = SETTINGS, *, turn: bool = True) -> Repositioner:
-    return Repositioner(scene, build_geometry(scene, DEVICE), settings, turn=turn, height=HEIGHT, period=DT)
+def watch(scene: Scene, settings: Reposition = SETTINGS, *, w_theta: float = 0.0225) -> Repositioner:
+    return Repositioner(scene, build_geometry(scene, DEVICE), settings, w_theta=w_theta, height=HEIGHT, period=DT)
 
 
 def led(*move: float) -> np.ndarray:
@@ -91,7 +91,7 @@ def test_a_block_is_turned_from_one_of_its_ends():
 
 
 def test_where_no_yaw_is_asked_for_the_reference_s_does_not_count():
-    watching = watch(task(pushed=block(LONG)), turn=False)
+    watching = watch(task(pushed=block(LONG)), w_theta=0.0)
     stalled(watching, np.array([POSE[0], 0.2, 0.012]), led(0.0, 0.05, 3.0))
     x, y = last_stop(watching)[:2] - POSE[:2]
     assert abs(x) < 0.03 and y < 0.0

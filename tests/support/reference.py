@@ -218,10 +218,10 @@ def pose_distance_squared(a: np.ndarray, b: np.ndarray, w_theta: float) -> float
     return float(np.sum((a[:2] - b[:2]) ** 2) + w_theta * angle**2)
 
 
-def outside_ring(pose: np.ndarray, ring: tuple[float, float]) -> float:
-    """How far the object's centre is from the ring around the base in which the arm pushes [m]."""
-    distance = float(np.hypot(pose[0], pose[1]))
-    return max(ring[0] - distance, 0.0) + max(distance - ring[1], 0.0)
+def outside_ring(pose: np.ndarray, ring: tuple[float, float], goal: np.ndarray) -> float:
+    """How far the object's centre is from the ring in which the arm pushes, widened to the goal [m]."""
+    distance, there = float(np.hypot(*pose[:2])), float(np.hypot(*goal[:2]))
+    return max(min(ring[0], there) - distance, 0.0) + max(distance - max(ring[1], there), 0.0)
 
 
 def over_edge(pose: np.ndarray, edge: tuple[np.ndarray, np.ndarray]) -> float:
@@ -236,7 +236,7 @@ def object_cost(w: ObjectCost, pose: np.ndarray, goal: np.ndarray, force: float,
         + w.w_f * max(force - w.f_0, 0.0) ** 2
         + w.w_margin * max(w.margin - clearance, 0.0) ** 2
         + w.w_to_go * way
-        + w.w_push_ring * outside_ring(pose, w.push_ring)
+        + w.w_push_ring * outside_ring(pose, w.push_ring, goal)
     )
 
 
@@ -343,7 +343,7 @@ def robot_cost(
         "height": 0.0 if waypoint[3] > 0.0 else w.w_height * (tip[2] - w.height) ** 2,
         "arm_clearance": w.w_arm_clearance * max(w.arm_clearance - arm_clearance, 0.0) ** 2,
         "above": w.w_above * above,
-        "push_ring": w.w_push_ring * outside_ring(pose, w.push_ring) + w.w_edge * over_edge(pose, edge),
+        "push_ring": w.w_push_ring * outside_ring(pose, w.push_ring, goal) + w.w_edge * over_edge(pose, edge),
         "press": w.w_press * pressed**2 + w.w_lift * rise**2,
         "control": w.w_control * speed_squared,
         "collision": w.w_collision * max(collision - w.f_0, 0.0),

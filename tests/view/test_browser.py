@@ -194,7 +194,7 @@ def test_dragging_the_goal_changes_the_plan(live, page):
     page.mouse.move(x, y)
     page.mouse.down()
     for share in np.linspace(0.2, 1.0, 5):
-        page.mouse.move(x + 20 * share, y + 25 * share)
+        page.mouse.move(x - 12 * share, y - 15 * share)
         time.sleep(0.2)
     page.mouse.up()
     until(lambda: np.hypot(*np.subtract(live.session.running.scene.goal, before)[:2]) > 0.03)

@@ -44,8 +44,7 @@ class TipControls:
         postures = task.upright.postures.joints.astype(np.float32)
         self._postures = wp.array(postures, dtype=vec, device=device)
         self._start_joints = self.compute.input(1, vec)
-        self._start_tip = self.compute.input(1, wp.vec3)
-        self._start_object = self.compute.input(1, wp.vec3)
+        self._start = self.compute.input(2, wp.vec3)  # the tip's position, and the object's pose
         self._joints = wp.zeros((task.level.optimizer.samples, task.level.optimizer.horizon), dtype=vec, device=device)
 
     def set_state(self, observation: Observation, goal: np.ndarray) -> None:
@@ -53,8 +52,8 @@ class TipControls:
         self._engine.set_state(observation, goal)
         task = self._engine.task
         self._start_joints.host[0] = observation.joint_position
-        self._start_tip.host[0] = tip_frame(task.scene.robot, observation.joint_position)[1]
-        self._start_object.host[0] = to_center(task.geometry.surface, observation.object_pose)
+        self._start.host[0] = tip_frame(task.scene.robot, observation.joint_position)[1]
+        self._start.host[1] = to_center(task.geometry.surface, observation.object_pose)
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         """Returns a launch that writes the cost of each sequence of tip velocities, [sample, horizon] of vectors."""
@@ -73,7 +72,7 @@ class TipControls:
     def _convert(self, controls: wp.array, joints: wp.array) -> Launch:
         """Prepares the conversion to joint velocities, [sample, horizon] of vectors [dof]."""
         task = self._engine.task
-        starts = [self._start_joints.array, self._start_tip.array, self._start_object.array]
+        starts = [self._start_joints.array, self._start.array]
         inputs = [*self._world, self._postures, *starts, self._engine.waypoint.array, controls, task.dt]
         return self.compute.launch_samples(self._kernel, controls.shape[0], inputs, [joints])
 

@@ -39,7 +39,7 @@ class Cem(Optimizer):
         """Prepares drawing with the current deviations; see :meth:`Optimizer.sample`."""
         kernel = make_sample_deviating(self.dynamics.size)
         inputs = [self.nominal, self.deviation, self.noise.array, self.basis, self.bound, self.counter, seed]
-        inputs.append(int(self.settings.special_samples))
+        inputs += [int(self.settings.special_samples), self.settings.least_noise]
         outputs = [self.controls, self._perturbations]
         return [self.compute.launch_samples(kernel, self.settings.samples, inputs, outputs)]
 

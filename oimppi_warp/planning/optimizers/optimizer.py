@@ -131,7 +131,7 @@ class Optimizer(ABC):
         """
         kernel = make_sample_controls(self.dynamics.size)
         inputs = [self.nominal, self.noise.array, self.basis, self.bound, self.counter, seed]
-        inputs += [int(self.settings.special_samples), float(getattr(self.settings, "least_noise", 1.0))]
+        inputs += [int(self.settings.special_samples), self.settings.least_noise]
         return [self.compute.launch_samples(kernel, self.settings.samples, inputs, [self.controls])]
 
     @abstractmethod

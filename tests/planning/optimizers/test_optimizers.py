@@ -44,7 +44,7 @@ def test_an_optimizer_is_chosen_by_its_name_and_brings_its_settings(level: str, 
     assert (f"{level}.optimizer.temperature" in found) == (kind == "mppi")
     assert (f"{level}.optimizer.elites" in found) == (kind == "cem")
     assert {name for name, value in options(best()).items() if found.get(name) != value} <= {
-        f"{level}.optimizer{end}" for end in ("", ".temperature", ".effective_samples", ".least_noise")
+        f"{level}.optimizer{end}" for end in ("", ".temperature", ".effective_samples")
     }
 
 
@@ -158,7 +158,9 @@ def test_an_optimizer_from_outside_is_chosen_set_and_plans(search: str, device: 
             "object.optimizer=search",
         ),
     ).config("cloi")
-    assert config.robot.optimizer == SearchSettings(kind="search", samples=1200, horizon=25, spread=2.0)
+    assert config.robot.optimizer == SearchSettings(
+        kind="search", samples=1200, horizon=25, least_noise=0.1, spread=2.0
+    )
     assert settings_of(config)["robot.optimizer.spread"].help == "Factor on the noise of random search."
     assert "search" in settings_of(best())["robot.optimizer"].allowed
     assert changed(config, best()) == {
