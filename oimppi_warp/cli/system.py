@@ -175,7 +175,5 @@ def _architecture(name: str) -> int:
     """
     number = name.removeprefix("sm_")
     if not number.isdecimal() or not 70 <= int(number) <= 130:
-        raise ConfigError(
-            f"--arch {name} is not a GPU architecture\n  allowed: sm_70 to sm_130, such as sm_80, sm_90 or sm_120"
-        )
+        raise ConfigError(f"--arch {name} is not supported\n  allowed: sm_70 to sm_130, such as sm_80, sm_90 or sm_120")
     return int(number)

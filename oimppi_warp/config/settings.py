@@ -105,8 +105,8 @@ class Cem(Sampling):
     )
     recovery: float = setting(
         0.5,
-        "Fraction of their difference to the noise set for the level that the standard deviations regain in each "
-        "control step; with 1, every plan starts with the full noise.",
+        "Fraction by which the standard deviations return, in each control step, towards the noise set for the level; "
+        "with 1, every plan starts with the full noise.",
         high=1.0,
     )
 
@@ -499,8 +499,8 @@ class Reposition:
     )
     headway: float = setting(
         0.01,
-        "Headway is made when the object's remaining path to the goal has become shorter by more than this, or by more "
-        "than a tenth, since headway was last made or, the first time, since pushing began.",
+        "Decrease of the object's remaining path to the goal that counts as headway; a tenth of the remaining path, if "
+        "that is less. It is measured from the last headway, at first from the start of pushing.",
         unit="m",
     )
     w_waypoint: float = setting(

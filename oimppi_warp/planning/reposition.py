@@ -156,14 +156,23 @@ class Repositioner:
         self._time_left = self._settings.longest_seconds
 
     def _clear_of(self, tip: np.ndarray, body: shapely.Geometry) -> np.ndarray:
-        """Returns the nearest position, shape [2] [m], where a tip can rise; rising while pressing tips the object."""
+        """Returns the nearest position, shape [2] [m], where a tip can rise; rising while pressing tips the object.
+
+        If that is blocked, such as at the edge of reach, it is the nearest one around the object that is not.
+        """
         boundary = shapely.boundary(body)
         nearest = np.array(boundary.interpolate(boundary.project(shapely.Point(tip))).coords[0])
         inside = shapely.contains_xy(body, *tip)
         outward = nearest - tip if inside else tip - nearest
         distance = float(np.linalg.norm(outward))
         shortfall = self._radius + _CLEAR + (distance if inside else -distance)
-        return tip + max(shortfall, 0.0) * outward / max(distance, 1e-9)
+        aside = tip + max(shortfall, 0.0) * outward / max(distance, 1e-9)
+        if not self._blocked(aside[None])[0]:
+            return aside
+        ring = shapely.boundary(shapely.buffer(body, self._radius + _CLEAR))
+        places = shapely.get_coordinates(shapely.segmentize(ring, 0.5 * _STRIDE))
+        free = places[~self._blocked(places)]
+        return aside if not len(free) else free[np.argmin(np.linalg.norm(free - tip, axis=1))]
 
     def _around(self, tip: np.ndarray, target: np.ndarray, body: shapely.Geometry) -> np.ndarray:
         """Returns the free (or else the shorter) path around the object, from tip to target, shape [n, 2] [m]."""

@@ -117,7 +117,10 @@ class Episode:
         if spec.friction is not None and plant is not None:
             raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")
         if spec.knock is not None and not isinstance(self.plant, MovablePlant):
-            raise ConfigError(f"knock: the plant {type(self.plant).__name__} has no knock(impulse)")
+            raise ConfigError(
+                f"knock: the plant {type(self.plant).__name__} cannot be knocked\n"
+                "  allowed: a plant with the methods of MovablePlant (place, knock, contact_points)"
+            )
         resolved = resolve(config, scene, control_period=self.plant.control_period)
         self.config = config = validate(resolved.config)
         if not 0.0 <= latency_of(self.plant) <= _LONGEST_LATENCY:

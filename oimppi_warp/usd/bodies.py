@@ -153,7 +153,7 @@ def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
             "the object is mirrored, sheared or scaled to zero",
             prim,
             allowed="translation, rotation, and scale along its own axes",
-            fix="scale its shapes instead",
+            fix="remove mirroring and uneven scale from the prim and its ancestors, and scale its shapes instead",
         )
     return frame.GetOrthonormalized()
 

@@ -200,7 +200,7 @@ class SceneStage:
             meaning: Description of the required value, for the error.
 
         Raises:
-            SceneError: The value is missing, has another shape, or contains NaN; infinity is allowed.
+            SceneError: The value is missing or not numeric, has another shape, or contains NaN; infinity is allowed.
         """
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute and attribute.HasAuthoredValue() else schema_default(name)
@@ -276,10 +276,10 @@ class SceneStage:
         return frame.GetOrthonormalized()
 
     def friction(self, prim: Usd.Prim) -> float | None:
-        """Returns the dynamic friction of the physics material bound to a prim; ``None`` without a material.
+        """Returns the coefficient of dynamic friction of a prim's physics material; ``None`` without a material.
 
         Raises:
-            SceneError: It is negative or not finite.
+            SceneError: It is not a number, negative or not finite.
         """
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):

@@ -11,6 +11,7 @@ from support.small_tasks import DT, block, box, task
 
 from oimppi_warp.config.settings import Reposition
 from oimppi_warp.geometry.fields import build_geometry
+from oimppi_warp.geometry.reach import reach_of
 from oimppi_warp.planning.reposition import Repositioner
 from oimppi_warp.scene import Scene
 
@@ -151,6 +152,20 @@ def test_a_tip_that_is_over_the_object_goes_out_past_its_rim_as_it_rises():
     watching = watch(task(pushed=block(LONG)))
     stalled(watching, np.array([POSE[0], 0.5 * LONG[1] - 0.005, 0.06]), led(0.0, 0.05, 0.0))
     assert watching._waypoints[0][1] > 0.5 * LONG[1] + 0.02
+
+
+def test_a_tool_at_the_edge_of_its_reach_steps_aside_within_it():
+    scene = task(pushed=block(LONG))
+    watching = watch(scene)
+    reach = reach_of(scene.robot)
+    far = np.array([reach.radius - 0.5 * LONG[0] - scene.robot.tool_radius - 0.012, 0.0, 0.0])
+    tip = np.array([reach.radius - 0.012, 0.0, 0.012])
+    waypoint = np.zeros(4)
+    for _ in range(100):
+        waypoint = watching.waypoint(tip, far, far + np.array([-0.1, 0.0, 0.0]) * np.ones((30, 1)), 0.5)
+        if waypoint[3] > 0.0:
+            break
+    assert waypoint[2] > tip[2] and reach.margin(waypoint[None, :2])[0] >= 0.01
 
 
 def test_what_is_not_known_calls_nowhere_and_leaves_no_trace():

@@ -146,7 +146,10 @@ def distances(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def signed_depths(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Returns the depths of points below a surface, negative above it, shape [n] [m]; exact for triangles nearby.
+    """Returns the depths of points, shape [n, 3] [m], below a surface (negative above it), shape [n] [m].
+
+    Only the triangles around the nearest samples of the surface are examined; the depth is exact if the nearest
+    triangle is one of them.
 
     Where an edge or a corner is nearest, its triangles are equally distant; the one whose plane the point is farthest
     from decides the side.

@@ -72,7 +72,7 @@ class Pushable(Protocol):
 
     @property
     def yaw_matters(self) -> bool:
-        """Returns whether the object's yaw is visible."""
+        """Returns whether the object's yaw can be told from its shape (not for a disc)."""
         ...
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:

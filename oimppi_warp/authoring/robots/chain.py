@@ -175,9 +175,10 @@ def _checked(joint: TreeJoint, file: Path) -> Limits:
         what = f"joint {joint.name}: the lower limit ({lower}) is not below the upper limit ({upper})"
         raise SceneError(what, file=file, allowed="a lower limit below the upper one", fix="correct the limits")
     if not (limits.effort > 0.0 and limits.velocity > 0.0):
-        effort, velocity = f"{limits.effort:g} {force}", f"{_angle_or_length(limits.velocity, unit)} per second"
+        degrees = f" ({math.degrees(limits.velocity):.4g} deg/s)" if unit == "rad" else ""
+        effort, velocity = f"{limits.effort:g} {force}", f"{limits.velocity:.4g} {unit}/s{degrees}"
         what = f"joint {joint.name}: the effort limit is {effort} and the velocity limit is {velocity}"
-        fix = "set the joint's real limits; if left out, they are unlimited"
+        fix = "set the joint's real limits; a limit that is left out is infinite"
         raise SceneError(what, file=file, allowed="both more than zero", fix=fix)
     return limits
 

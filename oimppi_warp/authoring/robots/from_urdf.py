@@ -48,8 +48,12 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
         try:
             builder.add_urdf(ET.tostring(root, encoding="unicode"))
         except Exception as error:
-            fix = "use meshes in STL, OBJ or PLY format"
-            raise SceneError(f"the file cannot be read ({error})", file=file, allowed="a URDF", fix=fix) from error
+            raise SceneError(
+                f"the robot cannot be read ({error})",
+                file=file,
+                allowed="a valid URDF, with collision meshes in STL, OBJ or PLY format",
+                fix="correct the element that the reason concerns, or convert the meshes",
+            ) from error
     bodies, joints = (
         {label.rpartition("/")[2]: index for index, label in enumerate(labels)}
         for labels in (builder.body_label, builder.joint_label)

@@ -131,8 +131,8 @@ def _check_height(robot: Robot, joints: np.ndarray, height: float, file: object)
     low, high = PUSHING
     if not low <= height <= high:
         raise SceneError(
-            f"the robot cannot lower its tool, and the tip is at {height:.3f} m",
+            f"the robot cannot raise or lower its tool, and the tip is at {height:.3f} m",
             file=file,
             allowed=f"{low:g} to {high:g} m above the table",
-            fix=f"increase --tool-length by {height - 0.012:.3f} m",
+            fix=f"{'increase' if height > high else 'decrease'} --tool-length by {abs(height - 0.012):.3f} m",
         )

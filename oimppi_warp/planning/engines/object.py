@@ -99,8 +99,8 @@ class ObjectDynamics:
     def launch(self, controls: wp.array, costs: wp.array, poses: wp.array) -> Launch:
         """Returns a launch that writes the costs of wrench sequences and, unless ``poses`` is empty, their poses.
 
-        Shapes: wrenches [sample, horizon] of vectors [3] [N, N, N m], costs [sample], poses [sample, horizon + 1] of
-        vectors [3] [m, m, rad], those of the friction centre.
+        Shapes: ``controls`` [sample, horizon] of wrenches [3] about the friction centre, along the world's axes [N, N,
+        N m], ``costs`` [sample], ``poses`` [sample, horizon + 1] of vectors [3] [m, m, rad], of the friction centre.
         """
         inputs = [
             self._model,

@@ -46,7 +46,7 @@ TO_Z_UP = Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), 90.0))
 
 
 def to_si(stage: Usd.Stage) -> None:
-    """Converts a stage's lengths and masses, if they are not in metres and kilograms."""
+    """Converts all quantities of a stage to metres and kilograms, in its current edit target."""
     metres, kilograms = UsdGeom.GetStageMetersPerUnit(stage), UsdPhysics.GetStageKilogramsPerUnit(stage)
     if abs(metres - 1.0) < 1e-9 and abs(kilograms - 1.0) < 1e-9:
         return
