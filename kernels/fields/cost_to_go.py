@@ -162,6 +162,9 @@ def distance_to_go(to_go: PoseField, pose: wp.vec3, goal: wp.vec3, yaw_length: f
     A field that is linear between nodes is lowest at a node, which is up to half a cell away from the goal. From
     ``NEAR_GOAL`` to twice that distance, the two are blended.
     """
+    apart = wp.max(wp.abs(pose[0] - goal[0]), wp.abs(pose[1] - goal[1]))
+    if apart > 2.0 * NEAR_GOAL:  # nearly always: saves the rest
+        return pose_field(to_go, pose)[0]
     straight = turned_distance(pose, goal, yaw_length)
     value = straight
     if straight > NEAR_GOAL:
