@@ -81,13 +81,14 @@ def move_upright(
     """Returns the tip's position after a control step with the velocity ``u``, as the servo of the arm follows it.
 
     The horizontal speed is limited to what the joints allow. The vertical velocity is the servo's, unless the tip is
-    being lifted over the object. ``radius`` is that of the tool.
+    being lifted over the object; then the servo only keeps it from sinking below its height. ``radius`` is that of the
+    tool.
     """
     most = space_field(upright.speed, within_top(upright.speed, tip))
     v = wp.vec2(u[0], u[1])
     v = wp.min(1.0, most / wp.max(wp.length(v), 1.0e-6)) * v
     ahead = wp.vec2(tip[0], tip[1]) + dt * v
-    rise = u[2]
+    rise = wp.max(u[2], HEIGHT_RATE * (upright.height - tip[2]))
     if not lifting:
         rise = servo_height(upright, model, pose, tip, ahead, radius)
         rise = wp.sign(rise) * wp.min(wp.abs(rise), wp.abs(upright.height - tip[2]) / dt)

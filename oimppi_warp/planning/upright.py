@@ -161,7 +161,8 @@ class ToolServo:
         Args:
             joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
             pose: Pose of the object's friction centre, shape [3] [m, m, rad].
-            velocity: Velocity of the tip, shape [3] [m/s]; the vertical one counts only while lifting.
+            velocity: Velocity of the tip, shape [3] [m/s]; the vertical one counts only while lifting, and only above
+                the height for pushing.
             lifting: Whether the tip is being lifted over the object.
         """
         robot = self._robot
@@ -176,7 +177,9 @@ class ToolServo:
         speed = np.array(velocity[:2])
         fastest = float((self._limits / np.maximum(np.linalg.norm(move, axis=1), 1e-6)).min())
         speed *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*speed)), 1e-9))
-        rise = velocity[2] if lifting else self._rise(tip, pose, tip[:2] + self._period * speed)
+        rise = max(velocity[2], HEIGHT_RATE * (self._height - tip[2]))
+        if not lifting:
+            rise = self._rise(tip, pose, tip[:2] + self._period * speed)
         holding = hold @ np.array([rise, *(-_TILT_RATE * rotation[:2, 2])])[height]
         home = (free - move @ linear[:2] @ free) @ (_HOME_RATE * (robot.start - joints))
         moving = move @ (speed - linear[:2] @ holding) + home

@@ -106,6 +106,21 @@ def test_the_servo_keeps_the_direction_where_a_joint_is_at_its_limit():
     np.testing.assert_allclose(moved[1] / moved[0], wanted[1] / wanted[0], rtol=0.02)
 
 
+@pytest.mark.parametrize("lifting", [False, True])
+def test_a_tip_that_is_led_into_the_table_and_towards_the_base_does_not_sink(lifting: bool):
+    scene = replace(shipped("task01"), start=(0.5, 0.45, 0.0))
+    plant, follow = ideal_plant(scene, Config()), servo(scene)
+    plant.place(joints_at(scene.robot, (0.35, -0.05, 0.06)), observe(scene).object_transform)
+    for _ in range(40):
+        seen = plant.observe()
+        down = np.array([-0.25, 0.0, -0.3])
+        plant.apply(follow.joint_velocity(seen.joint_position, np.array(scene.start), down, lifting=lifting))
+        rotation, tip = tip_frame(scene.robot, plant.observe().joint_position)
+        assert np.arccos(np.clip(-rotation[2, 2], -1.0, 1.0)) < 0.05
+        assert tip[2] > HEIGHT - 2e-3
+    assert tip[2] < HEIGHT + 0.02, "near the base the arm does not come down all the way"
+
+
 def test_an_engine_with_joint_velocities_predicts_what_one_with_tip_velocities_does():
     scene = shipped("task01")
     level = RobotLevel(optimizer=Mppi(samples=40, horizon=20))
