@@ -25,6 +25,10 @@ ASIDE = wp.constant(0.01)
 """Gap to the object, seen from above, within which a tip above the object is not lowered [m]."""
 
 
+SEAM = wp.constant(1.5)
+"""Difference of a joint's positions at neighbouring nodes beyond which they belong to different turns [rad]."""
+
+
 @wp.struct
 class UprightArm:
     """Fields over the position of the tip of an arm that holds its tool upright.
@@ -88,7 +92,7 @@ def move_upright(
     v = wp.vec2(u[0], u[1])
     v = wp.min(1.0, most / wp.max(wp.length(v), 1.0e-6)) * v
     ahead = wp.vec2(tip[0], tip[1]) + dt * v
-    rise = wp.max(u[2], HEIGHT_RATE * (upright.height - tip[2]))
+    rise = wp.max(u[2], wp.min(HEIGHT_RATE, 1.0 / dt) * (upright.height - tip[2]))
     if not lifting:
         rise = servo_height(upright, model, pose, tip, ahead, radius)
         rise = wp.sign(rise) * wp.min(wp.abs(rise), wp.abs(upright.height - tip[2]) / dt)
@@ -124,14 +128,19 @@ def make_joint_controls(dof: int) -> wp.Kernel:
 
     @wp.func(name=f"posture_{dof}", module=f"oimppi_warp.kernels.joint_controls_{dof}")
     def posture(postures: wp.array3d[vec], origin: wp.vec3, inv_step: float, tip: wp.vec3) -> vec:
-        """Returns the joint positions of a tip position, linear between nodes."""
+        """Returns the joint positions of a tip position: linear between nodes or, across a seam, those of the nearest.
+
+        At a seam, a joint's positions at neighbouring nodes belong to different turns.
+        """
         fx = wp.clamp((tip[0] - origin[0]) * inv_step, 0.0, float(postures.shape[0] - 1) - 1.0e-3)
         fy = wp.clamp((tip[1] - origin[1]) * inv_step, 0.0, float(postures.shape[1] - 1) - 1.0e-3)
         fz = wp.clamp((tip[2] - origin[2]) * inv_step, 0.0, float(postures.shape[2] - 1) - 1.0e-3)
         i = int(fx)
         j = int(fy)
         k = int(fz)
+        nearest = postures[int(wp.round(fx)), int(wp.round(fy)), int(wp.round(fz))]
         q = vec()
+        seam = float(0.0)
         for c in range(8):
             a = c & 1
             b = (c >> 1) & 1
@@ -139,7 +148,11 @@ def make_joint_controls(dof: int) -> wp.Kernel:
             w = wp.abs(1.0 - float(a) - (fx - float(i)))
             w *= wp.abs(1.0 - float(b) - (fy - float(j)))
             w *= wp.abs(1.0 - float(d) - (fz - float(k)))
-            q = q + w * postures[i + a, j + b, k + d]
+            corner = postures[i + a, j + b, k + d]
+            q = q + w * corner
+            seam = wp.max(seam, wp.max(wp.abs(corner - nearest)))
+        if seam > SEAM:
+            q = nearest
         return q
 
     @wp.kernel(module=f"oimppi_warp.kernels.joint_controls_{dof}", enable_backward=False)

@@ -75,8 +75,8 @@ class Stage:
         pressed: Depth to which the tool presses into an object that cannot yield [m].
         gap: Clearance phi_2 of the pose to which the tool pushes the object; ``NOT_PUSHED`` if it does not push [m].
         rise: Speed at which the tip rises while it pushes [m/s].
-        speed_squared: Squared norm of the control: of the joint velocities [rad^2/s^2], or of the tip's velocity
-            [m^2/s^2] with ``robot.controls=tool``.
+        speed_squared: Squared norm of the joint velocities [rad^2/s^2] or, in rollouts of an upright arm, of the tip's
+            velocity [m^2/s^2].
         collision: Contact force between robot and environment, lambda_3 [N].
         waypoint: Waypoint of the tip while repositioning (x, y, z [m]) and its weight [1/m^2], zero for none.
     """

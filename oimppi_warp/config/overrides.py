@@ -91,7 +91,7 @@ def set_option(config: T, assignment: str) -> T:
     """Returns a config with one setting changed, e.g. ``"cost.w_align=2"`` or ``"robot.optimizer.samples=512"``.
 
     Tuples are written with commas, ``"cost.push_ring=0.2,0.6"``. ``"robot.optimizer=cem"`` selects another optimizer,
-    which keeps the settings that all optimizers have: samples, horizon, iterations, knots and special_samples. Names
+    which keeps the settings that all optimizers have, such as samples and horizon. Names
     of earlier versions are accepted (:mod:`oimppi_warp.config.renamed`). Only the type and the bounds of the value are
     checked here; once all settings have their values, :func:`validate` checks that they are consistent.
 

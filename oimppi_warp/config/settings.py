@@ -151,7 +151,7 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class RobotLevel:
-    """The robot level, which plans joint velocities that make the object follow its plan (equation 14)."""
+    """The robot level, which plans a motion of the arm that makes the object follow its plan (equation 14)."""
 
     optimizer: Sampling = group(Mppi(least_noise=0.1), "Optimizer of the robot level.")
     controls: Literal["joint", "tool"] = setting(
@@ -309,7 +309,7 @@ class RobotCost:
     w_theta: float = setting(
         0.0225,
         "Square of the length equivalent to a yaw error of 1 rad, in the distances that `cost.w_d`, `cost.w_reference` "
-        "and `cost.w_track` weight (equation 16).",
+        "and `cost.w_track` weight (equation 16), and in the agreement of a push with the wanted motion.",
         unit="m^2/rad^2",
     )
     w_f: float = setting(
@@ -446,8 +446,8 @@ class RobotCost:
     )
     w_control: float = setting(
         0.0,
-        "Weight of the sum of the squared controls: joint velocities, or velocities of the tip [s^2/m^2]; not in the "
-        "paper.",
+        "Weight of the sum of the squared joint velocities; in the quasi-static engine with `robot.controls=tool`, of "
+        "the squared velocity of the tip [s^2/m^2]; not in the paper.",
         unit="s^2/rad^2",
     )
     w_collision: float = setting(
@@ -560,7 +560,7 @@ class Config:
     )
     robot: RobotLevel = group(
         RobotLevel(),
-        "The robot level, which plans joint velocities that make the object follow its plan (equation 14).",
+        "The robot level, which plans a motion of the arm that makes the object follow its plan (equation 14).",
     )
     object: ObjectLevel = group(
         ObjectLevel(), "The object level, which plans how the object moves to its goal without the robot (equation 13)."

@@ -34,6 +34,7 @@ from oimppi_warp.geometry.footprint import (
 from oimppi_warp.geometry.reach import object_bounds, stretched_length
 from oimppi_warp.kernels.fields import distance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
+from oimppi_warp.kernels.upright import ASIDE
 from oimppi_warp.scene import Collider, Scene
 
 STEP = 0.01
@@ -223,7 +224,8 @@ def _clearance_field(
 
 def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:
     shape = outline(pieces)
-    margin = max(2.0 * tool_radius, 0.02)  # beyond it the field is cut off, which must not look like contact
+    # Beyond the margin the field is cut off, which must look neither like contact nor like a tool over the object.
+    margin = max(2.0 * tool_radius, tool_radius + ASIDE + 2.0 * BODY_STEP, 0.02)
     x0, y0, x1, y1 = shape.bounds
     xs = np.arange(x0 - margin, x1 + margin + BODY_STEP, BODY_STEP)
     ys = np.arange(y0 - margin, y1 + margin + BODY_STEP, BODY_STEP)

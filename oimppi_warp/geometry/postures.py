@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from oimppi_warp.compute.cache import cached, content_of_data, source_content
 from oimppi_warp.geometry.footprint import rotation_matrix
@@ -27,6 +28,8 @@ _LONGEST = 0.08
 """Longest correction of the tip in one least-squares step [m]."""
 _TOLERANCE = 1e-3
 """Largest error of a posture: of the tip [m], and of the tool's axis."""
+_SEEDS = 9
+"""Nodes next to the start from which the postures are continued."""
 _FIRST, _NEXT = 60, 8
 """Least-squares steps from the start, and from a neighbouring posture."""
 
@@ -37,7 +40,8 @@ class Postures:
 
     Attributes:
         origin: Tip position of the first node [m].
-        joints: Joint positions, shape [nx, ny, nz, dof] [rad; m for a prismatic joint].
+        joints: Joint positions, shape [nx, ny, nz, dof] [rad; m for a prismatic joint]; without a posture, those of the
+            nearest node that has one.
         effort: Largest joint velocity per horizontal speed of the tip, for each joint, shape [nx, ny, nz, dof] [1/m].
         reached: Whether there is a posture, shape [nx, ny, nz].
     """
@@ -68,11 +72,15 @@ def postures_of(robot: Robot, top: float) -> Postures:
 
     def compute() -> np.ndarray:
         joints, reached = _continued(robot, nodes)
+        if reached.any() and not reached.all():
+            nearest = np.asarray(distance_transform_edt(~reached, return_distances=False, return_indices=True))
+            joints = joints[nearest[0], nearest[1], nearest[2]]
         effort = np.zeros_like(joints)
         effort[reached] = np.linalg.norm(_inverse(_rates(robot, joints[reached])[2])[:, :2], axis=1)
         return np.concatenate([joints, effort, reached[..., None]], axis=-1)
 
-    content = content_of_data(source_content("geometry/postures.py"), robot, origin, layers)
+    sources = (f"geometry/{name}.py" for name in ("postures", "kinematics", "reach", "footprint"))
+    content = content_of_data(source_content(*sources), robot, origin, nodes.shape)
     packed = cached("postures", content, compute)
     dof = robot.dof
     return Postures(origin, packed[..., :dof], packed[..., dof : 2 * dof], packed[..., -1] > 0.5)
@@ -108,12 +116,11 @@ def _continued(robot: Robot, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     joints, reached = np.zeros((*shape, robot.dof)), np.zeros(shape, dtype=bool)
     base = min(1, shape[2] - 1)
     at = np.abs(nodes[:, :, base, :2] - tip_frame(robot, robot.start)[1][:2]).max(axis=-1)
-    i, j = np.unravel_index(np.argmin(at), at.shape)
-    found, good = _solved(robot, robot.start[None], nodes[i, j, base][None], _FIRST)
-    if not good[0]:
-        return joints, reached
-    joints[i, j, base], reached[i, j, base] = found[0], True
-    front = {(int(i), int(j))}
+    i, j = np.unravel_index(np.argsort(at, axis=None)[:_SEEDS], at.shape)  # the nearest may be out of reach
+    found, good = _solved(robot, np.tile(robot.start, (len(i), 1)), nodes[i, j, base], _FIRST)
+    i, j = i[good], j[good]
+    joints[i, j, base], reached[i, j, base] = found[good], True
+    front = set(zip(i.tolist(), j.tolist(), strict=True))
     while front:
         # The neighbours of the front, each with the posture that it is continued from.
         begin = {}

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.compute.cache import cached, content_of
-from oimppi_warp.geometry.fields import STEP
+from oimppi_warp.geometry.fields import STEP, pose_field_at
 from oimppi_warp.geometry.footprint import wrap_angle
 from oimppi_warp.kernels.fields import cost_to_go as kernels
 from oimppi_warp.kernels.geometry import PoseField
@@ -91,6 +91,21 @@ def build_to_go(
     field.values = wp.array(values, dtype=float, device=device)
     field.origin, field.inv_step, field.inv_yaw_step = clearance.origin, clearance.inv_step, clearance.inv_yaw_step
     return field
+
+
+def to_go_at(field: PoseField, values: np.ndarray, pose: np.ndarray, goal: np.ndarray, yaw_length: float) -> float:
+    """Looks up a cost-to-go on the host, as the kernels do [m]: close to the goal it is the straight distance.
+
+    Args:
+        field: The cost-to-go.
+        values: Its values on the host.
+        pose: A planar pose, shape [3] [m, m, rad].
+        goal: The goal, likewise.
+        yaw_length: Length that a radian of yaw counts as [m].
+    """
+    straight = float(path_lengths(np.array([pose, goal]), yaw_length)[0])
+    share = min(max(straight / kernels.NEAR_GOAL - 1.0, 0.0), 1.0)
+    return (1.0 - share) * straight + share * pose_field_at(field, pose, values)
 
 
 def path_lengths(path: np.ndarray, yaw_length: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The robot level, common to all methods: joint velocities that make the object follow a reference.
+"""The robot level, common to all methods: a motion of the arm that makes the object follow a reference.
 
 Alone it is plain MPPI, whose reference is the goal.
 """
@@ -14,10 +14,11 @@ import numpy as np
 from oimppi_warp.compute.step import Compute, Launch, using_gpu
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ObservationError
-from oimppi_warp.geometry.fields import build_geometry, from_center, pose_field_at, to_center
+from oimppi_warp.geometry.fields import build_geometry, from_center, to_center
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
+from oimppi_warp.geometry.reach import can_lift
 from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
-from oimppi_warp.planning.cost_to_go import build_to_go
+from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
 from oimppi_warp.planning.engines.dynamics import RobotDynamics, RolloutTask
 from oimppi_warp.planning.engines.factory import make_dynamics
 from oimppi_warp.planning.engines.packing import environment, velocity_bound
@@ -270,7 +271,7 @@ class Planner:
         A radian of yaw counts as the setting ``object.yaw_length``.
         """
         if self._to_go is not None:
-            return pose_field_at(self._to_go, pose, self._to_go_values)
+            return to_go_at(self._to_go, self._to_go_values, pose, self.goal, self.config.object.yaw_length)
         return distance(pose, self.goal, self.config.object.yaw_length)
 
     def object_statistics(self) -> Update | None:
@@ -295,7 +296,7 @@ class Planner:
         """
         robot = self.config.robot
         if robot.controls == "tool":
-            return robot.tip_noise * np.diag([1.0, 1.0, float(lifting)])
+            return robot.tip_noise * np.diag([1.0, 1.0, float(lifting and can_lift(self.scene.robot))])
         if robot.noise_space == "joint":
             return robot.joint_noise * np.eye(self.scene.robot.dof)
         jacobian = tip_jacobian(self.scene.robot, joints)

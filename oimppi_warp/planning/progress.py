@@ -12,11 +12,11 @@ import warp as wp
 
 from oimppi_warp.compute.step import Compute, Slot, using_gpu
 from oimppi_warp.config.settings import Config
-from oimppi_warp.geometry.fields import Geometry, pose_field_at
+from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.kernels.fields import cost_to_go
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.rollouts.object import follow_path
-from oimppi_warp.planning.cost_to_go import build_to_go
+from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
 
 _STRIDE = 3
 """One in this many poses of the plan is kept to be followed."""
@@ -94,6 +94,6 @@ class PlanFollower:
     def to_go_from(self, pose: np.ndarray) -> float:
         """Returns the cost-to-go [m] at a planar pose of the friction centre, shape [3] [m, m, rad].
 
-        A metre along the plan counts as half a metre.
+        A metre along the plan counts as half a metre, except close to the goal, where it is the straight distance.
         """
-        return pose_field_at(self._to_go, pose, self._to_go_values)
+        return to_go_at(self._to_go, self._to_go_values, pose, self._goal, self._config.object.yaw_length)

@@ -15,19 +15,16 @@ from scipy.ndimage import distance_transform_edt
 
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.fields import Geometry, planar_field_at
-from oimppi_warp.geometry.footprint import wrap_angle
 from oimppi_warp.geometry.kinematics import pack_arm, tip_frame
 from oimppi_warp.geometry.postures import STEP, Postures, halved, postures_of
 from oimppi_warp.geometry.reach import can_lift, tip_rates
 from oimppi_warp.kernels.geometry import SpaceField
 from oimppi_warp.kernels.kinematics import Environment
-from oimppi_warp.kernels.upright import ASIDE, HEIGHT_RATE, HEIGHT_SPEED, UprightArm, make_upright_clearance
+from oimppi_warp.kernels.upright import ASIDE, HEIGHT_RATE, HEIGHT_SPEED, SEAM, UprightArm, make_upright_clearance
 from oimppi_warp.scene import Scene
 
 _ABOVE = 0.06
 """Height of the fields above the object's top [m]."""
-_TURN = 1.5
-"""Difference of a joint's position at neighbouring nodes beyond which they belong to different turns [rad]."""
 _OUTSIDE = -0.2
 """Clearance of tip positions outside the fields [m]."""
 _SLOWEST = 0.02
@@ -101,7 +98,7 @@ def _clearance(
     It is at most the distance to the border of the reach, where the arm is singular; beyond, minus that distance.
     """
     robot = scene.robot
-    joints = halved(postures.joints, jump=_TURN)
+    joints = halved(postures.joints, jump=SEAM)
     reached = halved(postures.reached[..., None].astype(float))[..., 0] > 1.0 - 1e-6
     shape = joints.shape[:3]
     vec = wp.types.vector(length=robot.dof, dtype=float)
@@ -177,10 +174,11 @@ class ToolServo:
         speed = np.array(velocity[:2])
         fastest = float((self._limits / np.maximum(np.linalg.norm(move, axis=1), 1e-6)).min())
         speed *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*speed)), 1e-9))
-        rise = max(velocity[2], HEIGHT_RATE * (self._height - tip[2]))
+        rise = max(velocity[2], min(HEIGHT_RATE, 1.0 / self._period) * (self._height - tip[2]))
         if not lifting:
             rise = self._rise(tip, pose, tip[:2] + self._period * speed)
-        holding = hold @ np.array([rise, *(-_TILT_RATE * rotation[:2, 2])])[height]
+        upright = -min(_TILT_RATE, 1.0 / self._period) * rotation[:2, 2]
+        holding = hold @ np.array([rise, *upright])[height]
         home = (free - move @ linear[:2] @ free) @ (_HOME_RATE * (robot.start - joints))
         moving = move @ (speed - linear[:2] @ holding) + home
         # Height and tilt come first: what the joints have left is for the motion across the table.
@@ -196,7 +194,7 @@ class ToolServo:
 
     def _over(self, pose: np.ndarray, point: np.ndarray) -> bool:
         """Returns whether the tool at a point [2] is over the object or close to it, seen from above."""
-        c, s = np.cos(wrap_angle(pose[2])), np.sin(wrap_angle(pose[2]))
+        c, s = np.cos(pose[2]), np.sin(pose[2])
         dx, dy = point - pose[:2]
         gap = planar_field_at(self._geometry.body, np.array([c * dx + s * dy, c * dy - s * dx]), self._body)
         return gap < self._robot.tool_radius + ASIDE

@@ -73,6 +73,7 @@ class LabPlant:
         seed: int = 0,
     ) -> None:
         self._ticks = round(control_period / TICK)
+        self._knock = np.zeros(3)  # an impulse that is spread over the next control period [N s]
         if self._ticks < 1 or abs(self._ticks * TICK - control_period) > 1e-9:
             raise ConfigError(
                 f"control_period = {control_period:g}: the lab reports joint positions every {TICK:g} s\n"
@@ -129,8 +130,12 @@ class LabPlant:
         self._trail = [self._measure()]
 
     def knock(self, impulse: np.ndarray) -> None:
-        """Applies an impulse to the object at its centre of mass, in the world frame, shape [3] [N s]."""
-        self._plant.knock(impulse)
+        """Applies an impulse to the object's centre of mass, spread over the next control period.
+
+        Args:
+            impulse: Impulse in the world frame, shape [3] [N s].
+        """
+        self._knock += np.asarray(impulse)
 
     @property
     def contact_points(self) -> np.ndarray:
@@ -158,11 +163,13 @@ class LabPlant:
                 self._wanted = self._commands.popleft()[1]
             most = self._config.acceleration_limit * TICK
             self._driven = self._driven + np.clip(self._wanted - self._driven, -most, most)
+            self._plant.knock(self._knock / self._ticks)
             self._plant.apply(self._driven)
             forces.append(vars(self._plant.contacts))
             self._tick += 1
             self._trail.append(self._measure())
             self._take_picture()
+        self._knock = np.zeros(3)
         self._contacts = Contacts(**{name: max(force[name] for force in forces) for name in forces[0]})
 
     @property

@@ -245,7 +245,10 @@ class Episode:
         if share <= 0.0:
             return
         if self._sideways is None:  # the direction is kept during the knock
-            ahead = np.array(self.scene.goal[:2]) - self.plant.observe().object_pose[:2]
+            state = self.plant.truth() if isinstance(self.plant, TruthfulPlant) else self.plant.observe()
+            if not np.isfinite(state.object_pose).all():
+                return
+            ahead = np.array(self.scene.goal[:2]) - state.object_pose[:2]
             self._sideways = np.array([-ahead[1], ahead[0], 0.0]) / max(float(np.hypot(*ahead)), 1e-9)
         self.plant.knock(force * share * self._sideways)
 

@@ -107,3 +107,11 @@ def test_what_was_changed_is_told_with_the_defaults_values():
     config = set_option(config, "cost.w_tilt=7")
     assert changed(config, best()) == {"robot.optimizer": "mppi", "robot.optimizer.elites": 0.05, "cost.w_tilt": 3.0}
     assert changed(best(), best()) == {}
+
+
+def test_a_record_without_a_setting_is_read_with_what_its_version_did():
+    record = to_json(asdict(best("cloi")))
+    del record["robot"]["controls"], record["robot"]["optimizer"]["least_noise"], record["cost"]["w_stance"]
+    found = from_record(record)
+    assert (found.robot.controls, found.robot.optimizer.least_noise, found.cost.w_stance) == ("joint", 1.0, 0.0)
+    assert found.cost.w_track == best("cloi").cost.w_track, "as the record has it"

@@ -73,3 +73,16 @@ def test_the_effort_is_what_the_joints_do_for_a_speed_of_the_tip():
 def test_what_lies_between_two_turns_of_a_joint_is_not_interpolated():
     values = np.array([3.0, -3.0, -2.0]).reshape(3, 1, 1, 1)
     np.testing.assert_array_equal(halved(values, jump=1.5).ravel(), [3.0, 3.0, -3.0, -2.5, -2.0])
+
+
+def test_a_start_at_the_edge_of_reach_has_postures():
+    robot = shipped("point01").robot
+    edge = np.array([joint.upper for joint in robot.joints])
+    assert postures_of(replace(robot, start=edge), 0.05).reached.any()
+
+
+def test_without_a_posture_the_joints_are_those_of_the_nearest_node():
+    found = postures_of(shipped("task01").robot, 0.05)
+    assert not found.reached.all()
+    jumps = np.abs(np.diff(found.joints[:, :, 0], axis=1)).max(axis=-1)
+    assert np.mean(jumps > 1.5) < 0.02, "only where the first joint's two half turns meet"

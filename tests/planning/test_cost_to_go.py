@@ -16,7 +16,7 @@ from support.small_tasks import block, box, task
 from oimppi_warp.geometry.fields import build_geometry, pose_field_at
 from oimppi_warp.kernels.fields import cost_to_go as kernels
 from oimppi_warp.kernels.geometry import PoseField
-from oimppi_warp.planning.cost_to_go import build_to_go, path_lengths
+from oimppi_warp.planning.cost_to_go import build_to_go, path_lengths, to_go_at
 
 YAW_LENGTH = 0.1
 """Length that turning by one radian counts as [m]."""
@@ -220,3 +220,14 @@ def test_a_bound_to_start_from_changes_nothing(device: str):
         for known in (bound, None)
     )
     np.testing.assert_allclose(found.values.numpy(), expected.values.numpy(), atol=1e-3)
+
+
+def test_on_the_host_the_cost_to_go_close_to_the_goal_is_the_straight_distance(device: str):
+    field, goal = field_of(np.full((8, 14, 11), 0.05)), np.array([0.073, 0.052, 1.0])
+    to_go = build_to_go(field, goal, yaw_length=YAW_LENGTH, device=device)
+    values = to_go.values.numpy()
+    for off in (0.0, 0.001, 0.004, 0.01):
+        pose = goal + np.array([off, 0.0, 0.0])
+        assert to_go_at(to_go, values, pose, goal, YAW_LENGTH) == pytest.approx(off, abs=1e-9)
+    far = goal + np.array([0.045, 0.0, 0.0])
+    assert to_go_at(to_go, values, far, goal, YAW_LENGTH) == pose_field_at(to_go, far, values)

@@ -16,6 +16,7 @@ from oimppi_warp.config.settings import Config, Mppi, RobotLevel
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.fields import build_geometry, to_center
 from oimppi_warp.geometry.kinematics import tip_frame
+from oimppi_warp.geometry.reach import tip_rates
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.engines.packing import environment, velocity_bound
 from oimppi_warp.planning.engines.quasistatic import QuasistaticDynamics
@@ -179,3 +180,30 @@ def test_a_plan_of_either_kind_of_controls_gives_joint_velocities_within_the_lim
     )
     center = to_center(planner.geometry.surface, seen.object_pose)
     np.testing.assert_allclose(to_center(planner.geometry.surface, plan.object_poses[0]), center, atol=1e-5)
+
+
+def test_a_robot_that_cannot_lift_its_tool_samples_no_vertical_velocity():
+    point = make_planner(shipped("point01"), best("mppi"), method="mppi", device=DEVICE)
+    np.testing.assert_array_equal(np.diag(point._noise(point.scene.robot.start, lifting=True))[2], 0.0)
+
+
+@pytest.mark.parametrize("period", [0.05, 0.5, 1.0])
+def test_a_tip_that_is_being_lifted_stays_above_its_height_with_any_control_period(period: float):
+    scene = shipped("task01")
+    limits = velocity_bound(scene, RobotLevel())
+    follow = ToolServo(scene, build_geometry(scene, DEVICE), limits=limits, height=HEIGHT, period=period)
+    joints = joints_at(scene.robot, (0.42, 0.15, 0.1))
+    rates = follow.joint_velocity(joints, np.array(scene.start), np.array([0.0, 0.0, -0.3]), lifting=True)
+    linear = tip_rates(scene.robot, joints)[0]
+    assert 0.1 + period * (linear @ rates)[2] > HEIGHT - 1e-3
+
+
+def test_a_thick_tool_is_lowered_far_from_the_object():
+    """The object's distance field ends nearby; beyond, it must not look as if the tool were over the object."""
+    scene = shipped("task01")
+    scene = replace(scene, robot=replace(scene.robot, tool_radius=0.01))
+    top = build_geometry(scene, DEVICE).top
+    for place in ((0.35, 0.2), (0.5, 0.1), (0.3, -0.1)):
+        joints = joints_at(scene.robot, (*place, top + 0.02))
+        rates = servo(scene).joint_velocity(joints, np.array([0.42, -0.4, 0.3]), np.zeros(3), lifting=False)
+        assert tip_frame(scene.robot, joints + DT * rates)[1][2] < top + 0.02 - 1e-3

@@ -150,3 +150,14 @@ def test_another_friction_holds_in_the_plant_only():
 def test_a_disturbance_out_of_bounds_is_refused(option: str, value: object):
     with pytest.raises(ConfigError, match=f"{option} = .* cannot be used"):
         episode("task01", "mppi", **{option: value})
+
+
+def test_a_knock_in_the_lab_takes_its_direction_from_the_true_pose():
+    """At the start no detection has arrived yet."""
+    options = ("episode.max_sim_seconds=0.5",)
+    made = episode("task01", "mppi", seed=4, options=options, plant="lab", knock=(0.0, 3.0, 0.3))
+    log = made.run()
+    assert log.header["ended"] == "time limit"
+    ahead = np.array(made.scene.goal[:2]) - log["object_pose"][0][:2]
+    moved = log["object_pose"][-1][:2] - log["object_pose"][0][:2]
+    assert moved @ np.array([-ahead[1], ahead[0]]) > 0.0 and np.linalg.norm(moved) > 0.01

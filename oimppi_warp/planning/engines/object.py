@@ -9,10 +9,10 @@ import warp as wp
 
 from oimppi_warp.compute.step import Compute, Launch
 from oimppi_warp.config.settings import ObjectCost, ObjectLevel
-from oimppi_warp.geometry.fields import Geometry, pose_field_at
+from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.kernels.costs.stage_costs import ObjectWeights
 from oimppi_warp.kernels.rollouts.object import end_at_goal, object_rollout
-from oimppi_warp.planning.cost_to_go import build_to_go
+from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
 from oimppi_warp.planning.engines.packing import fill_weights, no_field, object_model
 
 
@@ -44,7 +44,7 @@ class ObjectDynamics:
     ) -> None:
         self.compute = compute
         device = compute.device
-        self._dt, self._yaw_length = dt, level.yaw_length
+        self._dt, self._yaw_length, self._goal_pose = dt, level.yaw_length, goal
         self._model = object_model(geometry, tool_friction=0.0)
         # The wrench that moves the object at the speed limit: x' = D w.
         self.bound = np.asarray(level.speed_limit) * [1.0, 1.0, float(level.turn)] / geometry.surface.mobility
@@ -76,7 +76,11 @@ class ObjectDynamics:
 
         It is NaN if the pose is not finite, and ``None`` if the cost-to-go is not used.
         """
-        return None if self._to_go_values.size == 0 else pose_field_at(self.to_go, pose, self._to_go_values)
+        return (
+            None
+            if self._to_go_values.size == 0
+            else to_go_at(self.to_go, self._to_go_values, pose, self._goal_pose, self._yaw_length)
+        )
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         """Returns a launch that writes the cost of each wrench sequence.
