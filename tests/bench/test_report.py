@@ -65,6 +65,7 @@ def test_every_table_is_in_both(results: ResultSet, written: tuple[str, str, Pat
     titles = [table.title for table in tables]
     assert titles == [
         "Success and position error",
+        "Exactness",
         "The paper's Table I",
         "The paper's Table II",
         "Time and planning",
