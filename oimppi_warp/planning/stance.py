@@ -85,7 +85,7 @@ def build_stance(scene: Scene, geometry: Geometry, w_theta: float, device: str) 
         device: Warp device.
     """
     length = yaw_length_of(geometry.surface, w_theta)
-    outline_ = Outline(scene, geometry.surface, yaw_length=length)
+    rim = Outline(scene, geometry.surface, yaw_length=length)
     tool = scene.robot.tool_radius
     azimuth = 2.0 * np.pi * np.arange(_AZIMUTHS) / _AZIMUTHS
     elevation = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _ELEVATIONS)[:, None]
@@ -97,8 +97,8 @@ def build_stance(scene: Scene, geometry: Geometry, w_theta: float, device: str) 
         ),
         axis=-1,
     ).reshape(-1, 3)
-    places = outline_.beside(tool)
-    costs = _DETOUR * (1.0 - outline_.alignment(motions))
+    places = rim.beside(tool)
+    costs = _DETOUR * (1.0 - rim.alignment(motions))
     half = int(np.ceil((geometry.size + _BESIDE) / _STEP))
     origin = wp.vec2(-half * _STEP, -half * _STEP)
     body = geometry.body

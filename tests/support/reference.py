@@ -219,7 +219,7 @@ def pose_distance_squared(a: np.ndarray, b: np.ndarray, w_theta: float) -> float
 
 
 def outside_ring(pose: np.ndarray, ring: tuple[float, float], goal: np.ndarray) -> float:
-    """How far the object's centre is from the ring in which the arm pushes, widened to the goal [m]."""
+    """Distance of the object's centre to the ring in which the arm pushes, widened to the goal [m]."""
     distance, there = float(np.hypot(*pose[:2])), float(np.hypot(*goal[:2]))
     return max(min(ring[0], there) - distance, 0.0) + max(distance - max(ring[1], there), 0.0)
 
@@ -275,7 +275,7 @@ def distance_to_go(field: Grid, pose: np.ndarray, goal: np.ndarray, yaw_length: 
 
 
 def stance(field: StanceField, tip: np.ndarray, pose: np.ndarray, target: np.ndarray) -> float:
-    """How far the tool still is from where it pushes the object towards the target, read from the field [m]."""
+    """Remaining way of the tool to a place from which it pushes the object to the target, read from the field [m]."""
     into_object = planar_rotation(pose[2]).T
     x, y = into_object @ (tip[:2] - pose[:2])
     vx, vy = into_object @ (target[:2] - pose[:2])
@@ -488,7 +488,7 @@ class World:
     stance: StanceField | None = None
 
     def stance_at(self, tip: np.ndarray, pose: np.ndarray, target: np.ndarray) -> float:
-        """How far the tool still is from a good place [m]; 0 without a stance field."""
+        """Remaining way of the tool to a good place [m]; 0 without a stance field."""
         return 0.0 if self.stance is None else stance(self.stance, tip, pose, target)
 
     def arm_clearance(self, joints: np.ndarray) -> float:
