@@ -155,3 +155,14 @@ def space_field(field: SpaceField, p: wp.vec3) -> float:
         c11 = wp.lerp(field.values[i + 1, j + 1, k], field.values[i + 1, j + 1, k + 1], az)
         value = wp.lerp(wp.lerp(c00, c01, ay), wp.lerp(c10, c11, ay), ax)
     return value
+
+
+@wp.func
+def space_slope(field: SpaceField, p: wp.vec3) -> wp.vec2:
+    """Returns the horizontal gradient (d/dx, d/dy) of the field at ``p``, over one node's distance."""
+    half = 0.5 / field.inv_step
+    ahead_x = space_field(field, p + wp.vec3(half, 0.0, 0.0))
+    behind_x = space_field(field, p - wp.vec3(half, 0.0, 0.0))
+    ahead_y = space_field(field, p + wp.vec3(0.0, half, 0.0))
+    behind_y = space_field(field, p - wp.vec3(0.0, half, 0.0))
+    return field.inv_step * wp.vec2(ahead_x - behind_x, ahead_y - behind_y)

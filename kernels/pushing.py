@@ -82,6 +82,12 @@ def phi_1(model: ObjectModel, pose: wp.vec3, point: wp.vec2) -> float:
 
 
 @wp.func
+def over_object(model: ObjectModel, pose: wp.vec3, tip: wp.vec3, tool_radius: float) -> bool:
+    """Returns whether the tool is over the object, seen from above."""
+    return phi_1(model, pose, wp.vec2(tip[0], tip[1])) < tool_radius
+
+
+@wp.func
 def push(model: ObjectModel, pose: wp.vec3, start: wp.vec2, end: wp.vec2, tool_radius: float) -> wp.vec3:
     """Returns the object's pose after a round tool has moved from ``start`` to ``end``.
 

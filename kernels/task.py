@@ -7,7 +7,7 @@ from oimppi_warp.kernels.fields.cost_to_go import HOME, distance_to_go, turned_d
 from oimppi_warp.kernels.fields.stance import StanceField, stance_field
 from oimppi_warp.kernels.geometry import PoseField, pose_field, rotate, wrap_angle
 from oimppi_warp.kernels.kinematics import Arm, ArmPlacement, Environment
-from oimppi_warp.kernels.pushing import ObjectModel, phi_1
+from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.kernels.upright import UprightArm
 
 wp.set_module_options({"enable_backward": False})
@@ -44,12 +44,6 @@ class RobotTask:
     reference: wp.array[wp.vec3]
     waypoint: wp.array[wp.vec4]
     dt: float
-
-
-@wp.func
-def over_object(task: RobotTask, tip: wp.vec3, pose: wp.vec3) -> bool:
-    """Returns whether the tool is over the object, seen from above."""
-    return phi_1(task.model, pose, wp.vec2(tip[0], tip[1])) < task.environment.tool_radius
 
 
 @wp.func

@@ -9,7 +9,17 @@ from functools import lru_cache
 
 import warp as wp
 
-from oimppi_warp.kernels.geometry import SpaceField, space_field
+from oimppi_warp.kernels.contact import Contact, push_along, touch, untouched
+from oimppi_warp.kernels.costs.terms import NOT_PUSHED
+from oimppi_warp.kernels.geometry import (
+    PoseField,
+    SpaceField,
+    planar_field,
+    pose_field,
+    rotate,
+    space_field,
+    space_slope,
+)
 from oimppi_warp.kernels.kinematics import Arm, ArmPlacement, Environment, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel, phi_1
 
@@ -24,6 +34,29 @@ HEIGHT_SPEED = wp.constant(0.15)
 ASIDE = wp.constant(0.01)
 """Gap to the object, seen from above, within which a tip above the object is not lowered [m]."""
 
+APPROACH = wp.constant(0.5)
+"""Largest share of a clearance, in excess of the margin, that one control step may take away."""
+
+LEAST_SLOPE = wp.constant(0.3)
+"""Least slope of the clearance that a correction of the tip is computed with; it is one in front of a wall."""
+
+PROJECTIONS = wp.constant(3)
+"""Number of corrections of the tip."""
+
+HALVINGS = wp.constant(3)
+"""Number of times that the tip's motion is halved."""
+
+SHORT = wp.constant(5.0e-4)
+"""Amount by which the object's clearance may fall short of the least after them [m]."""
+
+ASIDE_STEP = wp.constant(2.0e-3)
+"""Length of a control step of the tip that keeps the object clear, if the tip would move less [m]."""
+
+ROUNDING = wp.constant(1.0e-4)
+"""Amount by which the arm's clearance may fall short of the least where the object holds the tip back [m]."""
+
+PROBE = wp.constant(5.0e-4)
+"""Displacement of the tip that the slope of the object's clearance is computed with [m]."""
 
 SEAM = wp.constant(1.5)
 """Difference of a joint's positions at neighbouring nodes beyond which they belong to different turns [rad]."""
@@ -37,11 +70,17 @@ class UprightArm:
         clearance: Clearance of arm and tool to obstacles and table, phi_3; negative out of reach [m].
         speed: Largest horizontal speed of the tip in any direction within the joints' velocity limits [m/s].
         height: Height of the tip while pushing [m].
+        arm_margin: Clearance that the arm keeps [m].
+        object_clearance: Clearance phi_2 of the object, to obstacles and to the table's edge [m].
+        object_margin: Its least value: below, the object is not pushed further [m].
     """
 
     clearance: SpaceField
     speed: SpaceField
     height: float
+    arm_margin: float
+    object_clearance: PoseField
+    object_margin: float
 
 
 @wp.func
@@ -97,6 +136,172 @@ def move_upright(
         rise = servo_height(upright, model, pose, tip, ahead, radius)
         rise = wp.sign(rise) * wp.min(wp.abs(rise), wp.abs(upright.height - tip[2]) / dt)
     return wp.vec3(ahead[0], ahead[1], tip[2] + dt * rise)
+
+
+@wp.func
+def least_clearance(before: float, margin: float) -> float:
+    """Returns the least clearance after a control step, given that before it [m].
+
+    The margin is approached at a limited rate; a clearance below the margin does not become smaller.
+    """
+    return wp.min(before, margin + (1.0 - APPROACH) * wp.max(before - margin, 0.0))
+
+
+@wp.func
+def keep_clear(upright: UprightArm, before: float, tip: wp.vec3) -> wp.vec3:
+    """Returns where the tip gets on its way to a position: it slides along what the arm must keep clear of.
+
+    ``before`` is the clearance at the beginning of the control step. The arm's clearance is kept by projection, which
+    changes the tip's horizontal position only: ``phi_3 >= 0`` of equation 4 with a margin.
+    """
+    moved = tip
+    least = least_clearance(before, upright.arm_margin)
+    clearance = space_field(upright.clearance, within_top(upright.clearance, tip))
+    for _ in range(2):
+        if clearance < least:
+            slope = space_slope(upright.clearance, within_top(upright.clearance, moved))
+            step = (least - clearance) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
+            moved = moved + wp.vec3(step * slope[0], step * slope[1], 0.0)
+            clearance = space_field(upright.clearance, within_top(upright.clearance, moved))
+    return moved
+
+
+@wp.func
+def within(start: wp.vec3, tip: wp.vec3, longest: float) -> wp.vec3:
+    """Returns ``tip``, or on the way to it the position at a horizontal distance ``longest`` from ``start`` [m]."""
+    x = tip[0] - start[0]
+    y = tip[1] - start[1]
+    share = wp.min(1.0, longest / wp.max(wp.length(wp.vec2(x, y)), 1.0e-9))
+    return wp.vec3(start[0] + share * x, start[1] + share * y, tip[2])
+
+
+@wp.func
+def pushed_clearance(
+    upright: UprightArm, body: ObjectModel, pose: wp.vec3, start: wp.vec3, tip: wp.vec3, radius: float,
+    contact_steps: int,
+) -> float:  # fmt: skip
+    """Returns the clearance phi_2 of the pose to which a motion of the tool pushes the object [m]."""
+    return pose_field(upright.object_clearance, push_along(body, pose, start, tip, radius, contact_steps))[0]
+
+
+@wp.func
+def keep_off(
+    upright: UprightArm, body: ObjectModel, pose: wp.vec3, start: wp.vec3, tip: wp.vec3, pushed: wp.vec3, radius: float,
+    contact_steps: int,
+) -> wp.vec3:  # fmt: skip
+    """Returns where the tip gets on its way to a position without pushing the object onto obstacles or off the table.
+
+    ``pushed`` is the pose to which the tip pushes the object on that way. The tip slides along the object:
+    ``phi_2 >= 0`` of equation 4 with a margin, by projection in terms of the tip's position. Where it finds no way, it
+    stays at ``start``.
+    """
+    moved = tip
+    longest = wp.max(wp.length(wp.vec2(tip[0] - start[0], tip[1] - start[1])), ASIDE_STEP)
+    before = pose_field(upright.object_clearance, pose)[0]
+    least = least_clearance(before, upright.object_margin)
+    straight = pose_field(upright.object_clearance, pushed)[0]
+    left = straight
+    for _ in range(PROJECTIONS):
+        if left < least - SHORT:
+            beside = moved + wp.vec3(PROBE, 0.0, 0.0)
+            along_x = pushed_clearance(upright, body, pose, start, beside, radius, contact_steps) - left
+            beside = moved + wp.vec3(0.0, PROBE, 0.0)
+            along_y = pushed_clearance(upright, body, pose, start, beside, radius, contact_steps) - left
+            slope = wp.vec2(along_x, along_y) / PROBE
+            step = (least - left) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
+            moved = within(start, moved + wp.vec3(step * slope[0], step * slope[1], 0.0), longest)
+            left = pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
+    if left < least - SHORT:
+        # Slowly, down to contact, or not at all.
+        scale = float(1.0)
+        moved = within(start, tip, longest)
+        left = straight
+        for _ in range(HALVINGS):
+            if left < wp.min(before, 0.0):
+                scale = 0.5 * scale
+                moved = within(start, tip, scale * longest)
+                left = pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
+        if left < wp.min(before, 0.0):
+            moved = wp.vec3(start[0], start[1], tip[2])
+    return moved
+
+
+@wp.struct
+class UprightStep:
+    """Outcome of a control step of an arm that holds its tool upright.
+
+    Attributes:
+        placed: The arm as it comes to rest.
+        tried: The arm as it would be without what stopped it.
+        contact: The object's motion and contact.
+    """
+
+    placed: ArmPlacement
+    tried: ArmPlacement
+    contact: Contact
+
+
+@wp.func
+def step_upright(
+    upright: UprightArm, body: ObjectModel, pose: wp.vec3, placed: ArmPlacement, u: wp.vec3, lifting: bool,
+    radius: float, dt: float, contact_steps: int,
+) -> UprightStep:  # fmt: skip
+    """Returns the outcome of a control step with the tip velocity ``u``, for arm and object.
+
+    Where arm, or tool and object, meet what cannot yield, the tip slides along it (:func:`keep_clear`), or is held back
+    by the object: the tool does not press.
+    """
+    out = UprightStep()
+    wanted = move_upright(upright, body, pose, placed.tip, u, lifting, radius, dt)
+    clear = keep_clear(upright, placed.arm_clearance, wanted)
+    out.tried = place_upright(upright, clear)
+    out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
+    if out.contact.gap < NOT_PUSHED:
+        tip = keep_off(upright, body, pose, placed.tip, clear, out.contact.pushed, radius, contact_steps)
+        if tip[0] != clear[0] or tip[1] != clear[1]:
+            out.tried = place_upright(upright, tip)
+            out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
+    out.placed = out.tried
+    if out.contact.pressed > 0.0:
+        at = out.contact.pose
+        tip = out.tried.tip
+        c = wp.cos(at[2])
+        s = wp.sin(at[2])
+        field = planar_field(body.body, rotate(c, -s, wp.vec2(tip[0] - at[0], tip[1] - at[1])))
+        back = out.contact.pressed * rotate(c, s, wp.normalize(wp.vec2(field[1], field[2])))
+        out.placed = place_upright(upright, tip + wp.vec3(back[0], back[1], 0.0))
+    least = least_clearance(placed.arm_clearance, upright.arm_margin)
+    held_back = out.placed.tip[0] != clear[0] or out.placed.tip[1] != clear[1]
+    if held_back and out.placed.arm_clearance < least - ROUNDING:  # into an obstacle: there is no way
+        out.placed = placed
+        out.contact = untouched(pose)
+    if out.contact.stopped:
+        out.placed = placed
+    return out
+
+
+@wp.kernel
+def allowed_velocity(
+    # in:
+    upright: UprightArm,
+    model: ObjectModel,
+    radius: float,
+    start: wp.array[wp.vec3],
+    waypoint: wp.array[wp.vec4],
+    command: wp.array[wp.vec3],
+    dt: float,
+    contact_steps: int,
+    # out:
+    allowed: wp.array[wp.vec3],
+):
+    """Computes the velocity with which the tip follows a command for one control step, by :func:`step_upright` [m/s].
+
+    Shapes: ``start`` [2]: the tip's position and the object's pose, ``waypoint``, ``command`` and ``allowed`` [1].
+    """
+    lifting = waypoint[0][3] > 0.0
+    placed = place_upright(upright, start[0])
+    step = step_upright(upright, model, start[1], placed, command[0], lifting, radius, dt, contact_steps)
+    allowed[0] = (step.placed.tip - start[0]) / dt
 
 
 @lru_cache
@@ -188,7 +393,8 @@ def make_joint_controls(dof: int) -> wp.Kernel:
         # What the joints deviate from the posture by at first is kept: the servo removes it slowly.
         offset = q - posture(postures, origin, inv_step, tip)
         for h in range(controls.shape[1]):
-            tip = move_upright(upright, model, start[1], tip, controls[n, h], lifting, radius, dt)
+            ahead = move_upright(upright, model, start[1], tip, controls[n, h], lifting, radius, dt)
+            tip = keep_clear(upright, space_field(upright.clearance, within_top(upright.clearance, tip)), ahead)
             wanted = posture(postures, origin, inv_step, tip) + offset
             u = vec()
             for j in range(dof):

@@ -8,44 +8,19 @@ from functools import lru_cache
 
 import warp as wp
 
+from oimppi_warp.kernels.contact import Contact, touch
 from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
-from oimppi_warp.kernels.costs.terms import NOT_PUSHED, ExtraTerms, module_of
+from oimppi_warp.kernels.costs.terms import ExtraTerms, module_of
 from oimppi_warp.kernels.kinematics import ArmPlacement, make_place_arm
-from oimppi_warp.kernels.pushing import ObjectModel, phi_1, push, settle
+from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.kernels.rollouts.uncertainty import Draw
-from oimppi_warp.kernels.task import RobotTask, Stage, above_penalty, over_object, stage_at
-from oimppi_warp.kernels.upright import move_upright, place_upright
+from oimppi_warp.kernels.task import RobotTask, Stage, above_penalty, stage_at
+from oimppi_warp.kernels.upright import place_upright, step_upright
 
 wp.set_module_options({"enable_backward": False})
 
-PENETRATION_TOLERANCE = wp.constant(5.0e-4)
-"""Penetration depth beyond which the arm is stopped [m]."""
-
 JAM = wp.constant(2.0e-3)
-"""Depth of the tool in an object that cannot yield, beyond which the arm is stopped [m]."""
-
-
-@wp.struct
-class Contact:
-    """Outcome of a motion of the tool beside, into or above the object.
-
-    Attributes:
-        stalled: Whether the arm is stopped: the motion does not take place.
-        pose: Pose of the object's friction centre after the motion.
-        force: Contact force between object and environment, lambda_2 [N].
-        gap: Clearance phi_2 of the pose to which the tool pushes the object; ``NOT_PUSHED`` if it does not push [m].
-        pressed: Depth to which the tool presses into an object that cannot yield [m].
-        rise: Speed at which the tip rises while it pushes [m/s].
-        above: 1 if the tip is above the object, else 0.
-    """
-
-    stalled: bool
-    pose: wp.vec3
-    force: float
-    gap: float
-    pressed: float
-    rise: float
-    above: float
+"""Depth of the tool in an object that cannot yield, beyond which the arm stalls [m]."""
 
 
 @wp.func
@@ -63,61 +38,25 @@ def object_in_draw(model: ObjectModel, draw: Draw) -> ObjectModel:
 
 
 @wp.func
-def touch(
-    task: RobotTask, body: ObjectModel, pose: wp.vec3, old: ArmPlacement, new: ArmPlacement, contact_steps: int
-) -> Contact:
-    """Returns the outcome of the arm's motion from one placement to another, for object and arm.
-
-    The arm stalls: a step that would move it further into an obstacle or the table, or the tool down onto the object,
-    is not taken. The object moves by :func:`push` and :func:`settle` (equation 2).
-    """
-    out = Contact()
-    out.pose = pose
-    out.gap = NOT_PUSHED
-    tip = new.tip
-    out.stalled = new.arm_clearance < -PENETRATION_TOLERANCE and new.arm_clearance < old.arm_clearance
-    if tip[2] >= body.top or old.tip[2] >= body.top:
-        if over_object(task, tip, pose):
-            out.above = above_penalty(task, tip)
-            if tip[2] < body.top:
-                out.stalled = True
-    if not out.stalled:
-        radius = task.environment.tool_radius
-        moved = pose
-        if tip[2] < body.top and old.tip[2] < body.top:
-            last = wp.vec2(old.tip[0], old.tip[1])
-            move = (wp.vec2(tip[0], tip[1]) - last) / float(contact_steps)
-            for _ in range(contact_steps):
-                moved = push(body, moved, last, last + move, radius)
-                last = last + move
-        if moved[0] != pose[0] or moved[1] != pose[1] or moved[2] != pose[2]:
-            settled = settle(body, moved, task.dt)
-            out.pose = settled.pose
-            out.force = settled.force
-            out.gap = settled.clearance
-            out.rise = wp.max(tip[2] - old.tip[2], 0.0) / task.dt
-            if out.force > 0.0:
-                # The obstacle pushed the object back: any remaining overlap of tool and object is a jam.
-                out.pressed = wp.max(radius - phi_1(body, out.pose, wp.vec2(tip[0], tip[1])), 0.0)
-                out.stalled = out.pressed > JAM
-    if out.stalled:
-        out.pose = pose
-    return out
-
-
-@wp.func
 def stage_of(
-    task: RobotTask, h: int, placed: ArmPlacement, tried: ArmPlacement, start: wp.vec3, contact: Contact
+    task: RobotTask,
+    h: int,
+    placed: ArmPlacement,
+    tried: ArmPlacement,
+    start: wp.vec3,
+    pose: wp.vec3,
+    contact: Contact,
 ) -> Stage:
     """Returns the stage after a control step that began with the tip at ``start``.
 
-    ``placed`` is the arm as it came to rest, and ``tried`` where it would have been without a stall.
+    ``placed`` is the arm and ``pose`` the object as they came to rest, ``tried`` the arm without what stopped it.
     """
-    stage = stage_at(task, h, placed, contact.pose)
+    stage = stage_at(task, h, placed, pose)
     stage.velocity = wp.vec2(tried.tip[0] - start[0], tried.tip[1] - start[1]) / task.dt
     stage.force = contact.force
     stage.arm_clearance = tried.arm_clearance
-    stage.above = contact.above
+    if contact.above:
+        stage.above = above_penalty(task, tried.tip)
     stage.pressed = contact.pressed
     stage.gap = contact.gap
     stage.rise = contact.rise
@@ -193,13 +132,14 @@ def make_robot_rollout(chain: str, extra: ExtraTerms) -> wp.Kernel:
                 speed_squared += speed * speed
                 q[j] = wp.clamp(q[j] + dt * speed, wp.min(arm.lower[j], q[j]), wp.max(arm.upper[j], q[j]))
             tried = place_arm(arm, environment, tool, q)
-            contact = touch(task, body, pose, old, tried, contact_steps)
-            placed = tried
-            if contact.stalled:
+            contact = touch(body, pose, old, tried, environment.tool_radius, dt, contact_steps)
+            if contact.stopped or contact.pressed > JAM:
                 q = old_q
                 placed = old
-            pose = contact.pose
-            stage = stage_of(task, h, placed, tried, old.tip, contact)
+            else:
+                placed = tried
+                pose = contact.pose
+            stage = stage_of(task, h, placed, tried, old.tip, pose, contact)
             stage.speed_squared = speed_squared
             total += robot_cost(task.weights, stage)
             if n < tips.shape[0]:
@@ -245,7 +185,7 @@ def make_upright_rollout(extra: ExtraTerms) -> wp.Kernel:
     ):
         """Computes the cost of each rollout, and its terms, tips and poses unless their arrays are empty.
 
-        The arm moves by :func:`move_upright`; everything else is as in the kernel of :func:`make_robot_rollout`.
+        The arm moves by :func:`step_upright`; everything else is as in the kernel of :func:`make_robot_rollout`.
 
         Shapes: ``start_tip`` [1], ``controls`` [sample, horizon] [m/s], the others as there.
         """
@@ -266,12 +206,10 @@ def make_upright_rollout(extra: ExtraTerms) -> wp.Kernel:
         for h in range(controls.shape[1]):
             old = placed
             u = controls[k, h]
-            tried = place_upright(upright, move_upright(upright, body, pose, old.tip, u, lifting, radius, task.dt))
-            contact = touch(task, body, pose, old, tried, contact_steps)
-            if not contact.stalled:
-                placed = tried
-            pose = contact.pose
-            stage = stage_of(task, h, placed, tried, old.tip, contact)
+            step = step_upright(upright, body, pose, old, u, lifting, radius, task.dt, contact_steps)
+            placed = step.placed
+            pose = step.contact.pose
+            stage = stage_of(task, h, placed, step.tried, old.tip, pose, step.contact)
             stage.speed_squared = wp.length_sq(u)
             total += robot_cost(task.weights, stage)
             if n < tips.shape[0]:

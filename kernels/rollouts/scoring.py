@@ -8,7 +8,8 @@ from oimppi_warp.kernels.costs.stage_costs import make_robot_cost, terms_vector
 from oimppi_warp.kernels.costs.terms import NOT_PUSHED, ExtraTerms, module_of
 from oimppi_warp.kernels.geometry import rotate
 from oimppi_warp.kernels.kinematics import make_place_arm
-from oimppi_warp.kernels.task import RobotTask, above_penalty, over_object, stage_at
+from oimppi_warp.kernels.pushing import over_object
+from oimppi_warp.kernels.task import RobotTask, above_penalty, stage_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -95,7 +96,7 @@ def make_stage_costs(chain: str, precision: type, extra: ExtraTerms) -> wp.Kerne
             pose = wp.vec3(middle[0], middle[1], yaw)
             stage = stage_at(task, h, placed, pose)
             if placed.tip[2] >= task.model.top:
-                if over_object(task, placed.tip, pose):
+                if over_object(task.model, pose, placed.tip, environment.tool_radius):
                     stage.above = above_penalty(task, placed.tip)
             stage.velocity = wp.vec2(placed.tip[0] - last[0], placed.tip[1] - last[1]) / task.dt
             stage.force = outcome.forces[n, h][0]

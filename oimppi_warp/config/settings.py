@@ -169,6 +169,18 @@ class RobotLevel:
     tip_speed_limit: float = setting(
         0.3, "Largest speed of the tip along each axis, with `robot.controls=tool`.", unit="m/s", low=1e-3
     )
+    arm_margin: float = setting(
+        0.003,
+        "Clearance that arm and tool keep to obstacles, table and the border of the tip's reach, in the rollouts and "
+        "on the arm, with `robot.controls=tool`; not in the paper.",
+        unit="m",
+    )
+    object_margin: float = setting(
+        0.002,
+        "Clearance to obstacles and to the table's edge below which the tool does not push the object, in the rollouts "
+        "and on the arm, with `robot.controls=tool`; not in the paper.",
+        unit="m",
+    )
     noise_space: Literal["joint", "tool"] = setting(
         "tool",
         "Space in which the noise covariance Sigma_u (equation 9) of joint velocities is defined: that of the joints "

@@ -18,8 +18,8 @@ _SETTLED = 1e-4
 _UNKNOWN = 1e3
 _COMFORT = 0.02
 """Clearance below which a metre costs more [m]: two cells of phi_2."""
-_CROWDED = 3.0
-"""Additional cost of a metre at zero clearance: a detour of four times the length is preferred to touching."""
+_CROWDED = 10.0
+"""Additional cost of a metre at zero clearance: a detour of eleven times the length is preferred to touching."""
 _OUT_OF_REACH = 10.0
 """Cost of a metre where the arm pushes badly: crossed only if there is no other path."""
 _BLOCKED = 40.0
@@ -41,7 +41,7 @@ def build_to_go(
 ) -> PoseField:
     """Builds the cost-to-go: the length of the shortest free path to a goal, or to a path that leads there [m].
 
-    A metre along a known path costs 0.5. Elsewhere it costs 1, up to 4 close to obstacles, 10 where the arm pushes
+    A metre along a known path costs 0.5. Elsewhere it costs 1, up to 11 close to obstacles, 10 where the arm pushes
     badly, and 40 inside obstacles, so that there is a path out of them. The field is computed
     on the CPU by fast sweeping; the one to a goal alone is kept in the cache.
 

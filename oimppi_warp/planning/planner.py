@@ -10,6 +10,7 @@ import time
 from functools import cached_property
 
 import numpy as np
+import warp as wp
 
 from oimppi_warp.compute.step import Compute, Launch, using_gpu
 from oimppi_warp.config.settings import Config
@@ -17,11 +18,12 @@ from oimppi_warp.errors import ObservationError
 from oimppi_warp.geometry.fields import build_geometry, from_center, to_center
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.geometry.reach import can_lift
+from oimppi_warp.kernels.upright import allowed_velocity
 from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
 from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
 from oimppi_warp.planning.engines.dynamics import RobotDynamics, RolloutTask
 from oimppi_warp.planning.engines.factory import make_dynamics
-from oimppi_warp.planning.engines.packing import environment, velocity_bound
+from oimppi_warp.planning.engines.packing import environment, object_model, velocity_bound
 from oimppi_warp.planning.engines.tip_controls import TipControls
 from oimppi_warp.planning.engines.uncertainty import draw
 from oimppi_warp.planning.object_level import distance
@@ -33,6 +35,10 @@ from oimppi_warp.scene import Scene
 
 _DAMPING = 0.05
 """Damping of the Jacobian's pseudo-inverse: singular values below it are not inverted [m/rad]."""
+
+
+_FINER = 4
+"""Contact steps of the first control on the arm, per contact step in the rollouts."""
 
 
 class Planner:
@@ -101,8 +107,10 @@ class Planner:
         self._servo = None
         if level.controls == "tool":
             around = environment(scene, self.geometry, config.cost)
-            upright = build_upright(scene, self.geometry, around, limits=limits, height=height, device=compute.device)
-            self._servo = ToolServo(scene, self.geometry, limits=limits, height=height, period=config.control_period)
+            upright = build_upright(
+                scene, self.geometry, around, level, limits=limits, height=height, device=compute.device
+            )
+            self._servo = ToolServo(scene.robot, limits=limits, period=config.control_period)
         self.dynamics = make_dynamics(
             engine,
             RolloutTask(
@@ -128,6 +136,13 @@ class Planner:
             self._rollouts.trace(self.optimizer.nominal, self.optimizer.costs),
             self.optimizer.shift,
         ]
+        self._start = compute.input(2, wp.vec3)  # the tip's position, and the object's pose
+        self._allowed = compute.output(1, wp.vec3)
+        if upright is not None:
+            model = object_model(self.geometry, tool_friction=scene.object.tool_friction)
+            inputs = [upright.packed, model, scene.robot.tool_radius, self._start.array, self.dynamics.waypoint.array]
+            inputs += [self.optimizer.command.array, config.control_period, _FINER * level.contact_steps]
+            self._robot_launches.append(compute.launch(allowed_velocity, 1, inputs, [self._allowed.array]))
         self._repositioner = Repositioner(
             scene,
             self.geometry,
@@ -195,6 +210,7 @@ class Planner:
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
         waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
         self.dynamics.waypoint.host[0] = waypoint
+        self._start.host[:] = tip, pose
         self._rollouts.set_state(observation, self.goal)
         lifting = bool(waypoint[3] > 0.0)
         self.optimizer.noise.host[0] = self._noise(observation.joint_position, lifting=lifting)
@@ -204,7 +220,7 @@ class Planner:
         trace = self.dynamics.traced()
         surface = self.geometry.surface
         return Plan(
-            command=self._command(observation.joint_position, pose, lifting=lifting),
+            command=self._command(observation.joint_position),
             update=self.optimizer.found(),
             object_update=self.object_statistics(),
             object_seconds=self.object_finished() - began,
@@ -282,12 +298,11 @@ class Planner:
         """Returns the ``time.perf_counter`` at which the object level finished the latest step; NaN if unknown."""
         return math.nan
 
-    def _command(self, joints: np.ndarray, pose: np.ndarray, *, lifting: bool) -> np.ndarray:
+    def _command(self, joints: np.ndarray) -> np.ndarray:
         """Returns the joint velocities of the first control of the updated nominal, shape [dof] [rad/s]."""
-        control = self.optimizer.command.host[0].astype(float)
         if self._servo is None:
-            return control
-        return self._servo.joint_velocity(joints, pose, control, lifting=lifting)
+            return self.optimizer.command.host[0].astype(float)
+        return self._servo.joint_velocity(joints, self._allowed.host[0].astype(float))
 
     def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
         """Returns a square root of the noise's covariance: ``root root^T = Sigma_u`` (equation 9).

@@ -1,8 +1,9 @@
 """The arm with its tool upright: its fields for the kernels, and the servo that follows velocities of the tip.
 
-Controls are velocities of the tip in two dimensions (in three while the tool is lifted over the object). A servo holds
-the tool upright and the tip at its height by resolved-rate control: in the rollouts as :func:`move_upright`
-(``kernels/upright.py``), on the arm as :meth:`ToolServo.joint_velocity`.
+Controls are velocities of the tip in two dimensions (in three while the tool is lifted over the object). The rollouts
+predict how far the tip follows them (:func:`step_upright` in ``kernels/upright.py``): it keeps its height, slides along
+obstacles and does not press. What is predicted of the first control is the velocity that the arm is given, which
+:class:`ToolServo` converts to joint velocities by resolved-rate control.
 """
 
 from __future__ import annotations
@@ -13,15 +14,17 @@ import numpy as np
 import warp as wp
 from scipy.ndimage import distance_transform_edt
 
+from oimppi_warp.config.settings import RobotLevel
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.geometry.fields import Geometry, planar_field_at
+from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.geometry.kinematics import pack_arm, tip_frame
 from oimppi_warp.geometry.postures import STEP, Postures, halved, postures_of
 from oimppi_warp.geometry.reach import can_lift, tip_rates
 from oimppi_warp.kernels.geometry import SpaceField
 from oimppi_warp.kernels.kinematics import Environment
-from oimppi_warp.kernels.upright import ASIDE, HEIGHT_RATE, HEIGHT_SPEED, SEAM, UprightArm, make_upright_clearance
-from oimppi_warp.scene import Scene
+from oimppi_warp.kernels.upright import SEAM, UprightArm, make_upright_clearance
+from oimppi_warp.planning.engines.packing import no_field
+from oimppi_warp.scene import Robot, Scene
 
 _ABOVE = 0.06
 """Height of the fields above the object's top [m]."""
@@ -51,7 +54,14 @@ class UprightModel:
 
 
 def build_upright(
-    scene: Scene, geometry: Geometry, environment: Environment, *, limits: np.ndarray, height: float, device: str
+    scene: Scene,
+    geometry: Geometry,
+    environment: Environment,
+    level: RobotLevel,
+    *,
+    limits: np.ndarray,
+    height: float,
+    device: str,
 ) -> UprightModel:
     """Computes the fields of an arm that holds its tool upright.
 
@@ -59,6 +69,7 @@ def build_upright(
         scene: The task.
         geometry: Shapes of the scene.
         environment: Obstacles and table, on the device.
+        level: Settings of the robot level.
         limits: Joint velocity limits to plan with, shape [dof] [rad/s; m/s for a prismatic joint].
         height: Height of the tip while pushing [m].
         device: Warp device.
@@ -78,6 +89,8 @@ def build_upright(
     speed = np.maximum(np.where(postures.reached, speed, 0.0), _SLOWEST)
     packed.speed = _field(speed, postures, STEP, outside=_SLOWEST, device=device)
     packed.height = height
+    packed.arm_margin, packed.object_margin = level.arm_margin, level.object_margin
+    packed.object_clearance = geometry.clearance
     return UprightModel(packed, postures)
 
 
@@ -87,6 +100,7 @@ def no_upright(device: str) -> UprightArm:
     field.values = wp.zeros((0, 0, 0), dtype=float, device=device)
     packed = UprightArm()
     packed.clearance = packed.speed = field
+    packed.object_clearance = no_field(device)
     return packed
 
 
@@ -130,40 +144,31 @@ def _field(values: np.ndarray, postures: Postures, step: float, *, outside: floa
 
 
 class ToolServo:
-    """Resolved-rate control of the arm: follows velocities of the tip, and holds the tool upright at its height.
+    """Resolved-rate control of the arm: follows velocities of the tip, and holds the tool upright.
 
     Height and tilt have priority: near a singular posture, or at the joints' velocity limits, the tip moves more slowly
     across the table, but does not sink.
 
     Args:
-        scene: The task.
-        geometry: Shapes of the scene.
+        robot: The arm.
         limits: Joint velocity limits, shape [dof] [rad/s; m/s for a prismatic joint].
-        height: Height of the tip while pushing [m].
         period: Control period [s].
     """
 
-    def __init__(self, scene: Scene, geometry: Geometry, *, limits: np.ndarray, height: float, period: float) -> None:
-        self._robot = scene.robot
-        self._lifts = can_lift(scene.robot)
-        self._geometry = geometry
-        self._body = geometry.body.values.numpy()
-        self._limits, self._height, self._period = limits, height, period
+    def __init__(self, robot: Robot, *, limits: np.ndarray, period: float) -> None:
+        self._robot = robot
+        self._lifts = can_lift(robot)
+        self._limits, self._period = limits, period
 
-    def joint_velocity(
-        self, joints: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, lifting: bool
-    ) -> np.ndarray:
+    def joint_velocity(self, joints: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Returns the joint velocities that follow a velocity of the tip, within their limits, shape [dof] [rad/s].
 
         Args:
             joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
-            pose: Pose of the object's friction centre, shape [3] [m, m, rad].
-            velocity: Velocity of the tip, shape [3] [m/s]; the vertical one counts only while lifting, and only above
-                the height for pushing.
-            lifting: Whether the tip is being lifted over the object.
+            velocity: Velocity of the tip, shape [3] [m/s].
         """
         robot = self._robot
-        rotation, tip = tip_frame(robot, joints)
+        rotation = tip_frame(robot, joints)[0]
         linear, tilting = tip_rates(robot, joints)
         height = slice(0 if self._lifts else 1, None)  # a robot that cannot lift its tool has no height to hold
         held = np.vstack([linear[2], tilting])[height]
@@ -174,30 +179,14 @@ class ToolServo:
         speed = np.array(velocity[:2])
         fastest = float((self._limits / np.maximum(np.linalg.norm(move, axis=1), 1e-6)).min())
         speed *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*speed)), 1e-9))
-        rise = max(velocity[2], min(HEIGHT_RATE, 1.0 / self._period) * (self._height - tip[2]))
-        if not lifting:
-            rise = self._rise(tip, pose, tip[:2] + self._period * speed)
         upright = -min(_TILT_RATE, 1.0 / self._period) * rotation[:2, 2]
-        holding = hold @ np.array([rise, *upright])[height]
+        holding = hold @ np.array([velocity[2], *upright])[height]
         home = (free - move @ linear[:2] @ free) @ (_HOME_RATE * (robot.start - joints))
         moving = move @ (speed - linear[:2] @ holding) + home
         # Height and tilt come first: what the joints have left is for the motion across the table.
         holding /= max(1.0, float(np.abs(holding / self._limits).max()))
         left = (self._limits - np.abs(holding)) / np.maximum(np.abs(moving), 1e-9)
         return holding + min(1.0, float(left.min())) * moving
-
-    def _rise(self, tip: np.ndarray, pose: np.ndarray, ahead: np.ndarray) -> float:
-        """Returns the vertical velocity towards the height for pushing [m/s]; a tip above the object stays there."""
-        height = tip[2] if tip[2] >= self._geometry.top and self._over(pose, ahead) else self._height
-        error = float(height - tip[2])
-        return float(np.copysign(min(abs(HEIGHT_RATE * error), HEIGHT_SPEED, abs(error) / self._period), error))
-
-    def _over(self, pose: np.ndarray, point: np.ndarray) -> bool:
-        """Returns whether the tool at a point [2] is over the object or close to it, seen from above."""
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        dx, dy = point - pose[:2]
-        gap = planar_field_at(self._geometry.body, np.array([c * dx + s * dy, c * dy - s * dx]), self._body)
-        return gap < self._robot.tool_radius + ASIDE
 
 
 def _damped_inverse(jacobian: np.ndarray) -> np.ndarray:

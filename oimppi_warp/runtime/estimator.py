@@ -81,7 +81,6 @@ class Estimator:
         self._surface = geometry.surface
         self._arm = pack_arm(scene.robot, velocity_bound(scene, config.robot), "cpu")
         self._model = object_model(geometry, tool_friction=scene.object.tool_friction)
-        self._model.clearance = geometry.obstruction
         self._environment = environment(scene, geometry, config.cost)
         self._contact_steps = config.robot.contact_steps
         self._kernel = make_track_object(scene.robot.chain)

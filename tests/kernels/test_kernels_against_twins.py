@@ -314,7 +314,7 @@ def test_an_object_rollout_is_its_twins(to_go_weight):
         way = reference.pose_grid(dynamics.to_go)
     else:
         way = Grid(np.zeros((2, 2, 2)), np.zeros(3), np.ones(3))
-    body = Body.of(object_model(geometry, tool_friction=0.0))
+    body = Body.of(object_model(geometry, tool_friction=0.0, edge=True))
     touched = 0
     for cost, path, sequence in zip(costs, poses, wrenches.astype(np.float32).astype(float), strict=True):
         expected, twin = reference.object_rollout(
@@ -402,7 +402,10 @@ def assert_alike(rolled: Rollouts, twins: list[reference.Rollout]) -> None:
         np.testing.assert_allclose(rolled.tips[k], twin.tips, atol=3 * LENGTH_TOLERANCE)
         np.testing.assert_allclose(rolled.poses[k], twin.poses, atol=10 * ANGLE_TOLERANCE)
         expected = np.array([twin.terms[name] for name in TERMS])
-        np.testing.assert_allclose(rolled.terms[k], expected, rtol=0.01, atol=1e-3, err_msg=str(TERMS))
+        # The force grows with the depth in an obstacle, and that is kept to a fraction of a millimetre.
+        tolerance = np.where(np.array(TERMS) == "contact", 0.15, 0.01) * np.abs(expected) + 1e-3
+        off = np.abs(rolled.terms[k] - expected)
+        assert (off < tolerance).all(), np.array(TERMS)[off >= tolerance]
         assert rolled.costs[k] == pytest.approx(twin.cost, rel=5e-3)
     assert agree >= 11
 

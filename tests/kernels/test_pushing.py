@@ -26,8 +26,8 @@ from support.small_tasks import (
 )
 
 from oimppi_warp.config.settings import Config, ObjectLevel
+from oimppi_warp.kernels.contact import PENETRATION_TOLERANCE
 from oimppi_warp.kernels.pushing import ObjectModel
-from oimppi_warp.kernels.rollouts.quasistatic import PENETRATION_TOLERANCE
 from oimppi_warp.planning.engines.packing import object_model
 
 DEPTH = 1e-3
@@ -275,6 +275,16 @@ def test_an_object_is_not_pushed_into_an_obstacle_and_the_tool_stalls_behind_it(
     assert pushing.gaps(rolled).min() > -CONTACT_ERROR
     assert rolled.term("contact")[0] > 0.0
     assert rolled.term("press")[0] > 0.0
+
+
+def test_the_edge_of_the_table_stops_no_object_in_the_prediction():
+    scene = task()
+    pushing = Pushing.on(replace(scene, table=replace(scene.table, upper=(scene.table.upper[0], 0.08))))
+    robot = pushing.scene.robot
+    joints = joints_at(robot, BEHIND)
+    rolled = pushing.roll(joints, T_POSE, straight(robot, joints, (0.0, 0.2, 0.0), 25)[None])
+    assert rolled.poses[0, -1, 1] + 0.05 > 0.12, "it is pushed over the edge"
+    assert rolled.term("contact")[0] == 0.0
 
 
 def test_a_tool_above_the_object_does_not_push_it(open_table):

@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 from support import reference
 from support.device import DEVICE, run
-from support.small_tasks import DT, box, joints_at, observe, rollout_task, shipped, task
+from support.small_tasks import DT, block, box, joints_at, observe, rollout_task, shipped, task
 
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config, Mppi, RobotLevel
@@ -17,8 +17,9 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.fields import build_geometry, to_center
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.geometry.reach import tip_rates
+from oimppi_warp.kernels.upright import allowed_velocity
 from oimppi_warp.observation import Observation
-from oimppi_warp.planning.engines.packing import environment, velocity_bound
+from oimppi_warp.planning.engines.packing import environment, object_model, velocity_bound
 from oimppi_warp.planning.engines.quasistatic import QuasistaticDynamics
 from oimppi_warp.planning.engines.tip_controls import TipControls
 from oimppi_warp.planning.factory import make_planner
@@ -33,13 +34,35 @@ def upright_model(scene: Scene) -> UprightModel:
     geometry, level, cost = build_geometry(scene, DEVICE), RobotLevel(), best().cost
     limits = velocity_bound(scene, level)
     return build_upright(
-        scene, geometry, environment(scene, geometry, cost), limits=limits, height=HEIGHT, device=DEVICE
+        scene, geometry, environment(scene, geometry, cost), level, limits=limits, height=HEIGHT, device=DEVICE
     )
 
 
-def servo(scene: Scene) -> ToolServo:
-    limits = velocity_bound(scene, RobotLevel())
-    return ToolServo(scene, build_geometry(scene, DEVICE), limits=limits, height=HEIGHT, period=DT)
+class Follower:
+    """What the planner does with the first control: the velocity that the tip is allowed, followed by the servo."""
+
+    def __init__(self, scene: Scene, period: float = DT) -> None:
+        self.scene, self.period = scene, period
+        self.geometry = build_geometry(scene, DEVICE)
+        self.packed = upright_model(scene).packed
+        self.model = object_model(self.geometry, tool_friction=scene.object.tool_friction)
+        self.servo = ToolServo(scene.robot, limits=velocity_bound(scene, RobotLevel()), period=period)
+
+    def allowed(self, tip: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, lifting: bool = False) -> np.ndarray:
+        """The velocity of the tip that is left of the wanted one, shape [3] [m/s]."""
+        vectors = [np.array([tip, pose]), np.array([velocity])]
+        start, command = (wp.array(each.astype(np.float32), dtype=wp.vec3, device=DEVICE) for each in vectors)
+        waypoint = wp.array(np.array([[0.0, 0.0, 0.0, lifting]], np.float32), dtype=wp.vec4, device=DEVICE)
+        out = wp.zeros(1, dtype=wp.vec3, device=DEVICE)
+        inputs = [self.packed, self.model, self.scene.robot.tool_radius, start, waypoint, command, self.period, 8]
+        wp.launch(allowed_velocity, 1, inputs=inputs, outputs=[out], device=DEVICE)
+        return out.numpy()[0].astype(float)
+
+    def joint_velocity(
+        self, joints: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, lifting: bool = False
+    ) -> np.ndarray:
+        tip = tip_frame(self.scene.robot, joints)[1]
+        return self.servo.joint_velocity(joints, self.allowed(tip, pose, velocity, lifting=lifting))
 
 
 def test_the_clearance_is_that_of_the_arm_which_is_negative_out_of_reach():
@@ -67,7 +90,7 @@ def test_the_clearance_is_that_of_the_arm_which_is_negative_out_of_reach():
 
 def test_the_servo_holds_the_tool_upright_and_at_its_height_on_the_plant():
     scene = replace(shipped("task01"), start=(0.5, 0.45, 0.0))
-    plant, follow = ideal_plant(scene, Config()), servo(scene)
+    plant, follow = ideal_plant(scene, Config()), Follower(scene)
     pose = np.array(scene.start)
     plant.place(joints_at(scene.robot, (0.35, -0.25, 0.05)), observe(scene).object_transform)
     heights, tilts, tips = [], [], []
@@ -75,7 +98,7 @@ def test_the_servo_holds_the_tool_upright_and_at_its_height_on_the_plant():
         direction = 2.0 * np.pi * step / 80
         seen = plant.observe()
         velocity = 0.2 * np.array([np.cos(direction), np.sin(direction), 0.0])
-        plant.apply(follow.joint_velocity(seen.joint_position, pose, velocity, lifting=False))
+        plant.apply(follow.joint_velocity(seen.joint_position, pose, velocity))
         rotation, tip = tip_frame(scene.robot, plant.observe().joint_position)
         heights.append(tip[2])
         tilts.append(np.arccos(np.clip(-rotation[2, 2], -1.0, 1.0)))
@@ -86,13 +109,70 @@ def test_the_servo_holds_the_tool_upright_and_at_its_height_on_the_plant():
     np.testing.assert_allclose(speeds, 0.2, rtol=0.05)
 
 
+def wall(*, gap: float) -> tuple[Scene, Follower]:
+    """A block in front of a wall along y, at a gap [m]; its pose is (0.42, 0, 0)."""
+    scene = task(box(0.48 + gap, 0.0, (0.02, 0.4, 0.1)), pushed=block((0.10, 0.06, 0.05)))
+    return scene, Follower(scene)
+
+
+@pytest.mark.parametrize("gap", [0.001, 0.004, 0.02])
+@pytest.mark.parametrize("speed", [0.1, 0.3])
+def test_a_push_at_a_wall_ends_before_the_object_touches_it(gap: float, speed: float):
+    scene, follow = wall(gap=gap)
+    pose, tip = np.array([0.42, 0.0, 0.0]), np.array([0.361, 0.0, HEIGHT])
+    for _ in range(40):
+        velocity = follow.allowed(tip, pose, np.array([speed, 0.0, 0.0]))
+        tip = tip + DT * velocity
+        pose[0] = max(pose[0], tip[0] + scene.robot.tool_radius + 0.05)  # what the block does in front of the tool
+    clearance = follow.geometry.clearance_at(pose)
+    assert clearance > min(gap, 0.002) - 1.5e-3
+    assert clearance < gap + 1e-4 if gap < 0.002 else clearance < 0.006, "the wall is not kept further off than said"
+
+
+def test_a_push_along_a_wall_goes_on():
+    _, follow = wall(gap=0.001)
+    pose, tip = np.array([0.42, 0.0, 0.0]), np.array([0.42, -0.0385, HEIGHT])
+    velocity = follow.allowed(tip, pose, np.array([0.0, 0.2, 0.0]))
+    np.testing.assert_allclose(velocity[:2], [0.0, 0.2], atol=0.02)
+
+
+def test_a_tool_that_presses_an_object_on_a_wall_is_taken_back():
+    scene, follow = wall(gap=0.001)
+    pose = np.array([0.4215, 0.0, 0.0])  # half a millimetre in the wall
+    tip = np.array([pose[0] - 0.05 - scene.robot.tool_radius + 5e-4, 0.0, HEIGHT])
+    assert follow.allowed(tip, pose, np.array([0.2, 0.0, 0.0]))[0] < 1e-3
+    assert follow.allowed(tip, pose, np.array([-0.2, 0.0, 0.0]))[0] == pytest.approx(-0.2, abs=0.02)
+
+
+def test_an_object_is_not_pushed_off_the_table():
+    scene = task(pushed=block((0.10, 0.06, 0.05)))
+    edge = replace(scene, table=replace(scene.table, upper=(0.55, 0.8)))
+    follow = Follower(edge)
+    pose, tip = np.array([0.42, 0.0, 0.0]), np.array([0.361, 0.0, HEIGHT])
+    for _ in range(40):
+        tip = tip + DT * follow.allowed(tip, pose, np.array([0.3, 0.0, 0.0]))
+        pose[0] = max(pose[0], tip[0] + scene.robot.tool_radius + 0.05)
+    assert 0.0 < 0.55 - (pose[0] + 0.05) < 0.006
+
+
+def test_the_arm_slides_along_an_obstacle_and_keeps_its_margin():
+    scene = replace(task(box(0.5, 0.0, (0.1, 0.3, 0.2))), start=(0.4, -0.45, 0.0))
+    follow = Follower(scene)
+    pose, tip = np.array([0.4, -0.45, 0.0]), np.array([0.38, -0.05, HEIGHT])
+    for _ in range(20):
+        tip = tip + DT * follow.allowed(tip, pose, np.array([0.3, 0.1, 0.0]))
+    kept = reference.space_field(follow.packed.clearance, tip)
+    assert RobotLevel().arm_margin - 5e-4 < kept < RobotLevel().arm_margin + 2e-3
+    assert tip[1] > 0.0, "it slides on"
+
+
 def test_a_tip_above_the_object_is_not_lowered_and_one_beside_it_is():
     scene = shipped("task01")
     top = build_geometry(scene, DEVICE).top
     for place, sinks in (((0.42, -0.2), False), ((0.42, 0.15), True)):
         joints = joints_at(scene.robot, (*place, top + 0.02))
         pose = np.array([0.42, -0.2, 0.3])
-        rates = servo(scene).joint_velocity(joints, pose, np.zeros(3), lifting=False)
+        rates = Follower(scene).joint_velocity(joints, pose, np.zeros(3))
         fell = tip_frame(scene.robot, joints + DT * rates)[1][2] < top + 0.02 - 1e-3
         assert fell == sinks
 
@@ -101,7 +181,8 @@ def test_the_servo_keeps_the_direction_where_a_joint_is_at_its_limit():
     scene = shipped("task01")
     joints = joints_at(scene.robot, (0.6, 0.1, HEIGHT))
     wanted = np.array([2.0, -1.0, 0.0])
-    rates = servo(scene).joint_velocity(joints, np.array(scene.start), wanted, lifting=True)
+    limits = velocity_bound(scene, RobotLevel())
+    rates = ToolServo(scene.robot, limits=limits, period=DT).joint_velocity(joints, wanted)
     assert np.abs(rates).max() <= RobotLevel().joint_velocity_limit + 1e-9
     moved = tip_frame(scene.robot, joints + 1e-3 * rates)[1] - tip_frame(scene.robot, joints)[1]
     np.testing.assert_allclose(moved[1] / moved[0], wanted[1] / wanted[0], rtol=0.02)
@@ -110,7 +191,7 @@ def test_the_servo_keeps_the_direction_where_a_joint_is_at_its_limit():
 @pytest.mark.parametrize("lifting", [False, True])
 def test_a_tip_that_is_led_into_the_table_and_towards_the_base_does_not_sink(lifting: bool):
     scene = replace(shipped("task01"), start=(0.5, 0.45, 0.0))
-    plant, follow = ideal_plant(scene, Config()), servo(scene)
+    plant, follow = ideal_plant(scene, Config()), Follower(scene)
     plant.place(joints_at(scene.robot, (0.35, -0.05, 0.06)), observe(scene).object_transform)
     for _ in range(40):
         seen = plant.observe()
@@ -190,8 +271,7 @@ def test_a_robot_that_cannot_lift_its_tool_samples_no_vertical_velocity():
 @pytest.mark.parametrize("period", [0.05, 0.5, 1.0])
 def test_a_tip_that_is_being_lifted_stays_above_its_height_with_any_control_period(period: float):
     scene = shipped("task01")
-    limits = velocity_bound(scene, RobotLevel())
-    follow = ToolServo(scene, build_geometry(scene, DEVICE), limits=limits, height=HEIGHT, period=period)
+    follow = Follower(scene, period)
     joints = joints_at(scene.robot, (0.42, 0.15, 0.1))
     rates = follow.joint_velocity(joints, np.array(scene.start), np.array([0.0, 0.0, -0.3]), lifting=True)
     linear = tip_rates(scene.robot, joints)[0]
@@ -205,5 +285,5 @@ def test_a_thick_tool_is_lowered_far_from_the_object():
     top = build_geometry(scene, DEVICE).top
     for place in ((0.35, 0.2), (0.5, 0.1), (0.3, -0.1)):
         joints = joints_at(scene.robot, (*place, top + 0.02))
-        rates = servo(scene).joint_velocity(joints, np.array([0.42, -0.4, 0.3]), np.zeros(3), lifting=False)
+        rates = Follower(scene).joint_velocity(joints, np.array([0.42, -0.4, 0.3]), np.zeros(3))
         assert tip_frame(scene.robot, joints + DT * rates)[1][2] < top + 0.02 - 1e-3

@@ -6,7 +6,7 @@ Each function bears the name of its kernel or ``wp.func``. Lengths are metres, a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation
 from oimppi_warp.config.settings import ObjectCost, RobotCost
 from oimppi_warp.geometry.footprint import Piece
 from oimppi_warp.geometry.kinematics import collider_spheres
+from oimppi_warp.kernels.contact import PENETRATION_TOLERANCE
 from oimppi_warp.kernels.costs.stage_costs import TERMS
 from oimppi_warp.kernels.fields.stance import StanceField
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.kernels.pushing import ObjectModel
-from oimppi_warp.kernels.rollouts.quasistatic import PENETRATION_TOLERANCE
 from oimppi_warp.kernels.upright import UprightArm
 from oimppi_warp.scene import Robot
 
@@ -522,6 +522,46 @@ class Placed:
         return self.frame[:3, 3]
 
 
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """What a motion of the tool does to the object: its pose, lambda_2, phi_2 before, jam depth, speed of rising."""
+
+    pose: np.ndarray
+    stopped: bool = False
+    above: bool = False
+    force: float = 0.0
+    gap: float = 1.0
+    pressed: float = 0.0
+    rise: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A control step: the arm at rest, the arm without what stopped it, and what became of the object."""
+
+    placed: Placed
+    tried: Placed
+    contact: Contact
+
+
+def touch(world: World, placed: Placed, tried: Placed, pose: np.ndarray) -> Contact:
+    """What the motion of the arm from one placement to another does to arm and object."""
+    robot, body = world.robot, world.body
+    tip, new_tip, moved = placed.tip, tried.tip, pose
+    above = max(tip[2], new_tip[2]) >= body.top and body.gap(pose, new_tip[:2]) < robot.tool_radius
+    if (tried.clearance < -PENETRATION_TOLERANCE and tried.clearance < placed.clearance) or (
+        above and new_tip[2] < body.top
+    ):
+        return Contact(pose, stopped=True, above=above)
+    if max(tip[2], new_tip[2]) < body.top:
+        moved = world.push_along(pose, tip[:2], new_tip[:2])
+    if np.array_equal(moved, pose):
+        return Contact(pose, above=above)
+    moved, force, gap = settle(body, moved, world.dt)
+    pressed = max(robot.tool_radius - body.gap(moved, new_tip[:2]), 0.0) if force > 0.0 else 0.0
+    return Contact(moved, False, above, force, gap, pressed, max(new_tip[2] - tip[2], 0.0) / world.dt)
+
+
 def robot_rollout(
     world: World,
     joints: np.ndarray,
@@ -538,11 +578,15 @@ def robot_rollout(
     def place(at: np.ndarray, effort: float = 0.0) -> Placed:
         return Placed(at, tip_frame(robot, at), world.arm_clearance(at), effort)
 
-    def moved(placed: Placed, pose: np.ndarray, control: np.ndarray) -> Placed:
+    def step(placed: Placed, pose: np.ndarray, control: np.ndarray) -> Step:
         speed = np.clip(control, -world.speed, world.speed)
-        return place(np.clip(placed.joints + world.dt * speed, lower, upper), float(speed @ speed))
+        tried = place(np.clip(placed.joints + world.dt * speed, lower, upper), float(speed @ speed))
+        contact = touch(world, placed, tried, pose)
+        if contact.stopped or contact.pressed > JAM:
+            return Step(placed, tried, replace(contact, pose=pose))
+        return Step(tried, tried, contact)
 
-    return _rollout(world, place(joints), pose, goal, reference, controls, moved)
+    return _rollout(world, place(joints), pose, goal, reference, controls, step)
 
 
 def upright_rollout(
@@ -555,29 +599,97 @@ def upright_rollout(
     controls: np.ndarray,
 ) -> Rollout:
     """The whole robot level for one sequence of tip velocities [horizon, 3], while the tip is not being lifted."""
-    body, dt = world.body, world.dt
+    body, dt, radius = world.body, world.dt, world.robot.tool_radius
+    kept = pose_grid(upright.object_clearance)
 
     def looked_up(field: SpaceField, at: np.ndarray) -> float:
         top = field.origin[2] + (field.values.shape[2] - 1 - 1e-3) / field.inv_step
         return space_field(field, np.array([at[0], at[1], min(at[2], top)]))
 
+    def clearance(at: np.ndarray) -> float:
+        return looked_up(upright.clearance, at)
+
     def place(at: np.ndarray, effort: float = 0.0) -> Placed:
         frame = np.diag([1.0, -1.0, -1.0, 1.0])  # straight down
         frame[:3, 3] = at
-        return Placed(None, frame, looked_up(upright.clearance, at), effort)
+        return Placed(None, frame, clearance(at), effort)
 
-    def moved(placed: Placed, pose: np.ndarray, control: np.ndarray) -> Placed:
-        at = placed.tip
+    def unhindered(at: np.ndarray, pose: np.ndarray, control: np.ndarray) -> np.ndarray:
         most = looked_up(upright.speed, at)
         ahead = at[:2] + dt * min(1.0, most / max(np.hypot(*control[:2]), 1e-6)) * control[:2]
         height = upright.height
-        if at[2] >= body.top and body.gap(pose, ahead) < world.robot.tool_radius + 0.01:
+        if at[2] >= body.top and body.gap(pose, ahead) < radius + 0.01:
             height = at[2]
         rise = np.clip(6.0 * (height - at[2]), -0.15, 0.15)
         rise = np.clip(rise, -abs(height - at[2]) / dt, abs(height - at[2]) / dt)
-        return place(np.array([*ahead, at[2] + dt * rise]), float(control @ control))
+        return np.array([*ahead, at[2] + dt * rise])
 
-    return _rollout(world, place(tip), pose, goal, reference, controls, moved)
+    def slope(value: Callable[[np.ndarray], float], at: np.ndarray, step: float, base: float | None) -> np.ndarray:
+        """Horizontal gradient: central over ``2 step``, or forward from a known value."""
+        aside = step * np.eye(3)[:2]
+        if base is None:
+            return np.array([value(at + d) - value(at - d) for d in aside]) / (2.0 * step)
+        return np.array([value(at + d) - base for d in aside]) / step
+
+    def corrected(at: np.ndarray, lack: float, gradient: np.ndarray) -> np.ndarray:
+        """One Newton step of the tip across the table, with a slope of at least 0.3."""
+        moved = at.copy()
+        moved[:2] += lack / max(gradient @ gradient, 0.09) * gradient
+        return moved
+
+    def least(before: float, margin: float) -> float:
+        """A margin is approached by at most half of what is beyond it; less than the margin does not get less."""
+        return min(before, margin + 0.5 * max(before - margin, 0.0))
+
+    def keep_clear(before: float, at: np.ndarray) -> np.ndarray:
+        wanted = least(before, upright.arm_margin)
+        for _ in range(2):
+            if clearance(at) < wanted:
+                at = corrected(at, wanted - clearance(at), slope(clearance, at, 0.5 / upright.clearance.inv_step, None))
+        return at
+
+    def within(start: np.ndarray, at: np.ndarray, longest: float) -> np.ndarray:
+        way = at[:2] - start[:2]
+        return np.array([*(start[:2] + min(1.0, longest / max(np.hypot(*way), 1e-9)) * way), at[2]])
+
+    def keep_off(pose: np.ndarray, start: np.ndarray, tip: np.ndarray) -> np.ndarray:
+        def gap(at: np.ndarray) -> float:
+            return kept.at(world.push_along(pose, start[:2], at[:2]))[0]
+
+        before = kept.at(pose)[0]
+        wanted, longest, moved = least(before, upright.object_margin), max(np.hypot(*(tip - start)[:2]), 2e-3), tip
+        for _ in range(3):
+            if gap(moved) < wanted - 5e-4:
+                moved = within(
+                    start, corrected(moved, wanted - gap(moved), slope(gap, moved, 5e-4, gap(moved))), longest
+                )
+        if gap(moved) >= wanted - 5e-4:
+            return moved
+        for share in (1.0, 0.5, 0.25, 0.125):  # slowly, down to contact
+            moved = within(start, tip, share * longest)
+            if gap(moved) >= min(before, 0.0):
+                return moved
+        return np.array([*start[:2], tip[2]])
+
+    def step(placed: Placed, pose: np.ndarray, control: np.ndarray) -> Step:
+        effort = float(control @ control)
+        clear = keep_clear(placed.clearance, unhindered(placed.tip, pose, control))
+        tried = place(clear, effort)
+        contact = touch(world, placed, tried, pose)
+        if contact.gap < 1.0:
+            tried = place(keep_off(pose, placed.tip, tried.tip), effort)
+            contact = touch(world, placed, tried, pose)
+        end = tried
+        if contact.pressed > 0.0:  # back out of the object
+            turned = planar_rotation(contact.pose[2])
+            outward = body.outline.at(turned.T @ (tried.tip[:2] - contact.pose[:2]))[1]
+            back = contact.pressed * turned @ (outward / np.linalg.norm(outward))
+            end = place(tried.tip + np.array([*back, 0.0]), effort)
+        if np.any(end.tip[:2] != clear[:2]) and end.clearance < least(placed.clearance, upright.arm_margin) - 1e-4:
+            return Step(placed, tried, Contact(pose))
+        return Step(placed if contact.stopped else end, tried, contact)
+
+    return _rollout(world, place(tip), pose, goal, reference, controls, step)
 
 
 def _rollout(
@@ -587,50 +699,33 @@ def _rollout(
     goal: np.ndarray,
     reference: np.ndarray,
     controls: np.ndarray,
-    moved: Callable[[Placed, np.ndarray, np.ndarray], Placed],
+    step: Callable[[Placed, np.ndarray, np.ndarray], Step],
 ) -> Rollout:
-    """Contact, object and costs along a sequence of controls, with ``moved(arm, pose, control)`` for the arm."""
-    robot, body, dt = world.robot, world.body, world.dt
+    """Costs along a sequence of controls, with ``step(arm, pose, control)`` for arm and object."""
+    body, dt = world.body, world.dt
     out = Rollout(dict.fromkeys(TERMS, 0.0), [placed.joints], [placed.tip], [pose])
     for h, control in enumerate(controls, start=1):
-        tried, new_pose = moved(placed, pose, control), pose
-        tip, new_tip = placed.tip, tried.tip
-
-        above = max(tip[2], new_tip[2]) >= body.top and body.gap(pose, new_tip[:2]) < robot.tool_radius
-        stalled = (tried.clearance < -PENETRATION_TOLERANCE and tried.clearance < placed.clearance) or (
-            above and new_tip[2] < body.top
-        )
-        pressed = force = rise = 0.0
-        gap = 1.0
-        if not stalled and max(tip[2], new_tip[2]) < body.top:
-            new_pose = world.push_along(pose, tip[:2], new_tip[:2])
-        if not stalled and not np.array_equal(new_pose, pose):
-            new_pose, force, gap = settle(body, new_pose, dt)
-            rise = max(new_tip[2] - tip[2], 0.0) / dt
-            if force > 0.0:
-                pressed = max(robot.tool_radius - body.gap(new_pose, new_tip[:2]), 0.0)
-                stalled = pressed > JAM
-        if not stalled:
-            placed, pose = tried, new_pose
-
+        tip, done = placed.tip, step(placed, pose, control)
+        placed, tried, contact = done.placed, done.tried, done.contact
+        pose = contact.pose
         target = reference[h + world.weights.align_ahead]
         terms = robot_cost(
             world.weights,
             tip=placed.tip,
             rotation=placed.frame[:3, :3],
             pose=pose,
-            velocity=(new_tip - tip)[:2] / dt,
+            velocity=(tried.tip - tip)[:2] / dt,
             top=body.top,
             goal=goal,
             reference=reference[h],
             target=target,
             stance=world.stance_at(placed.tip, pose, target),
-            force=force,
+            force=contact.force,
             arm_clearance=tried.clearance,
-            above=float(above),
-            pressed=pressed,
-            gap=gap,
-            rise=rise,
+            above=float(contact.above),
+            pressed=contact.pressed,
+            gap=contact.gap,
+            rise=contact.rise,
             speed_squared=tried.effort,
             topple_speed=world.topple_speed,
             size=world.size,

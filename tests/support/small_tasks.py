@@ -56,7 +56,7 @@ def rollout_task(
     arm = None
     if upright:
         around, limits = environment(scene, geometry, cost), velocity_bound(scene, level)
-        arm = build_upright(scene, geometry, around, limits=limits, height=cost.height, device=device)
+        arm = build_upright(scene, geometry, around, level, limits=limits, height=cost.height, device=device)
     return RolloutTask(
         scene=scene,
         geometry=geometry,

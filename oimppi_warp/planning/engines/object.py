@@ -45,7 +45,7 @@ class ObjectDynamics:
         self.compute = compute
         device = compute.device
         self._dt, self._yaw_length, self._goal_pose = dt, level.yaw_length, goal
-        self._model = object_model(geometry, tool_friction=0.0)
+        self._model = object_model(geometry, tool_friction=0.0, edge=True)
         # The wrench that moves the object at the speed limit: x' = D w.
         self.bound = np.asarray(level.speed_limit) * [1.0, 1.0, float(level.turn)] / geometry.surface.mobility
         self._weights = ObjectWeights()

@@ -18,20 +18,21 @@ from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.scene import Scene
 
 
-def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0) -> ObjectModel:
+def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0, edge: bool = False) -> ObjectModel:
     """Packs the pushed object for the kernels.
 
     Args:
         geometry: The object's shapes and limit surface.
         tool_friction: Coulomb coefficient between tool and object; not used at the object level, which has no tool.
         slack: Clearance that the object keeps to obstacles in the model [m].
+        edge: Whether the table's edge counts as an obstacle. It stops no object, but an object plan keeps away from it.
     """
     model = ObjectModel()
     model.force = geometry.surface.force
     model.radius = geometry.surface.radius
     model.tool_friction = tool_friction
     model.top = geometry.top
-    model.clearance = geometry.clearance
+    model.clearance = geometry.clearance if edge else geometry.obstruction
     model.body = geometry.body
     model.slack = slack
     model.center = wp.vec2(*geometry.surface.center)
