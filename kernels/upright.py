@@ -148,21 +148,20 @@ def least_clearance(before: float, margin: float) -> float:
 
 
 @wp.func
-def keep_clear(upright: UprightArm, before: float, tip: wp.vec3) -> wp.vec3:
-    """Returns where the tip gets on its way to a position: it slides along what the arm must keep clear of.
+def keep_clear(upright: UprightArm, tip: wp.vec3, clearance: float, least: float) -> wp.vec3:
+    """Returns the position next to the tip's where the arm's clearance, now below, is the least that it may be.
 
-    ``before`` is the clearance at the beginning of the control step. The arm's clearance is kept by projection, which
-    changes the tip's horizontal position only: ``phi_3 >= 0`` of equation 4 with a margin.
+    The projection changes the tip's horizontal position only: ``phi_3 >= 0`` of equation 4 with a margin, along which
+    the tip slides.
     """
     moved = tip
-    least = least_clearance(before, upright.arm_margin)
-    clearance = space_field(upright.clearance, within_top(upright.clearance, tip))
+    left = clearance
     for _ in range(2):
-        if clearance < least:
+        if left < least:
             slope = space_slope(upright.clearance, within_top(upright.clearance, moved))
-            step = (least - clearance) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
+            step = (least - left) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
             moved = moved + wp.vec3(step * slope[0], step * slope[1], 0.0)
-            clearance = space_field(upright.clearance, within_top(upright.clearance, moved))
+            left = space_field(upright.clearance, within_top(upright.clearance, moved))
     return moved
 
 
@@ -253,8 +252,11 @@ def step_upright(
     """
     out = UprightStep()
     wanted = move_upright(upright, body, pose, placed.tip, u, lifting, radius, dt)
-    clear = keep_clear(upright, placed.arm_clearance, wanted)
-    out.tried = place_upright(upright, clear)
+    least = least_clearance(placed.arm_clearance, upright.arm_margin)
+    out.tried = place_upright(upright, wanted)
+    if out.tried.arm_clearance < least:
+        out.tried = place_upright(upright, keep_clear(upright, wanted, out.tried.arm_clearance, least))
+    clear = out.tried.tip
     out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
     if out.contact.gap < NOT_PUSHED:
         tip = keep_off(upright, body, pose, placed.tip, clear, out.contact.pushed, radius, contact_steps)
@@ -270,7 +272,6 @@ def step_upright(
         field = planar_field(body.body, rotate(c, -s, wp.vec2(tip[0] - at[0], tip[1] - at[1])))
         back = out.contact.pressed * rotate(c, s, wp.normalize(wp.vec2(field[1], field[2])))
         out.placed = place_upright(upright, tip + wp.vec3(back[0], back[1], 0.0))
-    least = least_clearance(placed.arm_clearance, upright.arm_margin)
     held_back = out.placed.tip[0] != clear[0] or out.placed.tip[1] != clear[1]
     if held_back and out.placed.arm_clearance < least - ROUNDING:  # into an obstacle: there is no way
         out.placed = placed
@@ -384,18 +385,22 @@ def make_joint_controls(dof: int) -> wp.Kernel:
         ``joint_controls`` likewise [rad/s].
         """
         n = first + wp.tid()
-        tip = start[0]
+        placed = place_upright(upright, start[0])
         q = start_joints[0]
         origin = upright.speed.origin
         inv_step = upright.speed.inv_step
         lifting = waypoint[0][3] > 0.0
         radius = environment.tool_radius
         # What the joints deviate from the posture by at first is kept: the servo removes it slowly.
-        offset = q - posture(postures, origin, inv_step, tip)
+        offset = q - posture(postures, origin, inv_step, placed.tip)
         for h in range(controls.shape[1]):
-            ahead = move_upright(upright, model, start[1], tip, controls[n, h], lifting, radius, dt)
-            tip = keep_clear(upright, space_field(upright.clearance, within_top(upright.clearance, tip)), ahead)
-            wanted = posture(postures, origin, inv_step, tip) + offset
+            least = least_clearance(placed.arm_clearance, upright.arm_margin)
+            placed = place_upright(
+                upright, move_upright(upright, model, start[1], placed.tip, controls[n, h], lifting, radius, dt)
+            )
+            if placed.arm_clearance < least:
+                placed = place_upright(upright, keep_clear(upright, placed.tip, placed.arm_clearance, least))
+            wanted = posture(postures, origin, inv_step, placed.tip) + offset
             u = vec()
             for j in range(dof):
                 u[j] = wp.clamp((wanted[j] - q[j]) / dt, -arm.speed[j], arm.speed[j])

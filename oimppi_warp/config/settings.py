@@ -362,7 +362,7 @@ class RobotCost:
         unit="1/m",
     )
     stance_fade: float = setting(
-        0.002,
+        0.01,
         "Distance between the object and its target below which the cost of `cost.w_stance` decreases in proportion; "
         "not in the paper.",
         unit="m",
