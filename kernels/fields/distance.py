@@ -88,6 +88,31 @@ def piece_distance(a: Pieces, i: int, pose_a: wp.vec3, b: Pieces, j: int, pose_b
     return gap - a.radius[i] - b.radius[j]
 
 
+@wp.func
+def clearance_of(
+    body: Pieces, obstacles: Pieces, table_lower: wp.vec2, table_upper: wp.vec2, pose: wp.vec3, furthest: float
+) -> float:
+    """Returns phi_2, the body's clearance at a pose to obstacles and to the table's edge, at most ``furthest`` [m].
+
+    ``phi_2(x_o)`` is the gap of object and environment in equation 4; it may not become negative.
+    """
+    rest = wp.vec3(0.0, 0.0, 0.0)
+    c = wp.cos(pose[2])
+    s = wp.sin(pose[2])
+    clearance = furthest
+    for a in range(body.radius.shape[0]):
+        center = rotate(c, s, body.center[a]) + wp.vec2(pose[0], pose[1])
+        for v in range(body.first[a], body.first[a + 1]):
+            q = rotate(c, s, body.vertices[v]) + wp.vec2(pose[0], pose[1])
+            edge = wp.min(wp.min(q[0] - table_lower[0], table_upper[0] - q[0]),
+                          wp.min(q[1] - table_lower[1], table_upper[1] - q[1]))  # fmt: skip
+            clearance = wp.min(clearance, edge - body.radius[a])
+        for b in range(obstacles.radius.shape[0]):
+            if wp.length(center - obstacles.center[b]) - body.reach[a] - obstacles.reach[b] < clearance:
+                clearance = wp.min(clearance, piece_distance(body, a, pose, obstacles, b, rest))
+    return clearance
+
+
 @wp.kernel
 def object_clearance(
     # in:
@@ -101,30 +126,28 @@ def object_clearance(
     # out:
     values: wp.array3d[float],
 ):
-    """Computes phi_2, the body's clearance to obstacles and to the table's edge, at the nodes of a pose field [m].
-
-    ``phi_2(x_o)`` is the gap of object and environment in equation 4; it may not become negative.
-
-    Clearances beyond ``furthest`` are cut off there.
-    """
+    """Computes phi_2 at the nodes of a pose field, by :func:`clearance_of` [m]."""
     t, i, j = wp.tid()
     yaw = 2.0 * PI * float(t) / float(values.shape[0])
     pose = wp.vec3(origin[0] + step * float(i), origin[1] + step * float(j), yaw)
-    rest = wp.vec3(0.0, 0.0, 0.0)
-    c = wp.cos(yaw)
-    s = wp.sin(yaw)
-    clearance = furthest
-    for a in range(body.radius.shape[0]):
-        center = rotate(c, s, body.center[a]) + wp.vec2(pose[0], pose[1])
-        for v in range(body.first[a], body.first[a + 1]):
-            q = rotate(c, s, body.vertices[v]) + wp.vec2(pose[0], pose[1])
-            edge = wp.min(wp.min(q[0] - table_lower[0], table_upper[0] - q[0]),
-                          wp.min(q[1] - table_lower[1], table_upper[1] - q[1]))  # fmt: skip
-            clearance = wp.min(clearance, edge - body.radius[a])
-        for b in range(obstacles.radius.shape[0]):
-            if wp.length(center - obstacles.center[b]) - body.reach[a] - obstacles.reach[b] < clearance:
-                clearance = wp.min(clearance, piece_distance(body, a, pose, obstacles, b, rest))
-    values[t, i, j] = clearance
+    values[t, i, j] = clearance_of(body, obstacles, table_lower, table_upper, pose, furthest)
+
+
+@wp.kernel
+def pose_clearance(
+    # in:
+    body: Pieces,
+    obstacles: Pieces,
+    table_lower: wp.vec2,
+    table_upper: wp.vec2,
+    poses: wp.array[wp.vec3],
+    furthest: float,
+    # out:
+    values: wp.array[float],
+):
+    """Computes phi_2 at poses, by :func:`clearance_of`. Shapes: ``poses`` and ``values`` [pose]."""
+    n = wp.tid()
+    values[n] = clearance_of(body, obstacles, table_lower, table_upper, poses[n], furthest)
 
 
 @wp.kernel

@@ -76,7 +76,7 @@ class Geometry:
     space_top: float
 
     def clearance_at(self, pose: np.ndarray) -> float:
-        """Returns phi_2 at a pose [3] of the friction centre, on the host [m]."""
+        """Returns phi_2 at a pose [3] of the friction centre, looked up as the kernels do, on the host [m]."""
         return pose_field_at(self.clearance, pose, self._clearance_values)
 
     @cached_property
@@ -128,13 +128,8 @@ def build_geometry(scene: Scene, device: str) -> Geometry:
     """Builds all distance fields of a scene on a device, or reads them from the cache."""
     start_warp()
     surface = limit_surface(scene.object)
-    body = [_shifted(piece, -surface.center) for piece in footprint(scene.object.colliders)]
-    low, high = height_range(scene.object.colliders)
-    top = scene.object.rest_height + high
-    lower = scene.object.rest_height + low
+    body, pieces, top = _footprints(scene, surface)
     obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
-    pieces = footprint((*obstacles, *scene.robot.base.colliders), lower=lower + 1e-3, upper=top)
-
     clearance = _clearance_field(body, pieces, scene, device, edge=True)
     obstruction = _clearance_field(body, pieces, scene, device, edge=False)
     size = max(float(np.linalg.norm(piece.vertices, axis=1).max()) + piece.radius for piece in body)
@@ -142,6 +137,38 @@ def build_geometry(scene: Scene, device: str) -> Geometry:
     return Geometry(
         surface, top, size, clearance, obstruction, _body_field(body, scene.robot.tool_radius, device), space, space_top
     )
+
+
+class ExactClearance:
+    """phi_2 computed from the footprints, not looked up on a grid.
+
+    Args:
+        scene: The task.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        start_warp()
+        self._surface = limit_surface(scene.object)
+        body, obstacles, _ = _footprints(scene, self._surface)
+        lower, upper = object_bounds(scene)
+        self._pose, self._value = (wp.zeros(1, dtype=kind, device="cpu") for kind in (wp.vec3, float))
+        inputs = [pack_pieces(body, "cpu"), pack_pieces(obstacles, "cpu"), wp.vec2(*lower), wp.vec2(*upper)]
+        inputs += [self._pose, FURTHEST]
+        self._launch = wp.launch(
+            kernels.pose_clearance, dim=1, inputs=inputs, outputs=[self._value], device="cpu", record_cmd=True
+        )
+
+    def at(self, pose: np.ndarray) -> float:
+        """Returns the clearance at a planar pose of the object's frame, shape [3] [m]; NaN if it is not finite.
+
+        It is the distance to obstacles, the robot's base and the table's edge, at most :data:`FURTHEST`; negative, it
+        is the depth of penetration.
+        """
+        if not np.isfinite(pose).all():
+            return float("nan")
+        self._pose.numpy()[0] = to_center(self._surface, pose)
+        self._launch.launch()
+        return float(self._value.numpy()[0])
 
 
 def to_center(surface: LimitSurface, pose: np.ndarray) -> np.ndarray:
@@ -178,6 +205,15 @@ def pack_pieces(pieces: Iterable[Piece], device: str) -> kernels.Pieces:
     packed.reach = wp.array(np.array(radii, dtype=np.float32), dtype=float, device=device)
     packed.radius = wp.array(np.array([piece.radius for piece in pieces], np.float32), dtype=float, device=device)
     return packed
+
+
+def _footprints(scene: Scene, surface: LimitSurface) -> tuple[list[Piece], tuple[Piece, ...], float]:
+    """Returns the pieces of the object around its friction centre and of what it may meet, and its top's height [m]."""
+    body = [_shifted(piece, -surface.center) for piece in footprint(scene.object.colliders)]
+    low, high = height_range(scene.object.colliders)
+    lower, top = scene.object.rest_height + low, scene.object.rest_height + high
+    obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
+    return body, footprint((*obstacles, *scene.robot.base.colliders), lower=lower + 1e-3, upper=top), top
 
 
 def _shifted(piece: Piece, offset: np.ndarray) -> Piece:

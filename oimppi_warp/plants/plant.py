@@ -168,7 +168,7 @@ class SimulatedPlant:
         self.model = copy(self._map.model)
         self.model.opt.timestep = control_period / substeps
         self.data = mujoco.MjData(self.model)
-        self._bursts = [int(burst) for burst in np.diff(np.linspace(0, substeps, 5).astype(int)) if burst > 0]
+        self._substeps = substeps
         self._touch = _pair_table()
         self._contacts = Contacts(0.0, 0.0, 0.0, 0.0)
         joints = world.scene.robot.joints
@@ -239,8 +239,8 @@ class SimulatedPlant:
         forces = np.zeros(len(_PAIRS))
         knocked = self.data.xfrc_applied[self._object_body, :3]
         knocked += self._knock
-        for burst in self._bursts:
-            self._mj_step(self.model, self.data, burst)
+        for _ in range(self._substeps):
+            self._mj_step(self.model, self.data)
             forces = np.maximum(forces, self._normal_forces())
         knocked -= self._knock
         self._knock = np.zeros(3)
@@ -250,7 +250,7 @@ class SimulatedPlant:
 
     @property
     def contacts(self) -> Contacts:
-        """Returns the largest contact forces among those at four instants of the last control period."""
+        """Returns the largest contact forces in the physics steps of the last control period."""
         return self._contacts
 
     @property

@@ -16,7 +16,7 @@ from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.feasibility import check_task
-from oimppi_warp.geometry.fields import to_center
+from oimppi_warp.geometry.fields import ExactClearance
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.planning.factory import make_planner
@@ -127,6 +127,7 @@ class Episode:
             raise ConfigError(
                 f"the plant has a latency of {latency_of(self.plant):g} s\n  allowed: 0 to {_LONGEST_LATENCY:g} s"
             )
+        self._clearance = ExactClearance(scene)
         self.planner = make_planner(scene, config, spec)
         self.planner.warm_up()
         self.spec = replace(
@@ -283,7 +284,6 @@ class Episode:
             self._problem = plan.problem
         truth = self.state_after(step)
         position_error, yaw_error = pose_error(truth.object_pose, self.scene.goal)
-        geometry = self.planner.geometry
         forces = {}
         if isinstance(self.plant, ContactPlant):
             contacts = self.plant.contacts
@@ -304,7 +304,7 @@ class Episode:
             detection=float(EVENTS.index(step.event)),
             position_error=position_error,
             yaw_error=yaw_error,
-            clearance=geometry.clearance_at(to_center(geometry.surface, truth.object_pose)),
+            clearance=self._clearance.at(truth.object_pose),
             plan_ms=1e3 * step.plan_seconds,
             missed_deadline=float(step.missed),
             stopped=float(step.stopped),

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plants.plant import MovablePlant, TruthfulPlant
 from oimppi_warp.runtime.control import ControlStep
@@ -229,7 +228,7 @@ class Session:
         )
         if step is None or step.plan is None or step.plan.problem:
             return picture
-        geometry, plan = episode.planner.geometry, step.plan
+        plan = step.plan
         picture = replace(
             picture,
             reference=plan.reference,
@@ -237,7 +236,7 @@ class Session:
             figures={
                 "position error [m]": float(log["position_error"][-1]),
                 "yaw error [rad]": float(log["yaw_error"][-1]),
-                "clearance [mm]": 1e3 * geometry.clearance_at(to_center(geometry.surface, truth.object_pose)),
+                "clearance [mm]": 1e3 * float(log["clearance"][-1]),
                 "cost": plan.update.min_cost,
                 "effective samples": plan.update.effective_samples,
                 "plan time [ms]": 1e3 * step.plan_seconds,

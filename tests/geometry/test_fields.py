@@ -16,6 +16,7 @@ from oimppi_warp.geometry.fields import (
     FURTHEST,
     STEP,
     YAW_NODES,
+    ExactClearance,
     Geometry,
     build_geometry,
     from_center,
@@ -107,6 +108,30 @@ def test_phi_2_is_exact_at_its_nodes(name, geometry):
             assert value == pytest.approx(expected, abs=LENGTH_TOLERANCE)
             checked += 1
     assert checked > 40
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_exact_clearance_is_the_distance_that_shapely_finds(name, geometry):
+    scene, made, exact = shipped(name), geometry(name), ExactClearance(shipped(name))
+    apart = 0
+    for center in poses_near_contact(scene, made.clearance, 120, seed=2):
+        pose = from_center(made.surface, center)
+        expected = exact_clearance(scene, pose)
+        if expected > LENGTH_TOLERANCE:
+            assert exact.at(pose) == pytest.approx(expected, abs=LENGTH_TOLERANCE)
+            apart += 1
+        elif expected < -LENGTH_TOLERANCE:
+            assert exact.at(pose) < 0.0
+    assert apart > 40
+    assert np.isnan(exact.at(np.array([np.nan, 0.0, 0.0])))
+
+
+def test_the_exact_clearance_of_an_overlap_is_its_depth():
+    scene = task(box(0.5, 0.1, (0.1, 0.1, 0.1)), pushed=block((0.10, 0.06, 0.05)))
+    exact = ExactClearance(scene)
+    assert exact.at(np.array([0.5, 0.1 - 0.05 - 0.03 + 0.003, 0.0])) == pytest.approx(-0.003, abs=LENGTH_TOLERANCE)
+    corner = np.array([0.5 - 0.05 - 0.05 + 0.002, 0.1 - 0.05 - 0.03 + 0.001, 0.0])
+    assert exact.at(corner) == pytest.approx(-0.001, abs=LENGTH_TOLERANCE)
 
 
 def test_phi_2s_gradient_is_its_finite_difference(geometry):

@@ -15,6 +15,7 @@ import pytest
 
 from oimppi_warp.geometry.footprint import GRAVITY
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
+from oimppi_warp.physics.newton_model import ROLES
 from oimppi_warp.physics.world import World
 from oimppi_warp.plants.plant import SimulatedPlant
 from oimppi_warp.scene import PlanarPose
@@ -266,6 +267,26 @@ def test_object_stops_at_the_wall(with_cube):
     # At rest, the wall bears what the table's friction does not; friction may lean either way.
     assert extra - 0.1 < plant.contacts.object_obstacle < extra + 2 * friction * mass * GRAVITY
     assert not plant.tipped
+
+
+def test_contact_forces_are_the_largest_of_all_physics_steps(with_cube):
+    (cube,) = (obstacle.colliders[0] for obstacle in with_cube.scene.obstacles)
+    missed = []
+    for gap in (0.001, 0.0015, 0.002, 0.0025):
+        start = (cube.transform[0], cube.transform[1] - cube.size[1] - 0.125 - gap, math.pi)
+        plant, stepped = settled(with_cube, start), settled(with_cube, start)
+        for each in (plant, stepped):
+            each.data.qvel[with_cube.mujoco.object_qvel[1]] = 0.3
+        plant.apply(STILL)
+        roles, data, forces = with_cube.mujoco.roles, stepped.data, []
+        for _ in range(20):
+            mujoco.mj_step(stepped.model, data)
+            pairs = [{ROLES[role] for role in roles[geoms]} for geoms in data.contact.geom]
+            at_wall = [pair == {"object", "obstacle"} for pair in pairs]
+            forces.append(float(data.efc_force[data.contact.efc_address[at_wall]].sum()))
+        assert plant.contacts.object_obstacle == pytest.approx(max(forces))
+        missed.append(max(forces) / max(forces[4::5]))
+    assert max(missed) > 1.2, "the peak of a bump is missed if only every fifth step is read"
 
 
 def test_object_caught_between_tool_and_wall_stays_out_of_both(with_cube):
