@@ -55,10 +55,13 @@ def push_along(
     """Returns the object's pose after the tool has moved from ``start`` to ``end``, without obstacles."""
     moved = pose
     last = wp.vec2(start[0], start[1])
-    move = (wp.vec2(end[0], end[1]) - last) / float(contact_steps)
-    for _ in range(contact_steps):
-        moved = push(body, moved, last, last + move, radius)
-        last = last + move
+    way = wp.vec2(end[0], end[1]) - last
+    away = wp.length(last - wp.vec2(pose[0], pose[1])) - wp.length(way)
+    if away < body.size + radius:  # else it does not come near
+        move = way / float(contact_steps)
+        for _ in range(contact_steps):
+            moved = push(body, moved, last, last + move, radius)
+            last = last + move
     return moved
 
 

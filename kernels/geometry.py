@@ -158,11 +158,32 @@ def space_field(field: SpaceField, p: wp.vec3) -> float:
 
 
 @wp.func
-def space_slope(field: SpaceField, p: wp.vec3) -> wp.vec2:
-    """Returns the horizontal gradient (d/dx, d/dy) of the field at ``p``, over one node's distance."""
-    half = 0.5 / field.inv_step
-    ahead_x = space_field(field, p + wp.vec3(half, 0.0, 0.0))
-    behind_x = space_field(field, p - wp.vec3(half, 0.0, 0.0))
-    ahead_y = space_field(field, p + wp.vec3(0.0, half, 0.0))
-    behind_y = space_field(field, p - wp.vec3(0.0, half, 0.0))
-    return field.inv_step * wp.vec2(ahead_x - behind_x, ahead_y - behind_y)
+def space_slope(field: SpaceField, p: wp.vec3) -> wp.vec3:
+    """Returns value and horizontal gradient (value, d/dx, d/dy) of the field at ``p``; the gradient is zero outside."""
+    fx = (p[0] - field.origin[0]) * field.inv_step
+    fy = (p[1] - field.origin[1]) * field.inv_step
+    fz = wp.max((p[2] - field.origin[2]) * field.inv_step, 0.0)
+    out = wp.vec3(field.outside, 0.0, 0.0)
+    if (
+        fx >= 0.0
+        and fy >= 0.0
+        and fx < float(field.values.shape[0] - 1)
+        and fy < float(field.values.shape[1] - 1)
+        and fz < float(field.values.shape[2] - 1)
+    ):
+        i = int(fx)
+        j = int(fy)
+        k = int(fz)
+        ax = fx - float(i)
+        ay = fy - float(j)
+        az = fz - float(k)
+        c00 = wp.lerp(field.values[i, j, k], field.values[i, j, k + 1], az)
+        c01 = wp.lerp(field.values[i, j + 1, k], field.values[i, j + 1, k + 1], az)
+        c10 = wp.lerp(field.values[i + 1, j, k], field.values[i + 1, j, k + 1], az)
+        c11 = wp.lerp(field.values[i + 1, j + 1, k], field.values[i + 1, j + 1, k + 1], az)
+        low = wp.lerp(c00, c01, ay)
+        high = wp.lerp(c10, c11, ay)
+        out = wp.vec3(
+            wp.lerp(low, high, ax), (high - low) * field.inv_step, wp.lerp(c01 - c00, c11 - c10, ax) * field.inv_step
+        )
+    return out

@@ -16,6 +16,7 @@ class ObjectModel:
         radius: Friction torque over friction force [m].
         tool_friction: Coulomb coefficient of tool and object.
         top: Height of the object's top [m].
+        size: Largest distance of the outline from the friction centre [m].
         clearance: phi_2 over poses [m].
         body: Signed distance to the object's outline [m].
         slack: Clearance that the object keeps to obstacles, in the model [m].
@@ -26,6 +27,7 @@ class ObjectModel:
     radius: float
     tool_friction: float
     top: float
+    size: float
     clearance: PoseField
     body: PlanarField
     slack: float

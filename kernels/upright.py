@@ -37,6 +37,9 @@ ASIDE = wp.constant(0.01)
 APPROACH = wp.constant(0.5)
 """Largest share of a clearance, in excess of the margin, that one control step may take away."""
 
+CLOSE = wp.constant(0.05)
+"""Clearance of an object beyond which a control step does not take it to its margin [m]."""
+
 LEAST_SLOPE = wp.constant(0.3)
 """Least slope of the clearance that a correction of the tip is computed with; it is one in front of a wall."""
 
@@ -73,6 +76,7 @@ class UprightArm:
         arm_margin: Clearance that the arm keeps [m].
         object_clearance: Clearance phi_2 of the object, to obstacles and to the table's edge [m].
         object_margin: Its least value: below, the object is not pushed further [m].
+        within_lower, within_upper: Corners of the rectangle in which the object's centre keeps it on the table [m].
     """
 
     clearance: SpaceField
@@ -81,6 +85,8 @@ class UprightArm:
     arm_margin: float
     object_clearance: PoseField
     object_margin: float
+    within_lower: wp.vec2
+    within_upper: wp.vec2
 
 
 @wp.func
@@ -91,14 +97,26 @@ def within_top(field: SpaceField, tip: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def place_upright(upright: UprightArm, tip: wp.vec3) -> ArmPlacement:
-    """Returns the placement of the arm with the tip at a position [m]."""
+def clearance_at(clearance: SpaceField, tip: wp.vec3) -> float:
+    """Returns the clearance of the arm with the tip at a position [m]."""
+    return space_field(clearance, within_top(clearance, tip))
+
+
+@wp.func
+def placed_with(tip: wp.vec3, clearance: float) -> ArmPlacement:
+    """Returns the placement of the arm with the tip at a position, given its clearance there [m]."""
     placed = ArmPlacement()
     placed.tip = tip
     placed.up = wp.vec3(0.0, 0.0, -1.0)
     placed.lean = wp.vec2()
-    placed.arm_clearance = space_field(upright.clearance, within_top(upright.clearance, tip))
+    placed.arm_clearance = clearance
     return placed
+
+
+@wp.func
+def place_upright(upright: UprightArm, tip: wp.vec3) -> ArmPlacement:
+    """Returns the placement of the arm with the tip at a position [m]."""
+    return placed_with(tip, clearance_at(upright.clearance, tip))
 
 
 @wp.func
@@ -118,21 +136,21 @@ def servo_height(
 
 @wp.func
 def move_upright(
-    upright: UprightArm, model: ObjectModel, pose: wp.vec3, tip: wp.vec3, u: wp.vec3, lifting: bool, radius: float,
-    dt: float,
+    upright: UprightArm, model: ObjectModel, pose: wp.vec3, tip: wp.vec3, u: wp.vec3, repositioning: bool,
+    radius: float, dt: float,
 ) -> wp.vec3:  # fmt: skip
     """Returns the tip's position after a control step with the velocity ``u``, as the servo of the arm follows it.
 
-    The horizontal speed is limited to what the joints allow. The vertical velocity is the servo's, unless the tip is
-    being lifted over the object; then the servo only keeps it from sinking below its height. ``radius`` is that of the
-    tool.
+    The horizontal speed is limited to what the joints allow. The vertical velocity is the servo's. While the tool is
+    being repositioned it is that of ``u``, and the servo only keeps the tip from sinking below its height. ``radius``
+    is that of the tool.
     """
     most = space_field(upright.speed, within_top(upright.speed, tip))
     v = wp.vec2(u[0], u[1])
     v = wp.min(1.0, most / wp.max(wp.length(v), 1.0e-6)) * v
     ahead = wp.vec2(tip[0], tip[1]) + dt * v
     rise = wp.max(u[2], wp.min(HEIGHT_RATE, 1.0 / dt) * (upright.height - tip[2]))
-    if not lifting:
+    if not repositioning:
         rise = servo_height(upright, model, pose, tip, ahead, radius)
         rise = wp.sign(rise) * wp.min(wp.abs(rise), wp.abs(upright.height - tip[2]) / dt)
     return wp.vec3(ahead[0], ahead[1], tip[2] + dt * rise)
@@ -148,21 +166,21 @@ def least_clearance(before: float, margin: float) -> float:
 
 
 @wp.func
-def keep_clear(upright: UprightArm, tip: wp.vec3, clearance: float, least: float) -> wp.vec3:
-    """Returns the position next to the tip's where the arm's clearance, now below, is the least that it may be.
+def keep_clear(clearance: SpaceField, placed: ArmPlacement, least: float) -> ArmPlacement:
+    """Returns the placement beside one whose clearance is less than the least that it may be.
 
     The projection changes the tip's horizontal position only: ``phi_3 >= 0`` of equation 4 with a margin, along which
     the tip slides.
     """
-    moved = tip
-    left = clearance
+    tip = placed.tip
+    field = space_slope(clearance, within_top(clearance, tip))
     for _ in range(2):
-        if left < least:
-            slope = space_slope(upright.clearance, within_top(upright.clearance, moved))
-            step = (least - left) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
-            moved = moved + wp.vec3(step * slope[0], step * slope[1], 0.0)
-            left = space_field(upright.clearance, within_top(upright.clearance, moved))
-    return moved
+        if field[0] < least:
+            slope = wp.vec2(field[1], field[2])
+            step = (least - field[0]) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
+            tip = tip + wp.vec3(step * slope[0], step * slope[1], 0.0)
+            field = space_slope(clearance, within_top(clearance, tip))
+    return placed_with(tip, field[0])
 
 
 @wp.func
@@ -172,6 +190,17 @@ def within(start: wp.vec3, tip: wp.vec3, longest: float) -> wp.vec3:
     y = tip[1] - start[1]
     share = wp.min(1.0, longest / wp.max(wp.length(wp.vec2(x, y)), 1.0e-9))
     return wp.vec3(start[0] + share * x, start[1] + share * y, tip[2])
+
+
+@wp.func
+def is_close(upright: UprightArm, contact: Contact) -> bool:
+    """Returns whether the object is pushed close to an obstacle or to the table's edge, without a further look-up."""
+    at = contact.pushed
+    inside = wp.min(
+        wp.min(at[0] - upright.within_lower[0], upright.within_upper[0] - at[0]),
+        wp.min(at[1] - upright.within_lower[1], upright.within_upper[1] - at[1]),
+    )
+    return contact.gap < NOT_PUSHED and wp.min(contact.gap, inside) < CLOSE
 
 
 @wp.func
@@ -242,7 +271,7 @@ class UprightStep:
 
 @wp.func
 def step_upright(
-    upright: UprightArm, body: ObjectModel, pose: wp.vec3, placed: ArmPlacement, u: wp.vec3, lifting: bool,
+    upright: UprightArm, body: ObjectModel, pose: wp.vec3, placed: ArmPlacement, u: wp.vec3, repositioning: bool,
     radius: float, dt: float, contact_steps: int,
 ) -> UprightStep:  # fmt: skip
     """Returns the outcome of a control step with the tip velocity ``u``, for arm and object.
@@ -251,31 +280,32 @@ def step_upright(
     by the object: the tool does not press.
     """
     out = UprightStep()
-    wanted = move_upright(upright, body, pose, placed.tip, u, lifting, radius, dt)
+    wanted = move_upright(upright, body, pose, placed.tip, u, repositioning, radius, dt)
     least = least_clearance(placed.arm_clearance, upright.arm_margin)
     out.tried = place_upright(upright, wanted)
     if out.tried.arm_clearance < least:
-        out.tried = place_upright(upright, keep_clear(upright, wanted, out.tried.arm_clearance, least))
+        out.tried = keep_clear(upright.clearance, out.tried, least)
     clear = out.tried.tip
     out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
-    if out.contact.gap < NOT_PUSHED:
+    if is_close(upright, out.contact):
         tip = keep_off(upright, body, pose, placed.tip, clear, out.contact.pushed, radius, contact_steps)
         if tip[0] != clear[0] or tip[1] != clear[1]:
-            out.tried = place_upright(upright, tip)
+            out.tried.tip = tip
             out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
     out.placed = out.tried
     if out.contact.pressed > 0.0:
         at = out.contact.pose
-        tip = out.tried.tip
         c = wp.cos(at[2])
         s = wp.sin(at[2])
+        tip = out.tried.tip
         field = planar_field(body.body, rotate(c, -s, wp.vec2(tip[0] - at[0], tip[1] - at[1])))
         back = out.contact.pressed * rotate(c, s, wp.normalize(wp.vec2(field[1], field[2])))
-        out.placed = place_upright(upright, tip + wp.vec3(back[0], back[1], 0.0))
-    held_back = out.placed.tip[0] != clear[0] or out.placed.tip[1] != clear[1]
-    if held_back and out.placed.arm_clearance < least - ROUNDING:  # into an obstacle: there is no way
-        out.placed = placed
-        out.contact = untouched(pose)
+        out.placed.tip = tip + wp.vec3(back[0], back[1], 0.0)
+    if out.placed.tip[0] != clear[0] or out.placed.tip[1] != clear[1]:
+        out.placed.arm_clearance = clearance_at(upright.clearance, out.placed.tip)
+        if out.placed.arm_clearance < least - ROUNDING:  # into an obstacle: there is no way
+            out.placed = placed
+            out.contact = untouched(pose)
     if out.contact.stopped:
         out.placed = placed
     return out
@@ -299,9 +329,9 @@ def allowed_velocity(
 
     Shapes: ``start`` [2]: the tip's position and the object's pose, ``waypoint``, ``command`` and ``allowed`` [1].
     """
-    lifting = waypoint[0][3] > 0.0
+    repositioning = waypoint[0][3] > 0.0
     placed = place_upright(upright, start[0])
-    step = step_upright(upright, model, start[1], placed, command[0], lifting, radius, dt, contact_steps)
+    step = step_upright(upright, model, start[1], placed, command[0], repositioning, radius, dt, contact_steps)
     allowed[0] = (step.placed.tip - start[0]) / dt
 
 
@@ -389,17 +419,17 @@ def make_joint_controls(dof: int) -> wp.Kernel:
         q = start_joints[0]
         origin = upright.speed.origin
         inv_step = upright.speed.inv_step
-        lifting = waypoint[0][3] > 0.0
+        repositioning = waypoint[0][3] > 0.0
         radius = environment.tool_radius
         # What the joints deviate from the posture by at first is kept: the servo removes it slowly.
         offset = q - posture(postures, origin, inv_step, placed.tip)
         for h in range(controls.shape[1]):
             least = least_clearance(placed.arm_clearance, upright.arm_margin)
             placed = place_upright(
-                upright, move_upright(upright, model, start[1], placed.tip, controls[n, h], lifting, radius, dt)
+                upright, move_upright(upright, model, start[1], placed.tip, controls[n, h], repositioning, radius, dt)
             )
             if placed.arm_clearance < least:
-                placed = place_upright(upright, keep_clear(upright, placed.tip, placed.arm_clearance, least))
+                placed = keep_clear(upright.clearance, placed, least)
             wanted = posture(postures, origin, inv_step, placed.tip) + offset
             u = vec()
             for j in range(dof):

@@ -31,6 +31,7 @@ def object_in_draw(model: ObjectModel, draw: Draw) -> ObjectModel:
     body.radius = model.radius
     body.tool_friction = model.tool_friction * draw.tool_friction
     body.top = model.top
+    body.size = model.size
     body.clearance = model.clearance
     body.body = model.body
     body.slack = model.slack
@@ -194,7 +195,7 @@ def make_upright_rollout(extra: ExtraTerms) -> wp.Kernel:
         draw = draws[n % draws.shape[0]]
         upright = task.upright
         radius = task.environment.tool_radius
-        lifting = task.waypoint[0][3] > 0.0
+        repositioning = task.waypoint[0][3] > 0.0
         body = object_in_draw(task.model, draw)
         placed = place_upright(upright, start_tip[0] + wp.vec3(draw.tool[0], draw.tool[1], 0.0))
         pose = start_object[0] + draw.pose
@@ -206,7 +207,7 @@ def make_upright_rollout(extra: ExtraTerms) -> wp.Kernel:
         for h in range(controls.shape[1]):
             old = placed
             u = controls[k, h]
-            step = step_upright(upright, body, pose, old, u, lifting, radius, task.dt, contact_steps)
+            step = step_upright(upright, body, pose, old, u, repositioning, radius, task.dt, contact_steps)
             placed = step.placed
             pose = step.contact.pose
             stage = stage_of(task, h, placed, step.tried, old.tip, pose, step.contact)

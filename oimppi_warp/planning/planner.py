@@ -212,8 +212,8 @@ class Planner:
         self.dynamics.waypoint.host[0] = waypoint
         self._start.host[:] = tip, pose
         self._rollouts.set_state(observation, self.goal)
-        lifting = bool(waypoint[3] > 0.0)
-        self.optimizer.noise.host[0] = self._noise(observation.joint_position, lifting=lifting)
+        repositioning = bool(waypoint[3] > 0.0)
+        self.optimizer.noise.host[0] = self._noise(observation.joint_position, repositioning=repositioning)
         self.set_reference(pose)
         began = time.perf_counter()
         self._step()
@@ -304,20 +304,20 @@ class Planner:
             return self.optimizer.command.host[0].astype(float)
         return self._servo.joint_velocity(joints, self._allowed.host[0].astype(float))
 
-    def _noise(self, joints: np.ndarray, *, lifting: bool = False) -> np.ndarray:
+    def _noise(self, joints: np.ndarray, *, repositioning: bool = False) -> np.ndarray:
         """Returns a square root of the noise's covariance: ``root root^T = Sigma_u`` (equation 9).
 
         Its shape is [dof, dof] in the space of the joints, and [3, 3] in that of the tip.
         """
         robot = self.config.robot
         if robot.controls == "tool":
-            return robot.tip_noise * np.diag([1.0, 1.0, float(lifting and can_lift(self.scene.robot))])
+            return robot.tip_noise * np.diag([1.0, 1.0, float(repositioning and can_lift(self.scene.robot))])
         if robot.noise_space == "joint":
             return robot.joint_noise * np.eye(self.scene.robot.dof)
         jacobian = tip_jacobian(self.scene.robot, joints)
         inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6))
         noise = np.array(robot.tool_noise)
-        if lifting:  # as much noise vertically as sideways
+        if repositioning:  # as much noise vertically as sideways
             noise[2] = max(noise[:3])
         root = inverse * noise
         if root.shape[0] != root.shape[1]:

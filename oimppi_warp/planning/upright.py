@@ -23,7 +23,7 @@ from oimppi_warp.geometry.reach import can_lift, tip_rates
 from oimppi_warp.kernels.geometry import SpaceField
 from oimppi_warp.kernels.kinematics import Environment
 from oimppi_warp.kernels.upright import SEAM, UprightArm, make_upright_clearance
-from oimppi_warp.planning.engines.packing import no_field
+from oimppi_warp.planning.engines.packing import no_field, table_within
 from oimppi_warp.scene import Robot, Scene
 
 _ABOVE = 0.06
@@ -91,6 +91,7 @@ def build_upright(
     packed.height = height
     packed.arm_margin, packed.object_margin = level.arm_margin, level.object_margin
     packed.object_clearance = geometry.clearance
+    packed.within_lower, packed.within_upper = (wp.vec2(*corner) for corner in table_within(scene, geometry))
     return UprightModel(packed, postures)
 
 

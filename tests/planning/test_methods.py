@@ -269,7 +269,7 @@ def test_noise_of_the_tip_is_vertical_only_while_it_is_lifted():
     here = planner.scene.robot.start
     spread = planner.config.robot.tip_noise
     np.testing.assert_array_equal(planner._noise(here), np.diag([spread, spread, 0.0]))
-    np.testing.assert_array_equal(planner._noise(here, lifting=True), spread * np.eye(3))
+    np.testing.assert_array_equal(planner._noise(here, repositioning=True), spread * np.eye(3))
 
 
 # What is tracked

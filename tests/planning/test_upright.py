@@ -48,21 +48,23 @@ class Follower:
         self.model = object_model(self.geometry, tool_friction=scene.object.tool_friction)
         self.servo = ToolServo(scene.robot, limits=velocity_bound(scene, RobotLevel()), period=period)
 
-    def allowed(self, tip: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, lifting: bool = False) -> np.ndarray:
+    def allowed(
+        self, tip: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, repositioning: bool = False
+    ) -> np.ndarray:
         """The velocity of the tip that is left of the wanted one, shape [3] [m/s]."""
         vectors = [np.array([tip, pose]), np.array([velocity])]
         start, command = (wp.array(each.astype(np.float32), dtype=wp.vec3, device=DEVICE) for each in vectors)
-        waypoint = wp.array(np.array([[0.0, 0.0, 0.0, lifting]], np.float32), dtype=wp.vec4, device=DEVICE)
+        waypoint = wp.array(np.array([[0.0, 0.0, 0.0, repositioning]], np.float32), dtype=wp.vec4, device=DEVICE)
         out = wp.zeros(1, dtype=wp.vec3, device=DEVICE)
         inputs = [self.packed, self.model, self.scene.robot.tool_radius, start, waypoint, command, self.period, 8]
         wp.launch(allowed_velocity, 1, inputs=inputs, outputs=[out], device=DEVICE)
         return out.numpy()[0].astype(float)
 
     def joint_velocity(
-        self, joints: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, lifting: bool = False
+        self, joints: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, repositioning: bool = False
     ) -> np.ndarray:
         tip = tip_frame(self.scene.robot, joints)[1]
-        return self.servo.joint_velocity(joints, self.allowed(tip, pose, velocity, lifting=lifting))
+        return self.servo.joint_velocity(joints, self.allowed(tip, pose, velocity, repositioning=repositioning))
 
 
 def test_the_clearance_is_that_of_the_arm_which_is_negative_out_of_reach():
@@ -188,15 +190,17 @@ def test_the_servo_keeps_the_direction_where_a_joint_is_at_its_limit():
     np.testing.assert_allclose(moved[1] / moved[0], wanted[1] / wanted[0], rtol=0.02)
 
 
-@pytest.mark.parametrize("lifting", [False, True])
-def test_a_tip_that_is_led_into_the_table_and_towards_the_base_does_not_sink(lifting: bool):
+@pytest.mark.parametrize("repositioning", [False, True])
+def test_a_tip_that_is_led_into_the_table_and_towards_the_base_does_not_sink(repositioning: bool):
     scene = replace(shipped("task01"), start=(0.5, 0.45, 0.0))
     plant, follow = ideal_plant(scene, Config()), Follower(scene)
     plant.place(joints_at(scene.robot, (0.35, -0.05, 0.06)), observe(scene).object_transform)
     for _ in range(40):
         seen = plant.observe()
         down = np.array([-0.25, 0.0, -0.3])
-        plant.apply(follow.joint_velocity(seen.joint_position, np.array(scene.start), down, lifting=lifting))
+        plant.apply(
+            follow.joint_velocity(seen.joint_position, np.array(scene.start), down, repositioning=repositioning)
+        )
         rotation, tip = tip_frame(scene.robot, plant.observe().joint_position)
         assert np.arccos(np.clip(-rotation[2, 2], -1.0, 1.0)) < 0.05
         assert tip[2] > HEIGHT - 2e-3
@@ -265,7 +269,7 @@ def test_a_plan_of_either_kind_of_controls_gives_joint_velocities_within_the_lim
 
 def test_a_robot_that_cannot_lift_its_tool_samples_no_vertical_velocity():
     point = make_planner(shipped("point01"), best("mppi"), method="mppi", device=DEVICE)
-    np.testing.assert_array_equal(np.diag(point._noise(point.scene.robot.start, lifting=True))[2], 0.0)
+    np.testing.assert_array_equal(np.diag(point._noise(point.scene.robot.start, repositioning=True))[2], 0.0)
 
 
 @pytest.mark.parametrize("period", [0.05, 0.5, 1.0])
@@ -273,7 +277,7 @@ def test_a_tip_that_is_being_lifted_stays_above_its_height_with_any_control_peri
     scene = shipped("task01")
     follow = Follower(scene, period)
     joints = joints_at(scene.robot, (0.42, 0.15, 0.1))
-    rates = follow.joint_velocity(joints, np.array(scene.start), np.array([0.0, 0.0, -0.3]), lifting=True)
+    rates = follow.joint_velocity(joints, np.array(scene.start), np.array([0.0, 0.0, -0.3]), repositioning=True)
     linear = tip_rates(scene.robot, joints)[0]
     assert 0.1 + period * (linear @ rates)[2] > HEIGHT - 1e-3
 

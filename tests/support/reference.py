@@ -105,13 +105,22 @@ def pose_grid(source: PoseField) -> Grid:
 
 def space_field(source: SpaceField, point: np.ndarray) -> float:
     """The field's value, ``outside`` beyond its box; below the box it is that at the bottom."""
+    return _space_field(source, point)[0]
+
+
+def space_gradient(source: SpaceField, point: np.ndarray) -> np.ndarray:
+    """The field's gradient [3], zero beyond its box."""
+    return _space_field(source, point)[1]
+
+
+def _space_field(source: SpaceField, point: np.ndarray) -> tuple[float, np.ndarray]:
     values = source.values.numpy().astype(float)
     grid = Grid(values, np.array(source.origin), np.full(3, 1.0 / source.inv_step))
     index = (point - grid.origin) / grid.step
     index[2] = max(index[2], 0.0)
     if (index < 0.0).any() or (index >= np.array(values.shape) - 1.0).any():
-        return source.outside
-    return grid.at(grid.origin + index * grid.step)[0]
+        return source.outside, np.zeros(3)
+    return grid.at(grid.origin + index * grid.step)
 
 
 def piece_distance(a: Piece, b: Piece) -> float:
@@ -602,9 +611,12 @@ def upright_rollout(
     body, dt, radius = world.body, world.dt, world.robot.tool_radius
     kept = pose_grid(upright.object_clearance)
 
-    def looked_up(field: SpaceField, at: np.ndarray) -> float:
+    def lowered(field: SpaceField, at: np.ndarray) -> np.ndarray:
         top = field.origin[2] + (field.values.shape[2] - 1 - 1e-3) / field.inv_step
-        return space_field(field, np.array([at[0], at[1], min(at[2], top)]))
+        return np.array([at[0], at[1], min(at[2], top)])
+
+    def looked_up(field: SpaceField, at: np.ndarray) -> float:
+        return space_field(field, lowered(field, at))
 
     def clearance(at: np.ndarray) -> float:
         return looked_up(upright.clearance, at)
@@ -624,12 +636,9 @@ def upright_rollout(
         rise = np.clip(rise, -abs(height - at[2]) / dt, abs(height - at[2]) / dt)
         return np.array([*ahead, at[2] + dt * rise])
 
-    def slope(value: Callable[[np.ndarray], float], at: np.ndarray, step: float, base: float | None) -> np.ndarray:
-        """Horizontal gradient: central over ``2 step``, or forward from a known value."""
-        aside = step * np.eye(3)[:2]
-        if base is None:
-            return np.array([value(at + d) - value(at - d) for d in aside]) / (2.0 * step)
-        return np.array([value(at + d) - base for d in aside]) / step
+    def slope(value: Callable[[np.ndarray], float], at: np.ndarray, base: float) -> np.ndarray:
+        """Horizontal gradient, over half a millimetre ahead."""
+        return np.array([value(at + d) - base for d in 5e-4 * np.eye(3)[:2]]) / 5e-4
 
     def corrected(at: np.ndarray, lack: float, gradient: np.ndarray) -> np.ndarray:
         """One Newton step of the tip across the table, with a slope of at least 0.3."""
@@ -645,7 +654,9 @@ def upright_rollout(
         wanted = least(before, upright.arm_margin)
         for _ in range(2):
             if clearance(at) < wanted:
-                at = corrected(at, wanted - clearance(at), slope(clearance, at, 0.5 / upright.clearance.inv_step, None))
+                at = corrected(
+                    at, wanted - clearance(at), space_gradient(upright.clearance, lowered(upright.clearance, at))[:2]
+                )
         return at
 
     def within(start: np.ndarray, at: np.ndarray, longest: float) -> np.ndarray:
@@ -659,10 +670,9 @@ def upright_rollout(
         before = kept.at(pose)[0]
         wanted, longest, moved = least(before, upright.object_margin), max(np.hypot(*(tip - start)[:2]), 2e-3), tip
         for _ in range(3):
-            if gap(moved) < wanted - 5e-4:
-                moved = within(
-                    start, corrected(moved, wanted - gap(moved), slope(gap, moved, 5e-4, gap(moved))), longest
-                )
+            left = gap(moved)
+            if left < wanted - 5e-4:
+                moved = within(start, corrected(moved, wanted - left, slope(gap, moved, left)), longest)
         if gap(moved) >= wanted - 5e-4:
             return moved
         for share in (1.0, 0.5, 0.25, 0.125):  # slowly, down to contact
@@ -677,17 +687,17 @@ def upright_rollout(
         tried = place(clear, effort)
         contact = touch(world, placed, tried, pose)
         if contact.gap < 1.0:
-            tried = place(keep_off(pose, placed.tip, tried.tip), effort)
+            tried = replace(place(keep_off(pose, placed.tip, tried.tip), effort), clearance=tried.clearance)
             contact = touch(world, placed, tried, pose)
-        end = tried
+        end = tried.tip
         if contact.pressed > 0.0:  # back out of the object
             turned = planar_rotation(contact.pose[2])
-            outward = body.outline.at(turned.T @ (tried.tip[:2] - contact.pose[:2]))[1]
+            outward = body.outline.at(turned.T @ (end[:2] - contact.pose[:2]))[1]
             back = contact.pressed * turned @ (outward / np.linalg.norm(outward))
-            end = place(tried.tip + np.array([*back, 0.0]), effort)
-        if np.any(end.tip[:2] != clear[:2]) and end.clearance < least(placed.clearance, upright.arm_margin) - 1e-4:
+            end = end + np.array([*back, 0.0])
+        if np.any(end[:2] != clear[:2]) and clearance(end) < least(placed.clearance, upright.arm_margin) - 1e-4:
             return Step(placed, tried, Contact(pose))
-        return Step(placed if contact.stopped else end, tried, contact)
+        return Step(placed if contact.stopped else place(end, effort), tried, contact)
 
     return _rollout(world, place(tip), pose, goal, reference, controls, step)
 

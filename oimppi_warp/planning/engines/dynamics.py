@@ -75,6 +75,10 @@ class RolloutTask:
     yaw_length: float = 1.0
     upright: UprightModel | None = None
 
+    def __post_init__(self) -> None:
+        if self.cost.w_to_go > 0.0 and self.to_go is None:
+            raise ValueError("cost.w_to_go is positive: to_go is needed")
+
 
 @dataclass(frozen=True, eq=False)
 class Trace:

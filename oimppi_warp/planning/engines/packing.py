@@ -32,6 +32,7 @@ def object_model(geometry: Geometry, *, tool_friction: float, slack: float = 0.0
     model.radius = geometry.surface.radius
     model.tool_friction = tool_friction
     model.top = geometry.top
+    model.size = geometry.size
     model.clearance = geometry.clearance if edge else geometry.obstruction
     model.body = geometry.body
     model.slack = slack
