@@ -37,6 +37,12 @@ ASIDE = wp.constant(0.01)
 APPROACH = wp.constant(0.5)
 """Largest share of a clearance, in excess of the margin, that one control step may take away."""
 
+HIGH = wp.constant(0.008)
+"""Height of the tip above that for pushing from which it does not touch the object's side: it would tip it [m]."""
+
+BESIDE = wp.constant(2.0e-3)
+"""Gap that such a tip keeps to the object [m]."""
+
 CLOSE = wp.constant(0.05)
 """Clearance of an object beyond which a control step does not take it to its margin [m]."""
 
@@ -254,6 +260,24 @@ def keep_off(
     return moved
 
 
+@wp.func
+def keep_beside(
+    upright: UprightArm, body: ObjectModel, pose: wp.vec3, start: wp.vec3, tip: wp.vec3, radius: float
+) -> wp.vec3:
+    """Returns where a tip gets that is beside the object, but too high to push it: it keeps a gap until it is down."""
+    moved = tip
+    if tip[2] > upright.height + HIGH and tip[2] < body.top:
+        c = wp.cos(pose[2])
+        s = wp.sin(pose[2])
+        field = planar_field(body.body, rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1])))
+        before = phi_1(body, pose, wp.vec2(start[0], start[1]))
+        lack = wp.min(radius + BESIDE, before) - field[0]
+        if lack > 0.0 and before > 0.0:
+            outward = lack * rotate(c, s, wp.normalize(wp.vec2(field[1], field[2])))
+            moved = tip + wp.vec3(outward[0], outward[1], 0.0)
+    return moved
+
+
 @wp.struct
 class UprightStep:
     """Outcome of a control step of an arm that holds its tool upright.
@@ -286,10 +310,11 @@ def step_upright(
     if out.tried.arm_clearance < least:
         out.tried = keep_clear(upright.clearance, out.tried, least)
     clear = out.tried.tip
+    out.tried.tip = keep_beside(upright, body, pose, placed.tip, clear, radius)
     out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
     if is_close(upright, out.contact):
-        tip = keep_off(upright, body, pose, placed.tip, clear, out.contact.pushed, radius, contact_steps)
-        if tip[0] != clear[0] or tip[1] != clear[1]:
+        tip = keep_off(upright, body, pose, placed.tip, out.tried.tip, out.contact.pushed, radius, contact_steps)
+        if tip[0] != out.tried.tip[0] or tip[1] != out.tried.tip[1]:
             out.tried.tip = tip
             out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
     out.placed = out.tried

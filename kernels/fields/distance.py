@@ -126,7 +126,7 @@ def object_clearance(
     # out:
     values: wp.array3d[float],
 ):
-    """Computes phi_2 at the nodes of a pose field, by :func:`clearance_of` [m]."""
+    """Computes ``phi_2(x_o)``, the gap of object and environment in equation 4, at the nodes of a pose field [m]."""
     t, i, j = wp.tid()
     yaw = 2.0 * PI * float(t) / float(values.shape[0])
     pose = wp.vec3(origin[0] + step * float(i), origin[1] + step * float(j), yaw)

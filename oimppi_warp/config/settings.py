@@ -172,14 +172,16 @@ class RobotLevel:
     arm_margin: float = setting(
         0.003,
         "Clearance that arm and tool keep to obstacles, table and the border of the tip's reach, in the rollouts and "
-        "on the arm, with `robot.controls=tool`; not in the paper.",
+        "on the arm, with `robot.controls=tool`; -1 sets no bound; not in the paper.",
         unit="m",
+        low=-1.0,
     )
     object_margin: float = setting(
         0.002,
         "Clearance to obstacles and to the table's edge below which the tool does not push the object, in the rollouts "
-        "and on the arm, with `robot.controls=tool`; not in the paper.",
+        "and on the arm, with `robot.controls=tool`; -1 sets no bound; not in the paper.",
         unit="m",
+        low=-1.0,
     )
     noise_space: Literal["joint", "tool"] = setting(
         "tool",

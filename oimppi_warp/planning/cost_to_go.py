@@ -22,7 +22,7 @@ _CROWDED = 10.0
 """Additional cost of a metre at zero clearance: a detour of eleven times the length is preferred to touching."""
 _OUT_OF_REACH = 10.0
 """Cost of a metre where the arm pushes badly: crossed only if there is no other path."""
-_BLOCKED = 40.0
+_BLOCKED = 120.0
 """Cost of a metre inside an obstacle: more than any free path, but finite, so that there is a path out of it."""
 _ALONG = 0.5
 """Cost of a metre along a known path: the cost-to-go leads onto it, and stays on it past a shorter path beside it."""
@@ -42,7 +42,7 @@ def build_to_go(
     """Builds the cost-to-go: the length of the shortest free path to a goal, or to a path that leads there [m].
 
     A metre along a known path costs 0.5. Elsewhere it costs 1, up to 11 close to obstacles, 10 where the arm pushes
-    badly, and 40 inside obstacles, so that there is a path out of them. The field is computed
+    badly, and 120 inside obstacles, so that there is a path out of them. The field is computed
     on the CPU by fast sweeping; the one to a goal alone is kept in the cache.
 
     Args:

@@ -56,9 +56,9 @@ RING = (0.03, 0.13)
 
 def cost_per_metre(gap: float, distance: float) -> float:
     """What a metre costs at a clearance and a distance from the base."""
-    crowded = 1.0 + 3.0 * np.clip((0.02 - gap) / 0.02, 0.0, 1.0) ** 2
+    crowded = 1.0 + 10.0 * np.clip((0.02 - gap) / 0.02, 0.0, 1.0) ** 2
     if gap < 0.0:
-        return 40.0
+        return 120.0
     return crowded if RING[0] <= distance <= RING[1] else max(crowded, 10.0)
 
 
@@ -104,7 +104,7 @@ def test_sweeping_no_further_changes_a_cost_to_go_that_is_done(device: str):
     field = field_of(walled())
     to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device=device)
     travel = kernels.TravelCost()
-    travel.yaw_length, travel.comfort, travel.crowded, travel.blocked = YAW_LENGTH, 0.02, 3.0, 40.0
+    travel.yaw_length, travel.comfort, travel.crowded, travel.blocked = YAW_LENGTH, 0.02, 10.0, 120.0
     travel.ring_inner, travel.ring_outer, travel.far = 0.0, 1e3, 10.0
     change = wp.zeros(1, dtype=float, device=device)
     for direction in range(8):

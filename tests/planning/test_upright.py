@@ -146,6 +146,20 @@ def test_a_tool_that_presses_an_object_on_a_wall_is_taken_back():
     assert follow.allowed(tip, pose, np.array([-0.2, 0.0, 0.0]))[0] == pytest.approx(-0.2, abs=0.02)
 
 
+@pytest.mark.parametrize("height", [0.025, 0.04])
+def test_a_tip_that_is_too_high_comes_down_before_it_touches_the_object(height: float):
+    scene = task(pushed=block((0.10, 0.06, 0.05)))
+    follow = Follower(scene)
+    pose, tip = np.array([0.42, 0.0, 0.0]), np.array([0.335, 0.0, height])
+    touched_at = None
+    for _ in range(30):
+        tip = tip + DT * follow.allowed(tip, pose, np.array([0.3, 0.0, 0.0]))
+        if touched_at is None and tip[0] + scene.robot.tool_radius > 0.37 - 1e-4:
+            touched_at = tip[2]
+    assert touched_at is not None, "it pushes in the end"
+    assert touched_at <= HEIGHT + 0.008 + 1e-4
+
+
 def test_an_object_is_not_pushed_off_the_table():
     scene = task(pushed=block((0.10, 0.06, 0.05)))
     edge = replace(scene, table=replace(scene.table, upper=(0.55, 0.8)))

@@ -681,10 +681,21 @@ def upright_rollout(
                 return moved
         return np.array([*start[:2], tip[2]])
 
+    def keep_beside(pose: np.ndarray, start: np.ndarray, at: np.ndarray) -> np.ndarray:
+        if not upright.height + 0.008 < at[2] < body.top:
+            return at
+        before, gap = body.gap(pose, start[:2]), body.gap(pose, at[:2])
+        lack = min(radius + 0.002, before) - gap
+        if lack <= 0.0 or before <= 0.0:
+            return at
+        turned = planar_rotation(pose[2])
+        outward = body.outline.at(turned.T @ (at[:2] - pose[:2]))[1]
+        return at + np.array([*(lack * turned @ (outward / np.linalg.norm(outward))), 0.0])
+
     def step(placed: Placed, pose: np.ndarray, control: np.ndarray) -> Step:
         effort = float(control @ control)
         clear = keep_clear(placed.clearance, unhindered(placed.tip, pose, control))
-        tried = place(clear, effort)
+        tried = replace(place(keep_beside(pose, placed.tip, clear), effort), clearance=clearance(clear))
         contact = touch(world, placed, tried, pose)
         if contact.gap < 1.0:
             tried = replace(place(keep_off(pose, placed.tip, tried.tip), effort), clearance=tried.clearance)
