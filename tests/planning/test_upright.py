@@ -39,7 +39,7 @@ def upright_model(scene: Scene) -> UprightModel:
 
 
 class Follower:
-    """What the planner does with the first control: the velocity that the tip is allowed, followed by the servo."""
+    """The first control on its way to the arm: the servo follows the velocity that the tip is allowed."""
 
     def __init__(self, scene: Scene, period: float = DT) -> None:
         self.scene, self.period = scene, period

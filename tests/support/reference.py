@@ -533,7 +533,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """What a motion of the tool does to the object: its pose, lambda_2, phi_2 before, jam depth, speed of rising."""
+    """Outcome of a motion of the tool for the object: its pose, lambda_2, phi_2 before, jam depth, speed of rising."""
 
     pose: np.ndarray
     stopped: bool = False
@@ -554,7 +554,7 @@ class Step:
 
 
 def touch(world: World, placed: Placed, tried: Placed, pose: np.ndarray) -> Contact:
-    """What the motion of the arm from one placement to another does to arm and object."""
+    """Outcome of the arm's motion from one placement to another, for arm and object."""
     robot, body = world.robot, world.body
     tip, new_tip, moved = placed.tip, tried.tip, pose
     above = max(tip[2], new_tip[2]) >= body.top and body.gap(pose, new_tip[:2]) < robot.tool_radius

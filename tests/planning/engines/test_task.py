@@ -1,4 +1,4 @@
-"""What the engines of the robot level are built from."""
+"""The task that an engine of the robot level is built from."""
 
 from dataclasses import replace
 
