@@ -132,32 +132,6 @@ def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
 
 
 @wp.func
-def space_field(field: SpaceField, p: wp.vec3) -> float:
-    """Returns the value of the field at ``p``."""
-    nx = field.values.shape[0]
-    ny = field.values.shape[1]
-    nz = field.values.shape[2]
-    fx = (p[0] - field.origin[0]) * field.inv_step
-    fy = (p[1] - field.origin[1]) * field.inv_step
-    fz = wp.max((p[2] - field.origin[2]) * field.inv_step, 0.0)
-    inside = fx >= 0.0 and fy >= 0.0 and fx < float(nx - 1) and fy < float(ny - 1) and fz < float(nz - 1)
-    value = field.outside
-    if inside:
-        i = int(fx)
-        j = int(fy)
-        k = int(fz)
-        ax = fx - float(i)
-        ay = fy - float(j)
-        az = fz - float(k)
-        c00 = wp.lerp(field.values[i, j, k], field.values[i, j, k + 1], az)
-        c01 = wp.lerp(field.values[i, j + 1, k], field.values[i, j + 1, k + 1], az)
-        c10 = wp.lerp(field.values[i + 1, j, k], field.values[i + 1, j, k + 1], az)
-        c11 = wp.lerp(field.values[i + 1, j + 1, k], field.values[i + 1, j + 1, k + 1], az)
-        value = wp.lerp(wp.lerp(c00, c01, ay), wp.lerp(c10, c11, ay), ax)
-    return value
-
-
-@wp.func
 def space_slope(field: SpaceField, p: wp.vec3) -> wp.vec3:
     """Returns value and horizontal gradient (value, d/dx, d/dy) of the field at ``p``; the gradient is zero outside."""
     fx = (p[0] - field.origin[0]) * field.inv_step
@@ -187,3 +161,9 @@ def space_slope(field: SpaceField, p: wp.vec3) -> wp.vec3:
             wp.lerp(low, high, ax), (high - low) * field.inv_step, wp.lerp(c01 - c00, c11 - c10, ax) * field.inv_step
         )
     return out
+
+
+@wp.func
+def space_field(field: SpaceField, p: wp.vec3) -> float:
+    """Returns the value of the field at ``p``."""
+    return space_slope(field, p)[0]
