@@ -176,28 +176,34 @@ def test_dragging_the_goal_changes_the_plan(live, page):
     opened(page, live)
     page.get_by_label("Show handles", exact=True).check()
     before = live.session.running.scene.goal
-    middle = on_screen(live, (before[0], before[1], 0.06))
-    handles = []
 
-    def found():
+    def handle():
+        """Middle of the goal's blue handle on the page, or None while it is not drawn."""
+        goal = live.session.running.scene.goal
+        middle = on_screen(live, (goal[0], goal[1], 0.06))
         image = picture_of(page, "gizmos")
         blue = (image[..., 2] > 180) & (image[..., 0] < 80) & (image[..., 1] < 170)
         blue[:, 650:] = False  # the panel
         rows, columns = np.nonzero(blue)
         away = np.hypot(columns - middle[0], rows - middle[1])
         near = away < 40
-        handles[:] = [(columns[near].mean(), rows[near].mean())] if near.sum() > 10 else []
-        return handles
+        return (columns[near].mean(), rows[near].mean()) if near.sum() > 10 else None
 
-    until(found)
-    (x, y) = handles[0]
-    page.mouse.move(x, y)
-    page.mouse.down()
-    for share in np.linspace(0.2, 1.0, 5):
-        page.mouse.move(x - 12 * share, y - 15 * share)
-        time.sleep(0.2)
-    page.mouse.up()
-    until(lambda: np.hypot(*np.subtract(live.session.running.scene.goal, before)[:2]) > 0.03)
+    def dragged():
+        """Drags the handle; a busy page may miss a drag, so that a person would drag again."""
+        if (start := handle()) is None:
+            return False
+        x, y = start
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for share in np.linspace(0.2, 1.0, 5):
+            page.mouse.move(x - 12 * share, y - 15 * share)
+            time.sleep(0.2)
+        page.mouse.up()
+        time.sleep(1.0)
+        return np.hypot(*np.subtract(live.session.running.scene.goal, before)[:2]) > 0.03
+
+    until(dragged)
     x, y, yaw = live.session.running.scene.goal
     live.session.move_object((x - 0.08, y, yaw))  # so near that the object's plan gets there
     page.get_by_label("Pause", exact=True).uncheck()
