@@ -35,7 +35,7 @@ def small():
     return replace(config, episode=replace(config.episode, max_sim_seconds=600.0, hold_seconds=600.0))
 
 
-def until(condition, seconds=60.0):
+def until(condition, seconds=120.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it never came to that"
