@@ -7,6 +7,7 @@ horizon. Help texts name other settings in full and in backticks, as in `cost.he
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -182,6 +183,13 @@ class RobotLevel:
         "and on the arm, with `robot.controls=tool`; -1 sets no bound; not in the paper.",
         unit="m",
         low=-1.0,
+    )
+    touch_speed: float = setting(
+        0.1,
+        "Largest speed towards the object with which the tool touches it, in the rollouts and on the arm, with "
+        "`robot.controls=tool`; while it pushes, its speed is not limited by this; not in the paper.",
+        unit="m/s",
+        low=1e-3,
     )
     noise_space: Literal["joint", "tool"] = setting(
         "tool",
@@ -518,9 +526,44 @@ class Reposition:
         unit="m",
     )
     w_waypoint: float = setting(
-        400.0, "Weight of the tip's squared distance to its current waypoint during repositioning.", unit="1/m^2"
+        1000.0, "Weight of the tip's squared distance to its current waypoint during repositioning.", unit="1/m^2"
     )
     longest_seconds: float = setting(4.0, "Duration after which a repositioning is abandoned.", unit="s")
+
+
+@dataclass(frozen=True)
+class Safety:
+    """Limits on the commands to the arm, whatever the planner (:mod:`oimppi_warp.plants.drive`); not in the paper.
+
+    The defaults are those of the xArm6: 1145 deg/s^2 and 28647 deg/s^3.
+    """
+
+    smoothing: float = setting(
+        0.05,
+        "Time over which a change of the commanded joint velocities is spread; 0 lets them jump from one control "
+        "period to the next, without any limit. Plans start from the state of the arm half of this time ahead.",
+        unit="s",
+        high=1.0,
+    )
+    acceleration_limit: float = setting(
+        19.98, "Largest acceleration of each joint (m/s^2 for a sliding joint).", unit="rad/s^2", low=0.1
+    )
+    jerk_limit: float = setting(
+        499.98, "Largest jerk of each joint (m/s^3 for a sliding joint).", unit="rad/s^3", low=1.0
+    )
+
+    def most_change(self, period: float) -> float:
+        """Returns the largest change of a joint's velocity per control period [rad/s; m/s for a prismatic joint].
+
+        It is infinite without smoothing.
+
+        Args:
+            period: Control period [s].
+        """
+        if self.smoothing == 0.0:
+            return math.inf
+        most = min(0.5 * self.acceleration_limit * self.smoothing, 0.25 * self.jerk_limit * self.smoothing**2)
+        return most / math.ceil(self.smoothing / period - 1e-9)  # so many changes overlap
 
 
 @dataclass(frozen=True)
@@ -582,6 +625,7 @@ class Config:
     cost: RobotCost = group(RobotCost(), "Cost weights of the robot level (equations 14, 15 and 17).")
     object_cost: ObjectCost = group(ObjectCost(), "Cost weights of the object level (equation 15).")
     episode: EpisodeConfig = group(EpisodeConfig(), "End of an episode, and commands while a plan is late.")
+    safety: Safety = group(Safety(), "Limits on the commands to the arm, whatever the planner; not in the paper.")
     lab: LabConfig = group(LabConfig(), "The simulated laboratory (`--plant lab`).")
     estimator: EstimatorConfig = group(
         EstimatorConfig(),

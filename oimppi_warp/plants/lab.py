@@ -60,6 +60,7 @@ class LabPlant:
     Attributes:
         camera: The camera.
         latency: Time from a command to its effect [s].
+        ticks: Number of joint velocities per control period: one per :data:`TICK`.
         wrong_detections: Number of outliers delivered so far.
     """
 
@@ -72,9 +73,9 @@ class LabPlant:
         control_period: float = 0.05,
         seed: int = 0,
     ) -> None:
-        self._ticks = round(control_period / TICK)
+        self.ticks = round(control_period / TICK)
         self._knock = np.zeros(3)  # an impulse that is spread over the next control period [N s]
-        if self._ticks < 1 or abs(self._ticks * TICK - control_period) > 1e-9:
+        if self.ticks < 1 or abs(self.ticks * TICK - control_period) > 1e-9:
             raise ConfigError(
                 f"control_period = {control_period:g}: the lab reports joint positions every {TICK:g} s\n"
                 f"  allowed: a multiple of this interval"
@@ -153,17 +154,28 @@ class LabPlant:
             ValueError: The command is not finite.
             FloatingPointError: The simulation diverged.
         """
-        command = np.array(joint_velocity, dtype=float)
-        if not np.isfinite(command).all():
-            raise ValueError(f"joint velocities must be finite, got {command}")
-        self._commands.append((self._tick + round(self.latency / TICK), command))
+        self.stream(np.tile(np.array(joint_velocity, dtype=float), (self.ticks, 1)))
+
+    def stream(self, joint_velocities: np.ndarray) -> None:
+        """Sends joint velocities, shape [ticks, dof] [rad/s], one per tick, and runs one control period.
+
+        Raises:
+            ValueError: A velocity is not finite, or their number is wrong.
+            FloatingPointError: The simulation diverged.
+        """
+        commands = np.array(joint_velocities, dtype=float)
+        if len(commands) != self.ticks:
+            raise ValueError(f"expected {self.ticks} joint velocities, one per tick, got {len(commands)}")
+        if not np.isfinite(commands).all():
+            raise ValueError(f"joint velocities must be finite, got {commands[~np.isfinite(commands).all(axis=1)][0]}")
         forces = []
-        for _ in range(self._ticks):
+        for command in commands:
+            self._commands.append((self._tick + round(self.latency / TICK), command))
             while self._commands and self._commands[0][0] <= self._tick:
                 self._wanted = self._commands.popleft()[1]
             most = self._config.acceleration_limit * TICK
             self._driven = self._driven + np.clip(self._wanted - self._driven, -most, most)
-            self._plant.knock(self._knock / self._ticks)
+            self._plant.knock(self._knock / self.ticks)
             self._plant.apply(self._driven)
             forces.append(vars(self._plant.contacts))
             self._tick += 1

@@ -58,7 +58,8 @@ class Plant(Protocol):
     """An arm controlled by joint velocities, together with its surroundings, as seen by a planner.
 
     Only the members below are required. A plant may also have ``latency``, the time from a command to its effect [s]
-    (:func:`latency_of`), and implement :class:`TruthfulPlant`, :class:`ContactPlant` and :class:`MovablePlant`.
+    (:func:`latency_of`), and implement :class:`StreamingPlant`, :class:`TruthfulPlant`, :class:`ContactPlant` and
+    :class:`MovablePlant`.
 
     Attributes:
         control_period: Duration of one command, and of a planner's time steps [s].
@@ -75,6 +76,21 @@ class Plant(Protocol):
 
         In lock step, the period must be over when this returns; in real time, the control loop waits for its end.
         """
+        ...
+
+
+@runtime_checkable
+class StreamingPlant(Protocol):
+    """A plant that takes several joint velocities per control period, so that they can change smoothly.
+
+    Attributes:
+        ticks: Number of joint velocities per control period.
+    """
+
+    ticks: int
+
+    def stream(self, joint_velocities: np.ndarray) -> None:
+        """Moves for one control period with joint velocities, shape [ticks, dof], each for an equal part of it."""
         ...
 
 
@@ -145,6 +161,7 @@ class SimulatedPlant:
 
     Attributes:
         latency: Zero.
+        ticks: Number of joint velocities per control period: one per physics step.
         model, data: MuJoCo's model and data, for tests and pictures; :attr:`World.mujoco` has the addresses of the
             joints and the object.
     """
@@ -168,7 +185,7 @@ class SimulatedPlant:
         self.model = copy(self._map.model)
         self.model.opt.timestep = control_period / substeps
         self.data = mujoco.MjData(self.model)
-        self._substeps = substeps
+        self.ticks = substeps
         self._touch = _pair_table()
         self._contacts = Contacts(0.0, 0.0, 0.0, 0.0)
         joints = world.scene.robot.joints
@@ -229,17 +246,32 @@ class SimulatedPlant:
             ValueError: The command is not finite.
             FloatingPointError: The simulation diverged.
         """
-        command = np.asarray(joint_velocity, dtype=float)
-        if not np.isfinite(command).all():
-            raise ValueError(f"joint velocities must be finite, got {command}")
+        self.stream(np.tile(np.asarray(joint_velocity, dtype=float), (self.ticks, 1)))
+
+    def stream(self, joint_velocities: np.ndarray) -> None:
+        """Drives the joints for one control period, with one joint velocity per physics step.
+
+        Args:
+            joint_velocities: Joint velocities, shape [ticks, dof] [rad/s; m/s for a prismatic joint].
+
+        Raises:
+            ValueError: A velocity is not finite, or their number is wrong.
+            FloatingPointError: The simulation diverged.
+        """
+        commands = np.asarray(joint_velocities, dtype=float)
+        if len(commands) != self.ticks:
+            raise ValueError(f"expected {self.ticks} joint velocities, one per physics step, got {len(commands)}")
+        if not np.isfinite(commands).all():
+            raise ValueError(f"joint velocities must be finite, got {commands[~np.isfinite(commands).all(axis=1)][0]}")
         lower, upper, speed = self._limits
         position = self.data.qpos[self._map.joint_qpos]
-        command = np.clip(command, (lower - position) / self.control_period, (upper - position) / self.control_period)
-        self.data.ctrl[self._map.joint_drive] = np.clip(command, -speed, speed)
+        commands = np.clip(commands, (lower - position) / self.control_period, (upper - position) / self.control_period)
+        commands = np.clip(commands, -speed, speed)
         forces = np.zeros(len(_PAIRS))
         knocked = self.data.xfrc_applied[self._object_body, :3]
         knocked += self._knock
-        for _ in range(self._substeps):
+        for command in commands:
+            self.data.ctrl[self._map.joint_drive] = command
             self._mj_step(self.model, self.data)
             forces = np.maximum(forces, self._normal_forces())
         knocked -= self._knock

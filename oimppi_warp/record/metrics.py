@@ -45,6 +45,8 @@ class Metrics:
         missed_deadlines: Number of control steps in which a plan was due but not ready.
         stops: Number of control steps in which the arm was stopped, because the last plan had expired or no plan could
             be made.
+        max_joint_acceleration, max_joint_jerk: Largest commanded acceleration [rad/s^2] and jerk [rad/s^3] of a joint.
+        limited_commands: Number of control steps in which the change of the command was reduced to the limits.
         max_lag_ms: Largest delay of the control loop behind the wall clock [ms].
         detections, rejected_detections, recoveries: Number of detections that arrived, that were rejected, and that
             replaced the prediction.
@@ -83,6 +85,9 @@ class Metrics:
     lost_samples: int
     missed_deadlines: int
     stops: int
+    max_joint_acceleration: float
+    max_joint_jerk: float
+    limited_commands: int
     max_lag_ms: float
     detections: int
     rejected_detections: int
@@ -149,6 +154,9 @@ def summarize(log: EpisodeLog) -> Metrics:
         lost_samples=int(np.nansum(log["lost_samples"])),
         missed_deadlines=int(np.nansum(log["missed_deadline"])),
         stops=int(np.nansum(log["stopped"])),
+        max_joint_acceleration=_of_finite(np.max, log["joint_acceleration"]),
+        max_joint_jerk=_of_finite(np.max, log["joint_jerk"]),
+        limited_commands=int(np.nansum(log["limited"])),
         max_lag_ms=_of_finite(np.max, log["lag_ms"]),
         detections=int((log["detection"] > 0).sum()),
         rejected_detections=int((log["detection"] == EVENTS.index("rejected")).sum()),

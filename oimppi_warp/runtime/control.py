@@ -19,7 +19,8 @@ import numpy as np
 
 from oimppi_warp.observation import Observation, check_shapes
 from oimppi_warp.planning.plan import Plan
-from oimppi_warp.plants.plant import Plant, latency_of
+from oimppi_warp.plants.drive import Drive
+from oimppi_warp.plants.plant import Plant
 from oimppi_warp.runtime.estimator import Estimator, Event
 
 
@@ -48,7 +49,7 @@ class ControlStep:
     """One control period that has passed.
 
     Attributes:
-        command: Joint velocities sent to the plant, shape [dof] [rad/s].
+        command: Joint velocities that the plant was given, as :class:`Drive` limits them, shape [dof] [rad/s].
         plan: The plan that took effect in this period; ``None`` if there was no new one.
         plan_seconds: Wall time of that plan [s].
         preplan_seconds: Wall time of planning before the first plan [s]; 0 except in the step of that plan.
@@ -59,6 +60,8 @@ class ControlStep:
         missed: Whether a plan was due but not ready.
         stopped: Whether the arm was stopped: the last plan had expired, or nothing could be planned.
         lag: Delay of the loop behind the wall clock [s].
+        limited: Whether the change of the command was scaled down to the limits of acceleration and jerk.
+        peak_acceleration, peak_jerk: See :class:`oimppi_warp.plants.drive.Drive`.
     """
 
     command: np.ndarray
@@ -71,6 +74,9 @@ class ControlStep:
     missed: bool = False
     stopped: bool = False
     lag: float = 0.0
+    limited: bool = False
+    peak_acceleration: float = math.nan
+    peak_jerk: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,22 +104,22 @@ class _TimedPlanner:
 
 
 def lock_step(
-    plant: Plant, planner: SupportsPlanning, estimator: Estimator | None, *, dof: int
+    drive: Drive, planner: SupportsPlanning, estimator: Estimator | None, *, dof: int
 ) -> Generator[ControlStep]:
     """Yields an endless sequence of control steps in which the plant waits for the planner.
 
     Each step applies ``u`` and observes ``x_{t+1}``: Algorithm 2, lines 7 and 8, and Algorithm 3, lines 13 and 14.
 
     Args:
-        plant: The plant to move.
+        drive: The plant to move, behind its limits.
         planner: The planner.
-        estimator: Estimator of the object's pose; ``None`` for a plant that reports its exact state.
+        estimator: Estimator of the object's pose; ``None`` for a plant without latency that reports its exact state.
         dof: Number of joints.
 
     Raises:
         ObservationError: An array that the plant reports has the wrong length.
     """
-    timed_planner, command, latency = _TimedPlanner(planner), np.zeros(dof), latency_of(plant)
+    plant, timed_planner, command = drive.plant, _TimedPlanner(planner), np.zeros(dof)
     observation = _observed(plant, dof)
     known = observation if estimator is None else estimator.update(observation)
     while True:
@@ -122,18 +128,18 @@ def lock_step(
             command = np.zeros(dof)
         else:
             if estimator is not None:
-                known = estimator.predict(known, [(latency, command)])
+                known = estimator.predict(known, [(drive.latency, command)])
             timed_plan = timed_planner.plan(known)
             command = timed_plan.plan.command
-        plant.apply(command)
+        command = drive.apply(command)
         observation = _observed(plant, dof)
         known = observation if estimator is None else estimator.update(observation)
-        step = _control_step(command, timed_plan, observation, known, estimator)
+        step = _control_step(drive, command, timed_plan, observation, known, estimator)
         yield replace(step, stopped=step.stopped or lost)
 
 
 def real_time(
-    plant: Plant,
+    drive: Drive,
     planner: SupportsPlanning,
     estimator: Estimator,
     *,
@@ -146,7 +152,7 @@ def real_time(
     """Yields an endless sequence of control steps on the wall clock.
 
     Args:
-        plant: The plant to move; sending it a command takes less than a control period.
+        drive: The plant to move, behind its limits; sending it a command takes less than a control period.
         planner: The planner, which runs in a separate thread.
         estimator: Estimator of the object's pose.
         dof: Number of joints.
@@ -154,11 +160,11 @@ def real_time(
         clock, sleep: Functions of the wall clock [s].
         executor: Executor that the planner runs in; ``None``: a single thread.
     """
-    period, timed_planner, still = plant.control_period, _TimedPlanner(planner), np.zeros(dof)
-    before, command, age = still, still, 0
+    plant, period = drive.plant, drive.control_period
+    timed_planner, still = _TimedPlanner(planner), np.zeros(dof)
+    before, sent, command, age = still, still, still, 0
     planned = halted = False
     job: Future[_TimedPlan] | None = None
-    latency = latency_of(plant)
     known = estimator.update(_observed(plant, dof))
     own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if executor is None else None
     pool = executor or own
@@ -166,7 +172,7 @@ def real_time(
     due = clock()
     try:
         while True:
-            timed_plan, missed, stopped, before = None, False, False, command
+            timed_plan, missed, stopped, before = None, False, False, sent
             if job is not None and job.done():
                 timed_plan, job = job.result(), None
                 command, age, planned = timed_plan.plan.command, 0, True
@@ -177,9 +183,9 @@ def real_time(
                     command, stopped = still, True
             if job is None and known is not None:
                 # Commands that are already decided are executed before those of the plan requested here.
-                pending = [(latency, before), (period, command)]
+                pending = [(drive.latency, before), (period, drive.allowed(command))]
                 job = pool.submit(timed_planner.plan, estimator.predict(known, pending))
-            plant.apply(command)
+            sent = drive.apply(command)
             due += period
             left = due - clock()
             if left > 0.0:
@@ -188,7 +194,7 @@ def real_time(
                 due -= left
             observation = _observed(plant, dof)
             known = estimator.update(observation)
-            step = _control_step(command, timed_plan, observation, known, estimator)
+            step = _control_step(drive, sent, timed_plan, observation, known, estimator)
             yield replace(step, missed=missed, stopped=stopped or halted, lag=max(-left, 0.0))
     finally:
         if own is not None:
@@ -203,6 +209,7 @@ def _observed(plant: Plant, dof: int) -> Observation:
 
 
 def _control_step(
+    drive: Drive,
     command: np.ndarray,
     timed_plan: _TimedPlan | None,
     observed: Observation,
@@ -218,4 +225,7 @@ def _control_step(
         estimate=np.full(3, np.nan) if known is None else known.object_pose,
         event="none" if estimator is None else estimator.event,
         stopped=timed_plan is not None and bool(timed_plan.plan.problem),
+        limited=drive.limited,
+        peak_acceleration=drive.peak_acceleration,
+        peak_jerk=drive.peak_jerk,
     )

@@ -22,6 +22,7 @@ from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.planning.resolve import entries_used, resolve
+from oimppi_warp.plants.drive import Drive
 from oimppi_warp.plants.plant import ContactPlant, MovablePlant, Plant, TruthfulPlant, has_tipped, latency_of
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
@@ -137,6 +138,7 @@ class Episode:
             threads=self.planner.compute.threads,
             plant=spec.plant if plant is None else type(plant).__name__,
         )
+        self._drive = Drive(self.plant, scene.robot.dof, config.safety)
         self._control_steps = self._loop()
         self._plans = 0
         self._sideways: np.ndarray | None = None
@@ -224,7 +226,7 @@ class Episode:
                 self.log.header["ended"] = "time limit"
         finally:
             with suppress(Exception):  # stop the arm first, however the episode ended
-                self.plant.apply(np.zeros(self.scene.robot.dof))
+                self._drive.stop()
             self._control_steps.close()
 
     def _loop(self) -> Generator[ControlStep]:
@@ -232,9 +234,9 @@ class Episode:
         dof = self.scene.robot.dof
         if self.spec.mode == "realtime":
             estimator = Estimator(self.scene, self.config)
-            return real_time(self.plant, self.planner, estimator, dof=dof, expires=self.config.episode.plan_expires)
-        behind = self.plant.observe().object_time is not None or latency_of(self.plant) > 0.0
-        return lock_step(self.plant, self.planner, Estimator(self.scene, self.config) if behind else None, dof=dof)
+            return real_time(self._drive, self.planner, estimator, dof=dof, expires=self.config.episode.plan_expires)
+        behind = self.plant.observe().object_time is not None or self._drive.latency > 0.0
+        return lock_step(self._drive, self.planner, Estimator(self.scene, self.config) if behind else None, dof=dof)
 
     def _knock(self, time: float) -> None:
         """Knocks the object as the run's option ``knock`` says, in the control period that begins at ``time`` [s]."""
@@ -309,6 +311,9 @@ class Episode:
             missed_deadline=float(step.missed),
             stopped=float(step.stopped),
             lag_ms=1e3 * step.lag,
+            limited=float(step.limited),
+            joint_acceleration=step.peak_acceleration,
+            joint_jerk=step.peak_jerk,
             **forces,
             **row,
         )

@@ -17,6 +17,7 @@ from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.planner import Planner
+from oimppi_warp.plants.drive import Drive
 from oimppi_warp.plants.plant import ContactPlant, MovablePlant, SimulatedPlant, TruthfulPlant, ideal_plant
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.registries import PLANTS
@@ -185,7 +186,7 @@ def test_joints_that_are_not_known_stop_an_arm_whose_object_is_estimated(device:
             return replace(super().observe(), joint_position=joints, object_time=self.time)
 
     made = make_planner(scene, small(), method="mppi", engine="quasistatic", device=device)
-    loop = lock_step(Dated(scene), made, Estimator(scene, Config()), dof=6)
+    loop = lock_step(Drive(Dated(scene), 6), made, Estimator(scene, Config()), dof=6)
     beats = [next(loop) for _ in range(8)]
     assert [beat.plan is not None for beat in beats] == [False, True, True, False, False, True, True, True]
     np.testing.assert_array_equal(beats[3].command, np.zeros(6))

@@ -13,8 +13,9 @@ from support.device import DEVICE, to_the_bit
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
-from oimppi_warp.config.settings import Config
+from oimppi_warp.config.settings import Config, Safety
 from oimppi_warp.observation import Observation
+from oimppi_warp.plants.drive import Drive
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.runtime.control import ControlStep, lock_step, real_time
 from oimppi_warp.runtime.episode import Episode
@@ -83,8 +84,8 @@ def run(takes: list[int], steps: int, *, expires: float = 0.12) -> tuple[list[Co
     plant, clock = FakePlant(), Clock(takes)
     pool = FakePool(clock)
     loop = real_time(
-        plant, clock, Estimator(plant.scene, Config()), dof=6, expires=expires, clock=clock.time, sleep=clock.sleep,
-        executor=pool,
+        Drive(plant, 6), clock, Estimator(plant.scene, Config()), dof=6, expires=expires, clock=clock.time,
+        sleep=clock.sleep, executor=pool,
     )  # fmt: skip
     found = list(islice(loop, steps))
     loop.close()
@@ -147,6 +148,23 @@ def test_a_plan_is_made_for_when_it_will_take_effect():
         np.testing.assert_allclose(asked.joint_position - start, ahead, atol=1e-9)
 
 
+def test_a_plan_starts_where_a_command_that_is_smoothed_takes_effect():
+    class Streaming(FakePlant):
+        latency, ticks = 0.0, 5
+
+        def stream(self, joint_velocities: np.ndarray) -> None:
+            self.commands.append(joint_velocities[-1])
+
+    plant, clock = Streaming(), Clock([1])
+    drive = Drive(plant, 6, Safety(smoothing=0.04))
+    loop = lock_step(drive, clock, Estimator(plant.scene, Config()), dof=6)
+    steps = list(islice(loop, 4))
+    start = plant.scene.robot.start
+    for asked, step in zip(clock.asked[1:], steps, strict=False):
+        np.testing.assert_allclose(asked.joint_position - start, 0.02 * step.command, atol=1e-9)
+        np.testing.assert_allclose(asked.joint_velocity, step.command)
+
+
 def test_a_loop_that_is_behind_the_clock_says_so():
     plant, clock = FakePlant(), Clock([1])
     apply = plant.apply
@@ -158,8 +176,8 @@ def test_a_loop_that_is_behind_the_clock_says_so():
 
     plant.apply = slow  # type: ignore[method-assign]
     loop = real_time(
-        plant, clock, Estimator(plant.scene, Config()), dof=6, expires=0.1, clock=clock.time, sleep=clock.sleep,
-        executor=FakePool(clock),
+        Drive(plant, 6), clock, Estimator(plant.scene, Config()), dof=6, expires=0.1, clock=clock.time,
+        sleep=clock.sleep, executor=FakePool(clock),
     )  # fmt: skip
     lags = [step.lag for step in islice(loop, 4)]
     assert lags == pytest.approx([0.0, 0.03, 0.0, 0.0], abs=1e-9)
@@ -167,7 +185,7 @@ def test_a_loop_that_is_behind_the_clock_says_so():
 
 def test_in_lock_step_every_control_step_has_its_plan():
     plant, clock = FakePlant(), Clock([1])
-    steps = list(islice(lock_step(plant, clock, None, dof=6), 4))
+    steps = list(islice(lock_step(Drive(plant, 6), clock, None, dof=6), 4))
     assert numbers(plant) == [1, 2, 3, 4]
     assert all(step.plan is not None and not step.missed for step in steps)
     np.testing.assert_allclose([asked.time for asked in clock.asked], PERIOD * np.arange(4))

@@ -1,0 +1,133 @@
+"""Commands to a plant, with limited acceleration and jerk.
+
+A planner gives one joint velocity per control period. Sent as such, the joints' velocities jump: the arm accelerates
+beyond the limits of its data sheet, and a tool that touches the object hits it. A :class:`Drive` spreads each change of
+the command over a short time instead.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oimppi_warp.config.settings import Safety
+from oimppi_warp.plants.plant import Plant, StreamingPlant, latency_of
+
+
+class Drive:
+    """Sends joint velocities to a plant such that the joints' acceleration and jerk stay within limits.
+
+    A change of the command takes the time ``smoothing``. Meanwhile the acceleration rises and then falls linearly, and
+    is zero at the end: a change by ``d`` has the largest acceleration ``2 d / smoothing`` and the jerk
+    ``4 d / smoothing^2``. A change that would exceed the limits is scaled down, by the same factor for all joints, so
+    that the tool keeps its direction. The arm lags behind the commands by half of the smoothing time.
+
+    A plant that takes only one joint velocity per control period (no :class:`StreamingPlant`) has to smooth the changes
+    itself; they are limited to the acceleration limit times the control period.
+
+    Args:
+        plant: The plant.
+        dof: Number of joints.
+        safety: Limits; ``None`` sends the commands as they are.
+
+    Attributes:
+        plant: The plant.
+        control_period: That of the plant [s].
+        latency: Time from a command to its effect [s].
+        limited: Whether the latest change of the command was scaled down.
+        peak_acceleration, peak_jerk: Largest acceleration [rad/s^2] and jerk [rad/s^3] commanded in the latest control
+            period; NaN without smoothing.
+    """
+
+    def __init__(self, plant: Plant, dof: int, safety: Safety | None = None) -> None:
+        self.plant = plant
+        self.control_period = plant.control_period
+        self.latency = latency_of(plant)
+        self.limited = False
+        self.peak_acceleration = self.peak_jerk = np.nan
+        self._stream = plant if isinstance(plant, StreamingPlant) else None
+        self._smoothing, self._most = 0.0, np.inf
+        if safety is not None and safety.smoothing > 0.0:
+            if self._stream is None:
+                self._most = safety.acceleration_limit * self.control_period
+            else:
+                self._smoothing = safety.smoothing
+                self.latency += 0.5 * safety.smoothing
+                self._most = safety.most_change(self.control_period)
+        self._time = 0.0
+        self._command = np.zeros(dof)
+        self._changes: list[tuple[float, np.ndarray]] = []
+        self._before = np.zeros((2, dof))  # the two velocities before the latest control period
+
+    def allowed(self, joint_velocity: np.ndarray) -> np.ndarray:
+        """Returns the joint velocities that :meth:`apply` would move towards, shape [dof] [rad/s]; sends nothing.
+
+        Args:
+            joint_velocity: Joint velocities, shape [dof] [rad/s; m/s for a prismatic joint].
+
+        Raises:
+            ValueError: The command is not finite.
+        """
+        wanted = np.array(joint_velocity, dtype=float)
+        if not np.isfinite(wanted).all():
+            raise ValueError(f"joint velocities must be finite, got {wanted}")
+        change = wanted - self._command
+        most = float(np.abs(change).max())
+        return wanted if most <= self._most else self._command + self._most / most * change
+
+    def apply(self, joint_velocity: np.ndarray) -> np.ndarray:
+        """Moves towards joint velocities, for one control period.
+
+        Args:
+            joint_velocity: Joint velocities, shape [dof] [rad/s; m/s for a prismatic joint].
+
+        Returns:
+            The joint velocities that the arm has once the change is over, shape [dof].
+
+        Raises:
+            ValueError: The command is not finite.
+        """
+        wanted = self.allowed(joint_velocity)
+        self.limited = not np.array_equal(wanted, joint_velocity)
+        change, self._command = wanted - self._command, wanted
+        if self._stream is None or self._smoothing == 0.0:
+            self.plant.apply(wanted)
+            return wanted
+        self._changes.append((self._time, change))
+        velocities = self._velocities(self._stream.ticks)
+        self._measure(velocities)
+        self._stream.stream(velocities)
+        self._time += self.control_period
+        self._changes = [(begin, d) for begin, d in self._changes if self._time - begin < self._smoothing - 1e-9]
+        return wanted
+
+    def stop(self) -> None:
+        """Brings the arm to rest, and sends zeros."""
+        for _ in range(_LONGEST_STOP):
+            if not np.any(self.apply(np.zeros_like(self._command))) and not self._changes:
+                return
+        self.plant.apply(np.zeros_like(self._command))
+
+    def _velocities(self, ticks: int) -> np.ndarray:
+        """Returns the joint velocities at the ends of the ticks of a control period, shape [tick, dof]."""
+        times = self._time + self.control_period * np.arange(1, ticks + 1) / ticks
+        velocities = np.tile(self._command, (ticks, 1))
+        for begin, change in self._changes:
+            velocities -= (1.0 - _s_curve((times - begin) / self._smoothing))[:, None] * change
+        return velocities
+
+    def _measure(self, velocities: np.ndarray) -> None:
+        tick = self.control_period / len(velocities)
+        acceleration = np.diff(np.vstack([self._before, velocities]), axis=0) / tick
+        self.peak_acceleration = float(np.abs(acceleration[1:]).max())
+        self.peak_jerk = float(np.abs(np.diff(acceleration, axis=0)).max() / tick)
+        self._before = np.vstack([self._before, velocities])[-2:]
+
+
+_LONGEST_STOP = 100
+"""Number of control periods within which an arm comes to rest."""
+
+
+def _s_curve(share: np.ndarray) -> np.ndarray:
+    """Returns the part of a change that is over after a share of its time: two parabolas, from 0 to 1."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.where(share < 0.5, 2.0 * share**2, 1.0 - 2.0 * (1.0 - share) ** 2)
