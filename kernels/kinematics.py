@@ -50,12 +50,14 @@ class Environment:
         top: Height above which no obstacle is near [m].
         near: Clearance above which a lower bound is sufficient [m].
         tool_radius: Radius of the tool [m].
+        table: Height of the table's top [m].
     """
 
     obstacles: SpaceField
     top: float
     near: float
     tool_radius: float
+    table: float
 
 
 @wp.struct
@@ -90,10 +92,10 @@ def turn_about_z(r: wp.mat33, c: float, s: float) -> wp.mat33:
 def lowest_clearance(environment: Environment, p: wp.vec3, r: wp.mat33, ball: wp.vec4) -> float:
     """Returns the clearance of a sphere (centre, radius) in the frame ``p``, ``r`` to table and obstacles [m]."""
     height = p[2] + r[2, 0] * ball[0] + r[2, 1] * ball[1] + r[2, 2] * ball[2] - ball[3]
-    clearance = height
+    clearance = height - environment.table
     if height < environment.top:
         at = p + r * wp.vec3(ball[0], ball[1], ball[2])
-        clearance = wp.min(height, space_field(environment.obstacles, at) - ball[3])
+        clearance = wp.min(clearance, space_field(environment.obstacles, at) - ball[3])
     return clearance
 
 
@@ -138,7 +140,7 @@ def make_place_arm(chain: str) -> wp.Function:
         placed.up = wp.transpose(arm.tip_rotation) * wp.vec3(r[2, 0], r[2, 1], r[2, 2])
         stick = r * wp.vec3(-arm.tip_rotation[0, 2], -arm.tip_rotation[1, 2], -arm.tip_rotation[2, 2])
         placed.lean = wp.vec2(stick[0], stick[1]) / wp.max(stick[2], 0.1)
-        placed.arm_clearance = wp.min(clearance, placed.tip[2])
+        placed.arm_clearance = wp.min(clearance, placed.tip[2] - environment.table)
         return placed
 
     return place_arm

@@ -43,6 +43,15 @@ HIGH = wp.constant(0.008)
 BESIDE = wp.constant(2.0e-3)
 """Gap that such a tip keeps to the object [m]."""
 
+TOUCHING = wp.constant(5.0e-4)
+"""Gap between tool and object up to which they touch: the tool's speed is not limited, so that it can push [m]."""
+
+BRAKING = wp.constant(0.5)
+"""Share of the change of the tip's velocity that is counted on for braking; the rest is left for turning."""
+
+AT_ONCE = wp.constant(10.0)
+"""Change of the tip's velocity per control step that counts as unlimited [m/s]."""
+
 CLOSE = wp.constant(0.05)
 """Clearance of an object beyond which a control step does not take it to its margin [m]."""
 
@@ -57,6 +66,9 @@ HALVINGS = wp.constant(3)
 
 SHORT = wp.constant(5.0e-4)
 """Amount by which the object's clearance may fall short of the least after them [m]."""
+
+ROUNDED = wp.constant(5.0e-5)
+"""The same, for an object that is closer than the margin already [m]."""
 
 ASIDE_STEP = wp.constant(2.0e-3)
 """Length of a control step of the tip that keeps the object clear, if the tip would move less [m]."""
@@ -78,19 +90,23 @@ class UprightArm:
     Attributes:
         clearance: Clearance of arm and tool to obstacles and table, phi_3; negative out of reach [m].
         speed: Largest horizontal speed of the tip in any direction within the joints' velocity limits [m/s].
+        agility: Change of the tip's velocity that a control step can make, as a fraction of ``speed``.
         height: Height of the tip while pushing [m].
         arm_margin: Clearance that the arm keeps [m].
         object_clearance: Clearance phi_2 of the object, to obstacles and to the table's edge [m].
         object_margin: Its least value: below, the object is not pushed further [m].
+        touch_speed: Largest speed towards the object at which the tool touches it [m/s].
         within_lower, within_upper: Corners of the rectangle in which the object's centre keeps it on the table [m].
     """
 
     clearance: SpaceField
     speed: SpaceField
+    agility: float
     height: float
     arm_margin: float
     object_clearance: PoseField
     object_margin: float
+    touch_speed: float
     within_lower: wp.vec2
     within_upper: wp.vec2
 
@@ -141,17 +157,28 @@ def servo_height(
 
 
 @wp.func
+def fastest(upright: UprightArm, tip: wp.vec3) -> float:
+    """Returns the largest horizontal speed of the tip at a position [m/s]."""
+    return space_field(upright.speed, within_top(upright.speed, tip))
+
+
+@wp.func
+def braking_at(upright: UprightArm, speed: float) -> float:
+    """Returns by how much a control step can slow down the tip where its largest speed is ``speed`` [m/s]."""
+    return wp.min(BRAKING * upright.agility * speed, AT_ONCE)
+
+
+@wp.func
 def move_upright(
-    upright: UprightArm, model: ObjectModel, pose: wp.vec3, tip: wp.vec3, u: wp.vec3, repositioning: bool,
+    upright: UprightArm, model: ObjectModel, pose: wp.vec3, tip: wp.vec3, u: wp.vec3, most: float, repositioning: bool,
     radius: float, dt: float,
 ) -> wp.vec3:  # fmt: skip
     """Returns the tip's position after a control step with the velocity ``u``, as the servo of the arm follows it.
 
-    The horizontal speed is limited to what the joints allow. The vertical velocity is the servo's. While the tool is
-    being repositioned it is that of ``u``, and the servo only keeps the tip from sinking below its height. ``radius``
-    is that of the tool.
+    The horizontal speed is limited to ``most``, which the joints allow. The vertical velocity is the servo's. While the
+    tool is being repositioned it is that of ``u``, and the servo only keeps the tip from sinking below its height.
+    ``radius`` is that of the tool.
     """
-    most = space_field(upright.speed, within_top(upright.speed, tip))
     v = wp.vec2(u[0], u[1])
     v = wp.min(1.0, most / wp.max(wp.length(v), 1.0e-6)) * v
     ahead = wp.vec2(tip[0], tip[1]) + dt * v
@@ -163,12 +190,24 @@ def move_upright(
 
 
 @wp.func
-def least_clearance(before: float, margin: float) -> float:
+def closest_approach(distance: float, braking: float, dt: float) -> float:
+    """Returns the largest approach of a control step to something at a distance, such that the tip stops before it [m].
+
+    From a speed ``v`` the tip slows down by ``braking`` in each control step: all its steps together are
+    ``dt v (v + braking) / (2 braking)`` long.
+    """
+    left = wp.max(distance, 0.0)
+    speed = 0.5 * (wp.sqrt(braking * braking + 8.0 * braking * left / dt) - braking)
+    return wp.min(APPROACH * left, dt * speed)
+
+
+@wp.func
+def least_clearance(before: float, margin: float, braking: float, dt: float) -> float:
     """Returns the least clearance after a control step, given that before it [m].
 
     The margin is approached at a limited rate; a clearance below the margin does not become smaller.
     """
-    return wp.min(before, margin + (1.0 - APPROACH) * wp.max(before - margin, 0.0))
+    return before - closest_approach(before - margin, braking, dt)
 
 
 @wp.func
@@ -221,7 +260,7 @@ def pushed_clearance(
 @wp.func
 def keep_off(
     upright: UprightArm, body: ObjectModel, pose: wp.vec3, start: wp.vec3, tip: wp.vec3, pushed: wp.vec3, radius: float,
-    contact_steps: int,
+    braking: float, dt: float, contact_steps: int,
 ) -> wp.vec3:  # fmt: skip
     """Returns where the tip gets on its way to a position without pushing the object onto obstacles or off the table.
 
@@ -232,11 +271,14 @@ def keep_off(
     moved = tip
     longest = wp.max(wp.length(wp.vec2(tip[0] - start[0], tip[1] - start[1])), ASIDE_STEP)
     before = pose_field(upright.object_clearance, pose)[0]
-    least = least_clearance(before, upright.object_margin)
+    least = least_clearance(before, upright.object_margin, braking, dt)
+    short = ROUNDED
+    if before > upright.object_margin:
+        short = SHORT
     straight = pose_field(upright.object_clearance, pushed)[0]
     left = straight
     for _ in range(PROJECTIONS):
-        if left < least - SHORT:
+        if left < least - short:
             beside = moved + wp.vec3(PROBE, 0.0, 0.0)
             along_x = pushed_clearance(upright, body, pose, start, beside, radius, contact_steps) - left
             beside = moved + wp.vec3(0.0, PROBE, 0.0)
@@ -245,7 +287,7 @@ def keep_off(
             step = (least - left) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
             moved = within(start, moved + wp.vec3(step * slope[0], step * slope[1], 0.0), longest)
             left = pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
-    if left < least - SHORT:
+    if left < least - short:
         # Slowly, down to contact, or not at all.
         scale = float(1.0)
         moved = within(start, tip, longest)
@@ -261,18 +303,36 @@ def keep_off(
 
 
 @wp.func
-def keep_beside(
-    upright: UprightArm, body: ObjectModel, pose: wp.vec3, start: wp.vec3, tip: wp.vec3, radius: float
-) -> wp.vec3:
-    """Returns where a tip gets that is beside the object, but too high to push it: it keeps a gap until it is down."""
-    moved = tip
+def least_gap(upright: UprightArm, body: ObjectModel, before: float, tip: wp.vec3, braking: float, dt: float) -> float:
+    """Returns the least gap of the tool to the object after a control step, given that before it [m].
+
+    A tip at its height for pushing may touch, but no faster than the limit. A tip that is beside the object, but too
+    high to push it, keeps a gap until it is down.
+    """
+    least = -wp.inf
+    if before > TOUCHING:
+        least = before - wp.max(upright.touch_speed * dt, closest_approach(before, braking, dt))
     if tip[2] > upright.height + HIGH and tip[2] < body.top:
-        c = wp.cos(pose[2])
-        s = wp.sin(pose[2])
-        field = planar_field(body.body, rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1])))
-        before = phi_1(body, pose, wp.vec2(start[0], start[1]))
-        lack = wp.min(radius + BESIDE, before) - field[0]
-        if lack > 0.0 and before > 0.0:
+        least = wp.max(least, wp.min(BESIDE, before))
+    return least
+
+
+@wp.func
+def approach(
+    upright: UprightArm, body: ObjectModel, pose: wp.vec3, start: wp.vec3, tip: wp.vec3, radius: float, braking: float,
+    dt: float,
+) -> wp.vec3:  # fmt: skip
+    """Returns where a tip gets on its way towards the object, which it may touch from beside, and slowly only."""
+    moved = tip
+    step = wp.vec2(tip[0] - start[0], tip[1] - start[1])
+    c = wp.cos(pose[2])
+    s = wp.sin(pose[2])
+    field = planar_field(body.body, rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1])))
+    gap = field[0] - radius
+    if tip[2] < body.top and gap < wp.length(step) + BESIDE:
+        before = phi_1(body, pose, wp.vec2(start[0], start[1])) - radius
+        lack = least_gap(upright, body, before, tip, braking, dt) - gap
+        if lack > 0.0 and before > -radius:
             outward = lack * rotate(c, s, wp.normalize(wp.vec2(field[1], field[2])))
             moved = tip + wp.vec3(outward[0], outward[1], 0.0)
     return moved
@@ -304,16 +364,20 @@ def step_upright(
     by the object: the tool does not press.
     """
     out = UprightStep()
-    wanted = move_upright(upright, body, pose, placed.tip, u, repositioning, radius, dt)
-    least = least_clearance(placed.arm_clearance, upright.arm_margin)
+    most = fastest(upright, placed.tip)
+    braking = braking_at(upright, most)
+    wanted = move_upright(upright, body, pose, placed.tip, u, most, repositioning, radius, dt)
+    least = least_clearance(placed.arm_clearance, upright.arm_margin, braking, dt)
     out.tried = place_upright(upright, wanted)
     if out.tried.arm_clearance < least:
         out.tried = keep_clear(upright.clearance, out.tried, least)
     clear = out.tried.tip
-    out.tried.tip = keep_beside(upright, body, pose, placed.tip, clear, radius)
+    out.tried.tip = approach(upright, body, pose, placed.tip, clear, radius, braking, dt)
     out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
     if is_close(upright, out.contact):
-        tip = keep_off(upright, body, pose, placed.tip, out.tried.tip, out.contact.pushed, radius, contact_steps)
+        tip = out.tried.tip
+        pushed = out.contact.pushed
+        tip = keep_off(upright, body, pose, placed.tip, tip, pushed, radius, braking, dt, contact_steps)
         if tip[0] != out.tried.tip[0] or tip[1] != out.tried.tip[1]:
             out.tried.tip = tip
             out.contact = touch(body, pose, placed, out.tried, radius, dt, contact_steps)
@@ -328,12 +392,27 @@ def step_upright(
         out.placed.tip = tip + wp.vec3(back[0], back[1], 0.0)
     if out.placed.tip[0] != clear[0] or out.placed.tip[1] != clear[1]:
         out.placed.arm_clearance = clearance_at(upright.clearance, out.placed.tip)
-        if out.placed.arm_clearance < least - ROUNDING:  # into an obstacle: there is no way
-            out.placed = placed
+        if out.placed.arm_clearance < least - ROUNDING:  # into an obstacle: there is no way, but up or down
+            out.placed = place_upright(upright, wp.vec3(placed.tip[0], placed.tip[1], clear[2]))
+            if out.placed.arm_clearance < least - ROUNDING:
+                out.placed = placed
             out.contact = untouched(pose)
     if out.contact.stopped:
         out.placed = placed
     return out
+
+
+@wp.func
+def change_velocity(rates: wp.array[wp.vec2], most: float, before: wp.vec3, u: wp.vec3) -> wp.vec3:
+    """Returns the velocity of the tip, on the way from one to another, to which it can change at once [m/s].
+
+    ``rates`` are the joint velocities per horizontal velocity of the tip, ``most`` their largest change [rad/s].
+    """
+    change = wp.vec2(u[0] - before[0], u[1] - before[1])
+    share = float(1.0)
+    for j in range(rates.shape[0]):
+        share = wp.min(share, most / wp.max(wp.abs(wp.dot(rates[j], change)), 1.0e-6))
+    return wp.vec3(before[0] + share * change[0], before[1] + share * change[1], u[2])
 
 
 @wp.kernel
@@ -343,6 +422,8 @@ def allowed_velocity(
     model: ObjectModel,
     radius: float,
     start: wp.array[wp.vec3],
+    rates: wp.array[wp.vec2],
+    most_change: float,
     waypoint: wp.array[wp.vec4],
     command: wp.array[wp.vec3],
     dt: float,
@@ -352,11 +433,14 @@ def allowed_velocity(
 ):
     """Computes the velocity with which the tip follows a command for one control step, by :func:`step_upright` [m/s].
 
-    Shapes: ``start`` [2]: the tip's position and the object's pose, ``waypoint``, ``command`` and ``allowed`` [1].
+    Shapes: ``start`` [3]: the tip's position, the object's pose and the tip's velocity in the control step before;
+    ``rates`` [dof]: joint velocities per horizontal velocity of the tip [rad/m]; ``waypoint``, ``command`` and
+    ``allowed`` [1]. ``most_change`` is the largest change of a joint's velocity [rad/s].
     """
     repositioning = waypoint[0][3] > 0.0
     placed = place_upright(upright, start[0])
-    step = step_upright(upright, model, start[1], placed, command[0], repositioning, radius, dt, contact_steps)
+    u = change_velocity(rates, most_change, start[2], command[0])
+    step = step_upright(upright, model, start[1], placed, u, repositioning, radius, dt, contact_steps)
     allowed[0] = (step.placed.tip - start[0]) / dt
 
 
@@ -448,13 +532,22 @@ def make_joint_controls(dof: int) -> wp.Kernel:
         radius = environment.tool_radius
         # What the joints deviate from the posture by at first is kept: the servo removes it slowly.
         offset = q - posture(postures, origin, inv_step, placed.tip)
+        last = placed.tip
+        touched = bool(False)
         for h in range(controls.shape[1]):
-            least = least_clearance(placed.arm_clearance, upright.arm_margin)
+            most = fastest(upright, last)
+            braking = braking_at(upright, most)
+            least = least_clearance(placed.arm_clearance, upright.arm_margin, braking, dt)
             placed = place_upright(
-                upright, move_upright(upright, model, start[1], placed.tip, controls[n, h], repositioning, radius, dt)
+                upright, move_upright(upright, model, start[1], last, controls[n, h], most, repositioning, radius, dt)
             )
             if placed.arm_clearance < least:
                 placed = keep_clear(upright.clearance, placed, least)
+            # Once touched, the object is no longer where it was.
+            touched = touched or phi_1(model, start[1], wp.vec2(last[0], last[1])) < radius + TOUCHING
+            if not touched:
+                placed.tip = approach(upright, model, start[1], last, placed.tip, radius, braking, dt)
+            last = placed.tip
             wanted = posture(postures, origin, inv_step, placed.tip) + offset
             u = vec()
             for j in range(dof):

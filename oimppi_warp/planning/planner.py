@@ -108,7 +108,14 @@ class Planner:
         if level.controls == "tool":
             around = environment(scene, self.geometry, config.cost)
             upright = build_upright(
-                scene, self.geometry, around, level, limits=limits, height=height, device=compute.device
+                scene,
+                self.geometry,
+                around,
+                level,
+                limits=limits,
+                most_change=config.safety.most_change(config.control_period),
+                height=height,
+                device=compute.device,
             )
             self._servo = ToolServo(scene.robot, limits=limits, period=config.control_period)
         self.dynamics = make_dynamics(
@@ -136,12 +143,15 @@ class Planner:
             self._rollouts.trace(self.optimizer.nominal, self.optimizer.costs),
             self.optimizer.shift,
         ]
-        self._start = compute.input(2, wp.vec3)  # the tip's position, and the object's pose
+        self._start = compute.input(3, wp.vec3)  # the tip's position, the object's pose, the tip's velocity
+        self._rates = compute.input(scene.robot.dof, wp.vec2)  # joint velocities per horizontal velocity of the tip
         self._allowed = compute.output(1, wp.vec3)
         if upright is not None:
             model = object_model(self.geometry, tool_friction=scene.object.tool_friction)
-            inputs = [upright.packed, model, scene.robot.tool_radius, self._start.array, self.dynamics.waypoint.array]
-            inputs += [self.optimizer.command.array, config.control_period, _FINER * level.contact_steps]
+            most = config.safety.most_change(config.control_period)
+            inputs = [upright.packed, model, scene.robot.tool_radius, self._start.array, self._rates.array, most]
+            inputs += [self.dynamics.waypoint.array, self.optimizer.command.array, config.control_period]
+            inputs += [_FINER * level.contact_steps]
             self._robot_launches.append(compute.launch(allowed_velocity, 1, inputs, [self._allowed.array]))
         self._repositioner = Repositioner(
             scene,
@@ -190,6 +200,7 @@ class Planner:
             raise ObservationError(f"an episode cannot start from this observation: {problem}")
         self.optimizer.reset()
         self._repositioner.reset()
+        self._allowed.host[0] = np.zeros(3)
         return self._setup_seconds
 
     def plan(self, observation: Observation) -> Plan:
@@ -210,7 +221,9 @@ class Planner:
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
         waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
         self.dynamics.waypoint.host[0] = waypoint
-        self._start.host[:] = tip, pose
+        self._start.host[:] = tip, pose, self._allowed.host[0]  # the velocity before
+        if self._servo is not None:
+            self._rates.host[:] = self._servo.rates(observation.joint_position)
         self._rollouts.set_state(observation, self.goal)
         repositioning = bool(waypoint[3] > 0.0)
         self.optimizer.noise.host[0] = self._noise(observation.joint_position, repositioning=repositioning)

@@ -8,6 +8,7 @@ obstacles and does not press. What is predicted of the first control is the velo
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,10 @@ _ABOVE = 0.06
 """Height of the fields above the object's top [m]."""
 _OUTSIDE = -0.2
 """Clearance of tip positions outside the fields [m]."""
+_BOTTOMLESS = 1e3
+"""Depth of a table that nothing comes near [m]."""
+_ON_TABLE = 1e-3
+"""Amount by which a link has to be closer to the table than the tip for the table to count [m]."""
 _SLOWEST = 0.02
 """Least speed of the tip in the fields [m/s], where a joint's velocity limit would allow almost none."""
 _TILT_RATE = 4.0
@@ -60,6 +65,7 @@ def build_upright(
     level: RobotLevel,
     *,
     limits: np.ndarray,
+    most_change: float,
     height: float,
     device: str,
 ) -> UprightModel:
@@ -71,6 +77,7 @@ def build_upright(
         environment: Obstacles and table, on the device.
         level: Settings of the robot level.
         limits: Joint velocity limits to plan with, shape [dof] [rad/s; m/s for a prismatic joint].
+        most_change: Largest change of a joint's velocity per control step [rad/s; m/s for a prismatic joint].
         height: Height of the tip while pushing [m].
         device: Warp device.
 
@@ -88,8 +95,10 @@ def build_upright(
     speed = (limits / np.maximum(postures.effort, 1e-6)).min(axis=-1)
     speed = np.maximum(np.where(postures.reached, speed, 0.0), _SLOWEST)
     packed.speed = _field(speed, postures, STEP, outside=_SLOWEST, device=device)
+    packed.agility = most_change / float(limits.max())
     packed.height = height
     packed.arm_margin, packed.object_margin = level.arm_margin, level.object_margin
+    packed.touch_speed = level.touch_speed
     packed.object_clearance = geometry.clearance
     packed.within_lower, packed.within_upper = (wp.vec2(*corner) for corner in table_within(scene, geometry))
     return UprightModel(packed, postures)
@@ -110,18 +119,30 @@ def _clearance(
 ) -> SpaceField:
     """Returns the clearance of arm and tool over tip positions [m].
 
-    It is at most the distance to the border of the reach, where the arm is singular; beyond, minus that distance.
+    The tool's own distance to the table does not count: the servo keeps its height, and it would hide obstacles that
+    are not yet as near. The clearance is at most the distance to the border of the reach, where the arm is singular;
+    beyond, minus that distance.
     """
     robot = scene.robot
     joints = halved(postures.joints, jump=SEAM)
     reached = halved(postures.reached[..., None].astype(float))[..., 0] > 1.0 - 1e-6
     shape = joints.shape[:3]
     vec = wp.types.vector(length=robot.dof, dtype=float)
-    values = wp.zeros(int(np.prod(shape)), dtype=float, device=device)
     flat = wp.array(joints.reshape(-1, robot.dof).astype(np.float32), dtype=vec, device=device)
-    inputs = [pack_arm(robot, limits, device), environment, flat]
-    wp.launch(make_upright_clearance(robot.chain), len(flat), inputs=inputs, outputs=[values], device=device)
-    clearance = values.numpy().reshape(shape)
+    arm = pack_arm(robot, limits, device)
+
+    def clearance_to(around: Environment) -> np.ndarray:
+        values = wp.zeros(len(flat), dtype=float, device=device)
+        kernel = make_upright_clearance(robot.chain)
+        wp.launch(kernel, len(flat), inputs=[arm, around, flat], outputs=[values], device=device)
+        return values.numpy().reshape(shape)
+
+    clearance = clearance_to(environment)
+    without_table = copy(environment)
+    without_table.table = -_BOTTOMLESS
+    free = clearance_to(without_table)
+    height = postures.origin[2] + 0.5 * STEP * np.arange(shape[2])
+    clearance = np.where(clearance < np.minimum(free, height) - _ON_TABLE, clearance, free)
     for layer in range(shape[2]):
         inside, outside = (0.5 * STEP * _distances(where[..., layer]) for where in (reached, ~reached))
         clearance[..., layer] = np.where(reached[..., layer], np.minimum(clearance[..., layer], inside), -outside)
@@ -158,7 +179,7 @@ class ToolServo:
 
     def __init__(self, robot: Robot, *, limits: np.ndarray, period: float) -> None:
         self._robot = robot
-        self._lifts = can_lift(robot)
+        self._held = slice(0 if can_lift(robot) else 1, None)  # a robot that cannot lift its tool holds no height
         self._limits, self._period = limits, period
 
     def joint_velocity(self, joints: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -170,24 +191,34 @@ class ToolServo:
         """
         robot = self._robot
         rotation = tip_frame(robot, joints)[0]
-        linear, tilting = tip_rates(robot, joints)
-        height = slice(0 if self._lifts else 1, None)  # a robot that cannot lift its tool has no height to hold
-        held = np.vstack([linear[2], tilting])[height]
-        hold, free = _damped_inverse(held), np.eye(robot.dof)
-        free = free - hold @ held
-        move = _damped_inverse(linear[:2] @ free)
-
+        linear, hold, free, move = self._freedoms(joints)
         speed = np.array(velocity[:2])
         fastest = float((self._limits / np.maximum(np.linalg.norm(move, axis=1), 1e-6)).min())
         speed *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*speed)), 1e-9))
         upright = -min(_TILT_RATE, 1.0 / self._period) * rotation[:2, 2]
-        holding = hold @ np.array([velocity[2], *upright])[height]
+        holding = hold @ np.array([velocity[2], *upright])[self._held]
         home = (free - move @ linear[:2] @ free) @ (_HOME_RATE * (robot.start - joints))
         moving = move @ (speed - linear[:2] @ holding) + home
         # Height and tilt come first: what the joints have left is for the motion across the table.
         holding /= max(1.0, float(np.abs(holding / self._limits).max()))
         left = (self._limits - np.abs(holding)) / np.maximum(np.abs(moving), 1e-9)
         return holding + min(1.0, float(left.min())) * moving
+
+    def rates(self, joints: np.ndarray) -> np.ndarray:
+        """Returns the joint velocities per horizontal velocity of the tip, shape [dof, 2] [rad/m]."""
+        return self._freedoms(joints)[-1]
+
+    def _freedoms(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Returns the Jacobian of the tip, and the joint velocities of what is held, of the rest, and of the motion.
+
+        Their shapes are [3, dof], [dof, n] for height and tilt, [dof, dof] for the projection onto what these leave
+        free, and [dof, 2] for the motion across the table.
+        """
+        linear, tilting = tip_rates(self._robot, joints)
+        held = np.vstack([linear[2], tilting])[self._held]
+        hold, free = _damped_inverse(held), np.eye(self._robot.dof)
+        free = free - hold @ held
+        return linear, hold, free, _damped_inverse(linear[:2] @ free)
 
 
 def _damped_inverse(jacobian: np.ndarray) -> np.ndarray:

@@ -12,10 +12,10 @@ from support.device import DEVICE, run
 from support.small_tasks import DT, block, box, joints_at, observe, rollout_task, shipped, task
 
 from oimppi_warp.config.presets import best
-from oimppi_warp.config.settings import Config, Mppi, RobotLevel
+from oimppi_warp.config.settings import Config, Mppi, RobotLevel, Safety
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.fields import build_geometry, to_center
-from oimppi_warp.geometry.kinematics import tip_frame
+from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.geometry.reach import tip_rates
 from oimppi_warp.kernels.upright import allowed_velocity
 from oimppi_warp.observation import Observation
@@ -30,12 +30,13 @@ from oimppi_warp.scene import Scene
 HEIGHT = Config().cost.height
 
 
-def upright_model(scene: Scene) -> UprightModel:
+def upright_model(scene: Scene, most_change: float = np.inf) -> UprightModel:
     geometry, level, cost = build_geometry(scene, DEVICE), RobotLevel(), best().cost
     limits = velocity_bound(scene, level)
     return build_upright(
-        scene, geometry, environment(scene, geometry, cost), level, limits=limits, height=HEIGHT, device=DEVICE
-    )
+        scene, geometry, environment(scene, geometry, cost), level, limits=limits, most_change=most_change,
+        height=HEIGHT, device=DEVICE,
+    )  # fmt: skip
 
 
 class Follower:
@@ -52,11 +53,13 @@ class Follower:
         self, tip: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, repositioning: bool = False
     ) -> np.ndarray:
         """The velocity of the tip that is left of the wanted one, shape [3] [m/s]."""
-        vectors = [np.array([tip, pose]), np.array([velocity])]
+        vectors = [np.array([tip, pose, np.zeros(3)]), np.array([velocity])]
         start, command = (wp.array(each.astype(np.float32), dtype=wp.vec3, device=DEVICE) for each in vectors)
         waypoint = wp.array(np.array([[0.0, 0.0, 0.0, repositioning]], np.float32), dtype=wp.vec4, device=DEVICE)
         out = wp.zeros(1, dtype=wp.vec3, device=DEVICE)
-        inputs = [self.packed, self.model, self.scene.robot.tool_radius, start, waypoint, command, self.period, 8]
+        rates = wp.zeros(0, dtype=wp.vec2, device=DEVICE)  # no limit of the acceleration
+        inputs = [self.packed, self.model, self.scene.robot.tool_radius, start, rates, 0.0, waypoint, command]
+        inputs += [self.period, 8]
         wp.launch(allowed_velocity, 1, inputs=inputs, outputs=[out], device=DEVICE)
         return out.numpy()[0].astype(float)
 
@@ -84,7 +87,7 @@ def test_the_clearance_is_that_of_the_arm_which_is_negative_out_of_reach():
     for tip in [(0.36, -0.1, 0.02), (0.38, 0.04, 0.02), (0.3, 0.3, 0.06), (0.45, 0.1, 0.04), (0.5, -0.2, 0.1)]:
         joints = joints_at(scene.robot, tip)
         found = reference.space_field(model.packed.clearance, np.array(tip))
-        expected = min(twin.arm_clearance(joints), tip[2])
+        expected = twin.arm_clearance(joints, table=-9.0)  # the servo keeps the tip off the table
         # Beyond 5 cm the kernel's clearance is a lower bound.
         assert found == pytest.approx(expected, abs=2e-3) or 0.05 <= found <= expected + 2e-3
     assert reference.space_field(model.packed.clearance, np.array([0.72, 0.0, 0.02])) < 0.0
@@ -158,6 +161,60 @@ def test_a_tip_that_is_too_high_comes_down_before_it_touches_the_object(height: 
             touched_at = tip[2]
     assert touched_at is not None, "it pushes in the end"
     assert touched_at <= HEIGHT + 0.008 + 1e-4
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.15, 0.3])
+def test_the_tool_touches_the_object_slowly_and_pushes_it_fast(speed: float):
+    scene = task(pushed=block((0.10, 0.06, 0.05)))
+    follow = Follower(scene)
+    pose, tip = np.array([0.42, 0.0, 0.0]), np.array([0.30, 0.0, HEIGHT])
+    at_touch, speeds = None, []
+    while pose[0] < 0.50:
+        velocity = follow.allowed(tip, pose, np.array([speed, 0.0, 0.0]))
+        tip = tip + DT * velocity
+        speeds.append(velocity[0])
+        ahead = tip[0] + scene.robot.tool_radius + 0.05
+        if ahead > pose[0]:
+            pose[0] = ahead  # what the block does in front of the tool
+            at_touch = velocity[0] if at_touch is None else at_touch
+    assert at_touch is not None
+    assert at_touch <= RobotLevel().touch_speed + 0.01
+    assert max(speeds) == pytest.approx(speed, abs=1e-3)
+    assert speeds[-1] == pytest.approx(speed, abs=1e-3), "once it touches, it pushes as fast as it is told"
+    # Past the object it is as fast as ever.
+    beside = np.array([0.42, 0.0385, HEIGHT])
+    assert follow.allowed(beside, np.array([0.42, 0.0, 0.0]), np.array([speed, 0.0, 0.0]))[0] > 0.9 * speed
+
+
+def test_the_tip_changes_its_velocity_as_fast_as_the_joints_may():
+    """The velocity that the tip is allowed is on the straight way from that before to the wanted one."""
+    scene = replace(task(), start=(0.4, -0.45, 0.0))
+    servo = ToolServo(scene.robot, limits=velocity_bound(scene, RobotLevel()), period=DT)
+    joints = joints_at(scene.robot, (0.45, 0.1, HEIGHT))
+    rates = servo.rates(joints)
+    linear = tip_jacobian(scene.robot, joints)[:3]
+    np.testing.assert_allclose(linear[:2] @ rates, np.eye(2), atol=1e-3)
+    np.testing.assert_allclose(linear[2] @ rates, np.zeros(2), atol=1e-3)
+    model, packed = object_model(build_geometry(scene, DEVICE), tool_friction=0.2), upright_model(scene).packed
+    tip = tip_frame(scene.robot, joints)[1]
+    before, wanted = np.array([0.25, 0.0, 0.0]), np.array([-0.2, 0.2, 0.0])
+
+    def allowed(most: float) -> np.ndarray:
+        start = wp.array(np.array([tip, scene.start, before], np.float32), dtype=wp.vec3, device=DEVICE)
+        columns = wp.array(rates.astype(np.float32), dtype=wp.vec2, device=DEVICE)
+        waypoint = wp.zeros(1, dtype=wp.vec4, device=DEVICE)
+        command = wp.array(wanted[None].astype(np.float32), dtype=wp.vec3, device=DEVICE)
+        out = wp.zeros(1, dtype=wp.vec3, device=DEVICE)
+        inputs = [packed, model, scene.robot.tool_radius, start, columns, most, waypoint, command, DT, 8]
+        wp.launch(allowed_velocity, 1, inputs=inputs, outputs=[out], device=DEVICE)
+        return out.numpy()[0].astype(float)
+
+    np.testing.assert_allclose(allowed(np.inf), wanted, atol=1e-5)
+    most = Safety().most_change(DT)
+    changed = rates @ (allowed(most) - before)[:2]
+    assert np.abs(changed).max() == pytest.approx(most, rel=1e-3)
+    way = rates @ (wanted - before)[:2]
+    np.testing.assert_allclose(changed / most, way / np.abs(way).max(), atol=1e-3)
 
 
 def test_an_object_is_not_pushed_off_the_table():

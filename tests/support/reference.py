@@ -500,11 +500,11 @@ class World:
         """Remaining way of the tool to a good place [m]; 0 without a stance field."""
         return 0.0 if self.stance is None else stance(self.stance, tip, pose, target)
 
-    def arm_clearance(self, joints: np.ndarray) -> float:
-        """Clearance of arm and tool to the table and the obstacles (phi_3), at most a metre [m]."""
-        arm_clearance = min(1.0, tip_frame(self.robot, joints)[2, 3])
+    def arm_clearance(self, joints: np.ndarray, *, table: float = 0.0) -> float:
+        """Clearance of arm and tool to a table at a height and the obstacles (phi_3), at most a metre [m]."""
+        arm_clearance = min(1.0, tip_frame(self.robot, joints)[2, 3] - table)
         for *center, radius in arm_spheres(self.robot, joints):
-            arm_clearance = min(arm_clearance, center[2] - radius)
+            arm_clearance = min(arm_clearance, center[2] - radius - table)
             if center[2] - radius < self.top:
                 arm_clearance = min(arm_clearance, space_field(self.obstacles, np.array(center)) - radius)
         return arm_clearance
@@ -646,12 +646,21 @@ def upright_rollout(
         moved[:2] += lack / max(gradient @ gradient, 0.09) * gradient
         return moved
 
-    def least(before: float, margin: float) -> float:
-        """A margin is approached by at most half of what is beyond it; less than the margin does not get less."""
-        return min(before, margin + 0.5 * max(before - margin, 0.0))
+    def braking(at: np.ndarray) -> float:
+        return min(0.5 * upright.agility * looked_up(upright.speed, at), 10.0)
 
-    def keep_clear(before: float, at: np.ndarray) -> np.ndarray:
-        wanted = least(before, upright.arm_margin)
+    def approached(distance: float, slower: float) -> float:
+        """At most half of a distance, and no faster than the tip can stop from before its end."""
+        left = max(distance, 0.0)
+        speed = 0.5 * (np.sqrt(slower**2 + 8.0 * slower * left / dt) - slower)
+        return min(0.5 * left, dt * speed)
+
+    def least(before: float, margin: float, at: np.ndarray) -> float:
+        """A margin is approached slowly; less than the margin does not get less."""
+        return before - approached(before - margin, braking(at))
+
+    def keep_clear(before: float, start: np.ndarray, at: np.ndarray) -> np.ndarray:
+        wanted = least(before, upright.arm_margin, start)
         for _ in range(2):
             if clearance(at) < wanted:
                 at = corrected(
@@ -668,12 +677,17 @@ def upright_rollout(
             return kept.at(world.push_along(pose, start[:2], at[:2]))[0]
 
         before = kept.at(pose)[0]
-        wanted, longest, moved = least(before, upright.object_margin), max(np.hypot(*(tip - start)[:2]), 2e-3), tip
+        wanted, longest, moved = (
+            least(before, upright.object_margin, start),
+            max(np.hypot(*(tip - start)[:2]), 2e-3),
+            tip,
+        )
+        short = 5e-4 if before > upright.object_margin else 5e-5
         for _ in range(3):
             left = gap(moved)
-            if left < wanted - 5e-4:
+            if left < wanted - short:
                 moved = within(start, corrected(moved, wanted - left, slope(gap, moved, left)), longest)
-        if gap(moved) >= wanted - 5e-4:
+        if gap(moved) >= wanted - short:
             return moved
         for share in (1.0, 0.5, 0.25, 0.125):  # slowly, down to contact
             moved = within(start, tip, share * longest)
@@ -681,21 +695,23 @@ def upright_rollout(
                 return moved
         return np.array([*start[:2], tip[2]])
 
-    def keep_beside(pose: np.ndarray, start: np.ndarray, at: np.ndarray) -> np.ndarray:
-        if not upright.height + 0.008 < at[2] < body.top:
-            return at
-        before, gap = body.gap(pose, start[:2]), body.gap(pose, at[:2])
-        lack = min(radius + 0.002, before) - gap
-        if lack <= 0.0 or before <= 0.0:
+    def approach(pose: np.ndarray, start: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """The tool touches slowly, and not at all while it is too high to push."""
+        before, gap = body.gap(pose, start[:2]) - radius, body.gap(pose, at[:2]) - radius
+        wanted = before - max(upright.touch_speed * dt, approached(before, braking(start)))
+        wanted = wanted if before > 5e-4 else -np.inf
+        if at[2] > upright.height + 0.008:
+            wanted = max(wanted, min(0.002, before))
+        if at[2] >= body.top or wanted <= gap or before <= -radius:
             return at
         turned = planar_rotation(pose[2])
         outward = body.outline.at(turned.T @ (at[:2] - pose[:2]))[1]
-        return at + np.array([*(lack * turned @ (outward / np.linalg.norm(outward))), 0.0])
+        return at + np.array([*((wanted - gap) * turned @ (outward / np.linalg.norm(outward))), 0.0])
 
     def step(placed: Placed, pose: np.ndarray, control: np.ndarray) -> Step:
         effort = float(control @ control)
-        clear = keep_clear(placed.clearance, unhindered(placed.tip, pose, control))
-        tried = replace(place(keep_beside(pose, placed.tip, clear), effort), clearance=clearance(clear))
+        clear = keep_clear(placed.clearance, placed.tip, unhindered(placed.tip, pose, control))
+        tried = replace(place(approach(pose, placed.tip, clear), effort), clearance=clearance(clear))
         contact = touch(world, placed, tried, pose)
         if contact.gap < 1.0:
             tried = replace(place(keep_off(pose, placed.tip, tried.tip), effort), clearance=tried.clearance)
@@ -706,8 +722,10 @@ def upright_rollout(
             outward = body.outline.at(turned.T @ (end[:2] - contact.pose[:2]))[1]
             back = contact.pressed * turned @ (outward / np.linalg.norm(outward))
             end = end + np.array([*back, 0.0])
-        if np.any(end[:2] != clear[:2]) and clearance(end) < least(placed.clearance, upright.arm_margin) - 1e-4:
-            return Step(placed, tried, Contact(pose))
+        enough = least(placed.clearance, upright.arm_margin, placed.tip) - 1e-4
+        if np.any(end[:2] != clear[:2]) and clearance(end) < enough:
+            above = np.array([*placed.tip[:2], clear[2]])
+            return Step(place(above, effort) if clearance(above) >= enough else placed, tried, Contact(pose))
         return Step(placed if contact.stopped else place(end, effort), tried, contact)
 
     return _rollout(world, place(tip), pose, goal, reference, controls, step)

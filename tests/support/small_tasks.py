@@ -14,7 +14,7 @@ from support import reference
 from support.device import DEVICE, run
 
 from oimppi_warp.compute.step import Compute
-from oimppi_warp.config.settings import Config, ObjectCost, ObjectLevel, RobotCost, RobotLevel
+from oimppi_warp.config.settings import Config, ObjectCost, ObjectLevel, RobotCost, RobotLevel, Safety
 from oimppi_warp.geometry.fields import Geometry, build_geometry, from_center
 from oimppi_warp.geometry.footprint import footprint, outline, planar_points
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
@@ -56,7 +56,10 @@ def rollout_task(
     arm = None
     if upright:
         around, limits = environment(scene, geometry, cost), velocity_bound(scene, level)
-        arm = build_upright(scene, geometry, around, level, limits=limits, height=cost.height, device=device)
+        arm = build_upright(
+            scene, geometry, around, level, limits=limits, most_change=Safety().most_change(DT), height=cost.height,
+            device=device,
+        )  # fmt: skip
     return RolloutTask(
         scene=scene,
         geometry=geometry,
