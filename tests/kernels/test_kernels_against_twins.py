@@ -378,7 +378,7 @@ def test_a_rollout_of_an_upright_arm_is_its_twins(name, tip, velocity, term):
     joints = joints_at(pushing.scene.robot, tip).astype(np.float32).astype(float)
     goal = np.array([0.5, 0.3, 3.0])
     path = np.linspace(pose, goal, len(pushing.dynamics.reference.host))
-    controls = np.array([*velocity, 0.0]) + RANDOM.normal(scale=0.08, size=(12, 20, 3))
+    controls = np.array([*velocity, 0.0]) + np.random.default_rng(7).normal(scale=0.08, size=(12, 20, 3))
     rolled = pushing.roll(joints, pose, controls, goal=goal, reference=path)
     world, start = pushing.twin(), reference.tip_frame(pushing.scene.robot, joints)[:3, 3]
     twins = [
@@ -395,8 +395,8 @@ def assert_alike(rolled: Rollouts, twins: list[reference.Rollout]) -> None:
     """Rollouts of the engine have tips, poses and terms of their twins."""
     agree = 0
     for k, twin in enumerate(twins):
-        # Where a stall hangs on the last bit the two part ways; that may happen to one rollout in a dozen.
-        if np.abs(rolled.tips[k] - twin.tips).max() > 1e-3:
+        # Where a stall or a bound hangs on the last bit the two part ways; that may happen to one rollout in a dozen.
+        if np.abs(rolled.tips[k] - twin.tips).max() > 2e-4:
             continue
         agree += 1
         np.testing.assert_allclose(rolled.tips[k], twin.tips, atol=3 * LENGTH_TOLERANCE)

@@ -179,6 +179,8 @@ def test_dragging_the_goal_changes_the_plan(live, page):
 
     def handle():
         """Middle of the goal's blue handle on the page, or None while it is not drawn."""
+        page.mouse.move(20, 680)  # a handle under the mouse is yellow
+        time.sleep(0.5)
         goal = live.session.running.scene.goal
         middle = on_screen(live, (goal[0], goal[1], 0.06))
         image = picture_of(page, "gizmos")
@@ -190,7 +192,7 @@ def test_dragging_the_goal_changes_the_plan(live, page):
         return (columns[near].mean(), rows[near].mean()) if near.sum() > 10 else None
 
     def dragged():
-        """Drags the handle; a busy page may miss a drag, so that a person would drag again."""
+        """Drags the handle; a busy page may miss part of a drag, so that a person would drag again."""
         if (start := handle()) is None:
             return False
         x, y = start
