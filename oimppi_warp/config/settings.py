@@ -541,7 +541,8 @@ class Safety:
     smoothing: float = setting(
         0.05,
         "Time over which a change of the commanded joint velocities is spread; 0 lets them jump from one control "
-        "period to the next, without any limit. Plans start from the state of the arm half of this time ahead.",
+        "period to the next, without any limit. Plans start from the state of the arm half of this time ahead. The "
+        "shorter it is, the smaller are the changes that `safety.jerk_limit` allows.",
         unit="s",
         high=1.0,
     )

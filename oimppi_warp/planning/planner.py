@@ -263,6 +263,7 @@ class Planner:
 
     def _stop(self, problem: str) -> Plan:
         """Returns a plan that stops the arm."""
+        self._allowed.host[0] = np.zeros(3)
         nothing = Update(min_cost=math.nan, temperature=math.nan, effective_samples=math.nan, lost=0)
         return Plan(
             command=np.zeros(self.scene.robot.dof),

@@ -7,6 +7,8 @@ the command over a short time instead.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from oimppi_warp.config.settings import Safety
@@ -19,7 +21,7 @@ class Drive:
     A change of the command takes the time ``smoothing``. Meanwhile the acceleration rises and then falls linearly, and
     is zero at the end: a change by ``d`` has the largest acceleration ``2 d / smoothing`` and the jerk
     ``4 d / smoothing^2``. A change that would exceed the limits is scaled down, by the same factor for all joints, so
-    that the tool keeps its direction. The arm lags behind the commands by half of the smoothing time.
+    that the tool keeps its direction. The arm lags behind the commands by half of the smoothing time, less half a tick.
 
     A plant that takes only one joint velocity per control period (no :class:`StreamingPlant`) has to smooth the changes
     itself; they are limited to the acceleration limit times the control period.
@@ -35,7 +37,7 @@ class Drive:
         latency: Time from a command to its effect [s].
         limited: Whether the latest change of the command was scaled down.
         peak_acceleration, peak_jerk: Largest acceleration [rad/s^2] and jerk [rad/s^3] commanded in the latest control
-            period; NaN without smoothing.
+            period; NaN without smoothing, and for a plant that is no :class:`StreamingPlant`.
     """
 
     def __init__(self, plant: Plant, dof: int, safety: Safety | None = None) -> None:
@@ -95,17 +97,28 @@ class Drive:
         self._changes.append((self._time, change))
         velocities = self._velocities(self._stream.ticks)
         self._measure(velocities)
-        self._stream.stream(velocities)
-        self._time += self.control_period
-        self._changes = [(begin, d) for begin, d in self._changes if self._time - begin < self._smoothing - 1e-9]
+        try:
+            self._stream.stream(velocities)
+        finally:  # also after Ctrl-C: what follows goes on from the end of this period
+            self._time += self.control_period
+            self._changes = [(begin, d) for begin, d in self._changes if self._time - begin < self._smoothing - 1e-9]
         return wanted
 
     def stop(self) -> None:
-        """Brings the arm to rest, and sends zeros."""
-        for _ in range(_LONGEST_STOP):
-            if not np.any(self.apply(np.zeros_like(self._command))) and not self._changes:
-                return
-        self.plant.apply(np.zeros_like(self._command))
+        """Brings the arm to rest, and ends with zeros; they are sent at once if the plant raises an error.
+
+        The control periods are sent one after the other, so that a plant that does not wait for their end gets all of
+        them at once.
+        """
+        still = np.zeros_like(self._command)
+        periods = np.abs(self._command).max() / self._most + self._smoothing / self.control_period
+        try:
+            for _ in range(math.ceil(periods) + 1):
+                if not np.any(self.apply(still)) and not self._changes:
+                    return
+        except Exception:
+            self.plant.apply(still)
+            raise
 
     def _velocities(self, ticks: int) -> np.ndarray:
         """Returns the joint velocities at the ends of the ticks of a control period, shape [tick, dof]."""
@@ -121,10 +134,6 @@ class Drive:
         self.peak_acceleration = float(np.abs(acceleration[1:]).max())
         self.peak_jerk = float(np.abs(np.diff(acceleration, axis=0)).max() / tick)
         self._before = np.vstack([self._before, velocities])[-2:]
-
-
-_LONGEST_STOP = 100
-"""Number of control periods within which an arm comes to rest."""
 
 
 def _s_curve(share: np.ndarray) -> np.ndarray:

@@ -90,7 +90,10 @@ class StreamingPlant(Protocol):
     ticks: int
 
     def stream(self, joint_velocities: np.ndarray) -> None:
-        """Moves for one control period with joint velocities, shape [ticks, dof], each for an equal part of it."""
+        """Moves for one control period with joint velocities, shape [ticks, dof], each for an equal part of it.
+
+        In lock step, the period must be over when this returns; in real time, the control loop waits for its end.
+        """
         ...
 
 

@@ -121,19 +121,19 @@ def lock_step(
     """
     plant, timed_planner, command = drive.plant, _TimedPlanner(planner), np.zeros(dof)
     observation = _observed(plant, dof)
-    known = observation if estimator is None else estimator.update(observation)
+    known = _known(estimator, observation)
     while True:
         timed_plan, lost = None, known is None and timed_planner.started
         if known is None:
             command = np.zeros(dof)
         else:
-            if estimator is not None:
+            if estimator is not None and np.isfinite(known.joint_position).all():
                 known = estimator.predict(known, [(drive.latency, command)])
             timed_plan = timed_planner.plan(known)
             command = timed_plan.plan.command
         command = drive.apply(command)
         observation = _observed(plant, dof)
-        known = observation if estimator is None else estimator.update(observation)
+        known = _known(estimator, observation)
         step = _control_step(drive, command, timed_plan, observation, known, estimator)
         yield replace(step, stopped=step.stopped or lost)
 
@@ -206,6 +206,12 @@ def _observed(plant: Plant, dof: int) -> Observation:
     observation = plant.observe()
     check_shapes(observation, dof)
     return observation
+
+
+def _known(estimator: Estimator | None, observation: Observation) -> Observation | None:
+    """Returns the estimated observation, or an exact one that the estimator rejects: the planner says why."""
+    known = observation if estimator is None else estimator.update(observation)
+    return observation if known is None and observation.object_time is None else known
 
 
 def _control_step(

@@ -114,6 +114,73 @@ def test_an_arm_that_is_stopped_brakes_within_the_limits_and_ends_at_rest():
     assert plant.peaks[1] <= XARM.jerk_limit + 1e-6
 
 
+@pytest.mark.parametrize(("period", "smoothing"), [(0.002, 0.05), (0.05, 0.01), (0.1, 0.05)])
+def test_the_arm_brakes_within_the_limits_however_long_it_takes(period: float, smoothing: float):
+    plant = Noting(period)
+    drive = Drive(plant, 6, replace(XARM, smoothing=smoothing))
+    for _ in range(2000):
+        drive.apply(np.full(6, 0.5))
+    drive.stop()
+    np.testing.assert_allclose(plant.velocities[-1], STILL, atol=1e-12)
+    assert plant.peaks[1] <= XARM.jerk_limit + 1e-5
+
+
+def test_after_an_interrupted_period_the_arm_goes_on_within_the_limits():
+    class Interrupted(Noting):
+        def stream(self, joint_velocities: np.ndarray) -> None:
+            super().stream(joint_velocities)
+            if len(self.velocities) == 200:
+                raise KeyboardInterrupt
+
+    plant = Interrupted()
+    drive = Drive(plant, 6, XARM)
+    with pytest.raises(KeyboardInterrupt):
+        for step in range(20):
+            drive.apply(np.full(6, 0.9 if step < 9 else 0.6))
+    drive.stop()
+    np.testing.assert_allclose(plant.velocities[-1], STILL, atol=1e-12)
+    assert plant.peaks[1] <= XARM.jerk_limit + 1e-6
+
+
+def test_a_plant_that_raises_an_error_while_it_brakes_is_sent_zeros():
+    class Broken(Noting):
+        def __init__(self) -> None:
+            super().__init__()
+            self.last = np.ones(6)
+
+        def apply(self, joint_velocity: np.ndarray) -> None:
+            self.last = joint_velocity
+
+        def stream(self, joint_velocities: np.ndarray) -> None:
+            raise OSError("no connection")
+
+    plant = Broken()
+    with pytest.raises(OSError, match="no connection"):
+        Drive(plant, 6, XARM).stop()
+    np.testing.assert_array_equal(plant.last, STILL)
+
+
+def test_an_exact_report_that_cannot_be_true_stops_the_arm_and_the_record_says_why(device: str):
+    class Faulty(SimulatedPlant):
+        reports = 0
+
+        def observe(self) -> Observation:
+            self.reports += 1
+            seen = super().observe()
+            return replace(seen, joint_position=np.full(6, np.nan)) if 8 <= self.reports < 10 else seen
+
+        def truth(self) -> Observation:
+            return super().observe()
+
+    scene, config = shipped("task01"), best("mppi")
+    config = replace(config, episode=replace(config.episode, max_sim_seconds=1.0))
+    plant = Faulty(World(scene), start=scene.start)
+    log = Episode(scene, config, plant=plant, method="mppi", engine="quasistatic", device=device, threads=1).run()
+    assert log["stopped"].sum() >= 1
+    assert log.header["problems"] and "joint" in log.header["problems"][0][1]
+    assert np.isfinite(log["command"]).all()
+
+
 def test_without_smoothing_a_command_is_sent_as_it_is():
     for safety in (None, replace(XARM, smoothing=0.0), paper().safety):
         plant = Noting()
