@@ -18,7 +18,7 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.physics.world import World
 from oimppi_warp.plants.camera import Camera
-from oimppi_warp.plants.plant import Contacts, SimulatedPlant
+from oimppi_warp.plants.plant import Contacts, SimulatedPlant, checked_stream
 from oimppi_warp.scene import PlanarPose, Scene
 
 TICK = 0.01
@@ -163,13 +163,8 @@ class LabPlant:
             ValueError: A velocity is not finite, or their number is wrong.
             FloatingPointError: The simulation diverged.
         """
-        commands = np.array(joint_velocities, dtype=float)
-        if len(commands) != self.ticks:
-            raise ValueError(f"expected {self.ticks} joint velocities, one per tick, got {len(commands)}")
-        if not np.isfinite(commands).all():
-            raise ValueError(f"joint velocities must be finite, got {commands[~np.isfinite(commands).all(axis=1)][0]}")
         forces = []
-        for command in commands:
+        for command in checked_stream(joint_velocities, self.ticks):
             self._commands.append((self._tick + round(self.latency / TICK), command))
             while self._commands and self._commands[0][0] <= self._tick:
                 self._wanted = self._commands.popleft()[1]

@@ -144,6 +144,21 @@ def latency_of(plant: Plant) -> float:
     return float(getattr(plant, "latency", 0.0))
 
 
+def checked_stream(joint_velocities: np.ndarray, ticks: int) -> np.ndarray:
+    """Returns joint velocities as an array of shape [ticks, dof].
+
+    Raises:
+        ValueError: A velocity is not finite, or their number is wrong.
+    """
+    velocities = np.array(joint_velocities, dtype=float)
+    if len(velocities) != ticks:
+        raise ValueError(f"expected {ticks} joint velocities, one per tick, got {len(velocities)}")
+    finite = np.isfinite(velocities).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"joint velocities must be finite, got {velocities[~finite][0]}")
+    return velocities
+
+
 def has_tipped(object_transform: np.ndarray) -> bool:
     """Returns whether an object with this transform (position [m], quaternion xyzw), shape [7], is no longer flat."""
     x, y = object_transform[3:5]
@@ -261,11 +276,7 @@ class SimulatedPlant:
             ValueError: A velocity is not finite, or their number is wrong.
             FloatingPointError: The simulation diverged.
         """
-        commands = np.asarray(joint_velocities, dtype=float)
-        if len(commands) != self.ticks:
-            raise ValueError(f"expected {self.ticks} joint velocities, one per physics step, got {len(commands)}")
-        if not np.isfinite(commands).all():
-            raise ValueError(f"joint velocities must be finite, got {commands[~np.isfinite(commands).all(axis=1)][0]}")
+        commands = checked_stream(joint_velocities, self.ticks)
         lower, upper, speed = self._limits
         position = self.data.qpos[self._map.joint_qpos]
         commands = np.clip(commands, (lower - position) / self.control_period, (upper - position) / self.control_period)
