@@ -202,6 +202,12 @@ def closest_approach(distance: float, braking: float, dt: float) -> float:
 
 
 @wp.func
+def braking_distance(approach: float, braking: float, dt: float) -> float:
+    """Returns the distance within which :func:`closest_approach` is less than an approach of a control step [m]."""
+    return wp.max(approach / APPROACH, approach * (approach / dt + braking) / wp.max(2.0 * braking, 1.0e-6))
+
+
+@wp.func
 def least_clearance(before: float, margin: float, braking: float, dt: float) -> float:
     """Returns the least clearance after a control step, given that before it [m].
 
@@ -329,7 +335,8 @@ def approach(
     s = wp.sin(pose[2])
     field = planar_field(body.body, rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1])))
     gap = field[0] - radius
-    if tip[2] < body.top and gap < wp.length(step) + BESIDE:
+    length = wp.length(step)
+    if tip[2] < body.top and gap + length < braking_distance(length, braking, dt) + BESIDE:
         before = phi_1(body, pose, wp.vec2(start[0], start[1])) - radius
         lack = least_gap(upright, body, before, tip, braking, dt) - gap
         if lack > 0.0 and before > -radius:

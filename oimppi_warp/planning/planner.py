@@ -30,7 +30,7 @@ from oimppi_warp.planning.object_level import distance
 from oimppi_warp.planning.optimizers.optimizer import Update, make_optimizer
 from oimppi_warp.planning.plan import Plan, Samples
 from oimppi_warp.planning.reposition import Repositioner
-from oimppi_warp.planning.upright import ToolServo, build_upright
+from oimppi_warp.planning.upright import TipRates, ToolServo, build_upright
 from oimppi_warp.scene import Scene
 
 _DAMPING = 0.05
@@ -200,7 +200,6 @@ class Planner:
             raise ObservationError(f"an episode cannot start from this observation: {problem}")
         self.optimizer.reset()
         self._repositioner.reset()
-        self._allowed.host[0] = np.zeros(3)
         return self._setup_seconds
 
     def plan(self, observation: Observation) -> Plan:
@@ -221,9 +220,11 @@ class Planner:
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
         waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
         self.dynamics.waypoint.host[0] = waypoint
-        self._start.host[:] = tip, pose, self._allowed.host[0]  # the velocity before
+        rates = None
         if self._servo is not None:
-            self._rates.host[:] = self._servo.rates(observation.joint_position)
+            rates = self._servo.rates(observation.joint_position)
+            self._rates.host[:] = rates.move
+            self._start.host[:] = tip, pose, rates.linear @ observation.joint_velocity
         self._rollouts.set_state(observation, self.goal)
         repositioning = bool(waypoint[3] > 0.0)
         self.optimizer.noise.host[0] = self._noise(observation.joint_position, repositioning=repositioning)
@@ -233,7 +234,7 @@ class Planner:
         trace = self.dynamics.traced()
         surface = self.geometry.surface
         return Plan(
-            command=self._command(observation.joint_position),
+            command=self._command(rates),
             update=self.optimizer.found(),
             object_update=self.object_statistics(),
             object_seconds=self.object_finished() - began,
@@ -263,7 +264,6 @@ class Planner:
 
     def _stop(self, problem: str) -> Plan:
         """Returns a plan that stops the arm."""
-        self._allowed.host[0] = np.zeros(3)
         nothing = Update(min_cost=math.nan, temperature=math.nan, effective_samples=math.nan, lost=0)
         return Plan(
             command=np.zeros(self.scene.robot.dof),
@@ -312,11 +312,14 @@ class Planner:
         """Returns the ``time.perf_counter`` at which the object level finished the latest step; NaN if unknown."""
         return math.nan
 
-    def _command(self, joints: np.ndarray) -> np.ndarray:
-        """Returns the joint velocities of the first control of the updated nominal, shape [dof] [rad/s]."""
-        if self._servo is None:
+    def _command(self, rates: TipRates | None) -> np.ndarray:
+        """Returns the joint velocities of the first control of the updated nominal, shape [dof] [rad/s].
+
+        ``rates`` are those of the tip at the present joint positions; ``None`` if the controls are joint velocities.
+        """
+        if self._servo is None or rates is None:
             return self.optimizer.command.host[0].astype(float)
-        return self._servo.joint_velocity(joints, self._allowed.host[0].astype(float))
+        return self._servo.joint_velocity(rates, self._allowed.host[0].astype(float))
 
     def _noise(self, joints: np.ndarray, *, repositioning: bool = False) -> np.ndarray:
         """Returns a square root of the noise's covariance: ``root root^T = Sigma_u`` (equation 9).

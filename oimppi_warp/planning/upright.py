@@ -165,6 +165,27 @@ def _field(values: np.ndarray, postures: Postures, step: float, *, outside: floa
     return field
 
 
+@dataclass(frozen=True, eq=False)
+class TipRates:
+    """How the tip moves with the joints, at one posture.
+
+    Attributes:
+        joints: The joint positions, shape [dof] [rad; m for a prismatic joint].
+        axis: The tool's z axis in the world frame, shape [3].
+        linear: Jacobian of the tip's position, shape [3, dof] [m/rad].
+        hold: Joint velocities per rate of the height and of the axis's x and y, shape [dof, n].
+        free: Projection of joint velocities onto those that change neither, shape [dof, dof].
+        move: Joint velocities per horizontal velocity of the tip that change neither, shape [dof, 2] [rad/m].
+    """
+
+    joints: np.ndarray
+    axis: np.ndarray
+    linear: np.ndarray
+    hold: np.ndarray
+    free: np.ndarray
+    move: np.ndarray
+
+
 class ToolServo:
     """Resolved-rate control of the arm: follows velocities of the tip, and holds the tool upright.
 
@@ -182,43 +203,34 @@ class ToolServo:
         self._held = slice(0 if can_lift(robot) else 1, None)  # a robot that cannot lift its tool holds no height
         self._limits, self._period = limits, period
 
-    def joint_velocity(self, joints: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def rates(self, joints: np.ndarray) -> TipRates:
+        """Returns how the tip moves with the joints, at joint positions, shape [dof] [rad; m for a prismatic joint]."""
+        linear, tilting = tip_rates(self._robot, joints)
+        held = np.vstack([linear[2], tilting])[self._held]
+        hold = _damped_inverse(held)
+        free = np.eye(self._robot.dof) - hold @ held
+        axis = tip_frame(self._robot, joints)[0][:, 2]
+        return TipRates(joints, axis, linear, hold, free, _damped_inverse(linear[:2] @ free))
+
+    def joint_velocity(self, rates: TipRates, velocity: np.ndarray) -> np.ndarray:
         """Returns the joint velocities that follow a velocity of the tip, within their limits, shape [dof] [rad/s].
 
         Args:
-            joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
+            rates: How the tip moves at the present joint positions.
             velocity: Velocity of the tip, shape [3] [m/s].
         """
-        robot = self._robot
-        rotation = tip_frame(robot, joints)[0]
-        linear, hold, free, move = self._freedoms(joints)
+        hold, move, linear = rates.hold, rates.move, rates.linear
         speed = np.array(velocity[:2])
         fastest = float((self._limits / np.maximum(np.linalg.norm(move, axis=1), 1e-6)).min())
         speed *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*speed)), 1e-9))
-        upright = -min(_TILT_RATE, 1.0 / self._period) * rotation[:2, 2]
+        upright = -min(_TILT_RATE, 1.0 / self._period) * rates.axis[:2]
         holding = hold @ np.array([velocity[2], *upright])[self._held]
-        home = (free - move @ linear[:2] @ free) @ (_HOME_RATE * (robot.start - joints))
+        home = (rates.free - move @ linear[:2] @ rates.free) @ (_HOME_RATE * (self._robot.start - rates.joints))
         moving = move @ (speed - linear[:2] @ holding) + home
         # Height and tilt come first: what the joints have left is for the motion across the table.
         holding /= max(1.0, float(np.abs(holding / self._limits).max()))
         left = (self._limits - np.abs(holding)) / np.maximum(np.abs(moving), 1e-9)
         return holding + min(1.0, float(left.min())) * moving
-
-    def rates(self, joints: np.ndarray) -> np.ndarray:
-        """Returns the joint velocities per horizontal velocity of the tip, shape [dof, 2] [rad/m]."""
-        return self._freedoms(joints)[-1]
-
-    def _freedoms(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Returns the Jacobian of the tip, and the joint velocities of what is held, of the rest, and of the motion.
-
-        Their shapes are [3, dof], [dof, n] for height and tilt, [dof, dof] for the projection onto what these leave
-        free, and [dof, 2] for the motion across the table.
-        """
-        linear, tilting = tip_rates(self._robot, joints)
-        held = np.vstack([linear[2], tilting])[self._held]
-        hold, free = _damped_inverse(held), np.eye(self._robot.dof)
-        free = free - hold @ held
-        return linear, hold, free, _damped_inverse(linear[:2] @ free)
 
 
 def _damped_inverse(jacobian: np.ndarray) -> np.ndarray:

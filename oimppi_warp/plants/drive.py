@@ -43,22 +43,25 @@ class Drive:
     def __init__(self, plant: Plant, dof: int, safety: Safety | None = None) -> None:
         self.plant = plant
         self.control_period = plant.control_period
-        self.latency = latency_of(plant)
         self.limited = False
         self.peak_acceleration = self.peak_jerk = np.nan
         self._stream = plant if isinstance(plant, StreamingPlant) else None
-        self._smoothing, self._most = 0.0, np.inf
+        self._smoothing, self._most, self._tick = 0.0, np.inf, plant.control_period
         if safety is not None and safety.smoothing > 0.0:
             if self._stream is None:
                 self._most = safety.acceleration_limit * self.control_period
             else:
                 self._smoothing = safety.smoothing
-                self.latency += 0.5 * safety.smoothing
+                self._tick = self.control_period / self._stream.ticks
                 self._most = safety.most_change(self.control_period)
+        self._transport = latency_of(plant)
+        self._lag = 0.5 * max(self._smoothing - self._tick, 0.0)
+        self.latency = self._transport + self._lag
         self._time = 0.0
         self._command = np.zeros(dof)
         self._changes: list[tuple[float, np.ndarray]] = []
-        self._before = np.zeros((2, dof))  # the two velocities before the latest control period
+        self._kept = max(2, math.ceil(self._transport / self._tick - 1e-9))
+        self._sent = np.zeros((self._kept, dof))  # the latest velocities that the plant was sent, one per tick
 
     def allowed(self, joint_velocity: np.ndarray) -> np.ndarray:
         """Returns the joint velocities that :meth:`apply` would move towards, shape [dof] [rad/s]; sends nothing.
@@ -76,6 +79,18 @@ class Drive:
         most = float(np.abs(change).max())
         return wanted if most <= self._most else self._command + self._most / most * change
 
+    def pending(self) -> list[tuple[float, np.ndarray]]:
+        """Returns what the arm does until the next command takes effect: durations [s] and joint velocities [rad/s]."""
+        under_way = math.ceil(self._transport / self._tick - 1e-9)
+        coming = self._velocities(math.ceil(self._lag / self._tick - 1e-9))
+        durations = np.full(under_way + len(coming), self._tick)
+        if under_way:
+            durations[0] -= under_way * self._tick - self._transport
+        if len(coming):
+            durations[-1] -= len(coming) * self._tick - self._lag
+        velocities = np.vstack([self._sent[len(self._sent) - under_way :], coming])
+        return list(zip(durations.tolist(), velocities, strict=True))
+
     def apply(self, joint_velocity: np.ndarray) -> np.ndarray:
         """Moves towards joint velocities, for one control period.
 
@@ -92,11 +107,13 @@ class Drive:
         self.limited = not np.array_equal(wanted, joint_velocity)
         change, self._command = wanted - self._command, wanted
         if self._stream is None or self._smoothing == 0.0:
+            self._sent = np.vstack([self._sent, wanted])[-self._kept :]
             self.plant.apply(wanted)
             return wanted
         self._changes.append((self._time, change))
         velocities = self._velocities(self._stream.ticks)
         self._measure(velocities)
+        self._sent = np.vstack([self._sent, velocities])[-self._kept :]
         try:
             self._stream.stream(velocities)
         finally:  # also after Ctrl-C: what follows goes on from the end of this period
@@ -121,19 +138,17 @@ class Drive:
             raise
 
     def _velocities(self, ticks: int) -> np.ndarray:
-        """Returns the joint velocities at the ends of the ticks of a control period, shape [tick, dof]."""
-        times = self._time + self.control_period * np.arange(1, ticks + 1) / ticks
+        """Returns the joint velocities at the ends of the next ticks, for the commands so far, shape [ticks, dof]."""
+        times = self._time + self._tick * np.arange(1, ticks + 1)
         velocities = np.tile(self._command, (ticks, 1))
         for begin, change in self._changes:
             velocities -= (1.0 - _s_curve((times - begin) / self._smoothing))[:, None] * change
         return velocities
 
     def _measure(self, velocities: np.ndarray) -> None:
-        tick = self.control_period / len(velocities)
-        acceleration = np.diff(np.vstack([self._before, velocities]), axis=0) / tick
+        acceleration = np.diff(np.vstack([self._sent[-2:], velocities]), axis=0) / self._tick
         self.peak_acceleration = float(np.abs(acceleration[1:]).max())
-        self.peak_jerk = float(np.abs(np.diff(acceleration, axis=0)).max() / tick)
-        self._before = np.vstack([self._before, velocities])[-2:]
+        self.peak_jerk = float(np.abs(np.diff(acceleration, axis=0)).max() / self._tick)
 
 
 def _s_curve(share: np.ndarray) -> np.ndarray:

@@ -128,7 +128,7 @@ def lock_step(
             command = np.zeros(dof)
         else:
             if estimator is not None and np.isfinite(known.joint_position).all():
-                known = estimator.predict(known, [(drive.latency, command)])
+                known = estimator.predict(known, drive.pending())
             timed_plan = timed_planner.plan(known)
             command = timed_plan.plan.command
         command = drive.apply(command)
@@ -162,7 +162,7 @@ def real_time(
     """
     plant, period = drive.plant, drive.control_period
     timed_planner, still = _TimedPlanner(planner), np.zeros(dof)
-    before, sent, command, age = still, still, still, 0
+    command, age = still, 0
     planned = halted = False
     job: Future[_TimedPlan] | None = None
     known = estimator.update(_observed(plant, dof))
@@ -172,7 +172,7 @@ def real_time(
     due = clock()
     try:
         while True:
-            timed_plan, missed, stopped, before = None, False, False, sent
+            timed_plan, missed, stopped = None, False, False
             if job is not None and job.done():
                 timed_plan, job = job.result(), None
                 command, age, planned = timed_plan.plan.command, 0, True
@@ -183,7 +183,7 @@ def real_time(
                     command, stopped = still, True
             if job is None and known is not None:
                 # Commands that are already decided are executed before those of the plan requested here.
-                pending = [(drive.latency, before), (period, drive.allowed(command))]
+                pending = [*drive.pending(), (period, drive.allowed(command))]
                 job = pool.submit(timed_planner.plan, estimator.predict(known, pending))
             sent = drive.apply(command)
             due += period

@@ -137,20 +137,24 @@ class Estimator:
         return self._with_pose(observation, self._believed.poses.numpy()[self._count - 1])
 
     def predict(self, observation: Observation, pending: Sequence[tuple[float, np.ndarray]]) -> Observation:
-        """Predicts the observation after the execution of commands that are already decided.
+        """Predicts the observation after a motion of the arm that is already decided.
 
         Args:
             observation: The current estimate, from :meth:`update`.
-            pending: Commands as pairs of duration [s] and joint velocities, shape [dof] [rad/s; m/s for a prismatic
+            pending: The motion, as pairs of duration [s] and joint velocities, shape [dof] [rad/s; m/s for a prismatic
                 joint].
         """
-        joints, total = [observation.joint_position], 0.0
-        for duration, velocity in pending:
-            steps = math.ceil(duration / _STEP - 1e-9)
-            joints += [joints[-1] + velocity * duration * step / steps for step in range(1, steps + 1)]
-            total += duration
+        durations = np.array([duration for duration, _ in pending])
+        velocities = np.array([velocity for _, velocity in pending])
+        total = float(durations.sum())
         if total == 0.0:
             return observation
+        ends = np.concatenate([[0.0], np.cumsum(durations)])
+        path = observation.joint_position + np.vstack(
+            [0.0 * velocities[:1], np.cumsum(durations[:, None] * velocities, axis=0)]
+        )
+        at = np.linspace(0.0, total, math.ceil(total / _STEP - 1e-9) + 1)
+        joints = np.column_stack([np.interp(at, ends, positions) for positions in path.T])
         track = self._ahead_track
         self._ahead.numpy()[: len(joints)] = joints
         track.poses.numpy()[0] = to_center(self._surface, observation.object_pose)
@@ -159,7 +163,7 @@ class Estimator:
             observation,
             time=observation.time + total,
             joint_position=joints[-1],
-            joint_velocity=np.array(pending[-1][1], dtype=float),
+            joint_velocity=velocities[-1],
         )
         return self._with_pose(moved, track.poses.numpy()[len(joints) - 1])
 

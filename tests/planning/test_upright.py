@@ -67,7 +67,9 @@ class Follower:
         self, joints: np.ndarray, pose: np.ndarray, velocity: np.ndarray, *, repositioning: bool = False
     ) -> np.ndarray:
         tip = tip_frame(self.scene.robot, joints)[1]
-        return self.servo.joint_velocity(joints, self.allowed(tip, pose, velocity, repositioning=repositioning))
+        return self.servo.joint_velocity(
+            self.servo.rates(joints), self.allowed(tip, pose, velocity, repositioning=repositioning)
+        )
 
 
 def test_the_clearance_is_that_of_the_arm_which_is_negative_out_of_reach():
@@ -191,7 +193,7 @@ def test_the_tip_changes_its_velocity_as_fast_as_the_joints_may():
     scene = replace(task(), start=(0.4, -0.45, 0.0))
     servo = ToolServo(scene.robot, limits=velocity_bound(scene, RobotLevel()), period=DT)
     joints = joints_at(scene.robot, (0.45, 0.1, HEIGHT))
-    rates = servo.rates(joints)
+    rates = servo.rates(joints).move
     linear = tip_jacobian(scene.robot, joints)[:3]
     np.testing.assert_allclose(linear[:2] @ rates, np.eye(2), atol=1e-3)
     np.testing.assert_allclose(linear[2] @ rates, np.zeros(2), atol=1e-3)
@@ -255,7 +257,8 @@ def test_the_servo_keeps_the_direction_where_a_joint_is_at_its_limit():
     joints = joints_at(scene.robot, (0.6, 0.1, HEIGHT))
     wanted = np.array([2.0, -1.0, 0.0])
     limits = velocity_bound(scene, RobotLevel())
-    rates = ToolServo(scene.robot, limits=limits, period=DT).joint_velocity(joints, wanted)
+    servo = ToolServo(scene.robot, limits=limits, period=DT)
+    rates = servo.joint_velocity(servo.rates(joints), wanted)
     assert np.abs(rates).max() <= RobotLevel().joint_velocity_limit + 1e-9
     moved = tip_frame(scene.robot, joints + 1e-3 * rates)[1] - tip_frame(scene.robot, joints)[1]
     np.testing.assert_allclose(moved[1] / moved[0], wanted[1] / wanted[0], rtol=0.02)

@@ -88,8 +88,27 @@ def test_a_command_that_lasts_is_reached_and_the_arm_lags_by_half_of_the_smoothi
     far = plant.velocities.sum(axis=0) * plant.control_period / plant.ticks
     smooth = Drive(Noting(), 6, XARM)
     commanded = plant.control_period * sum(smooth.apply(wanted) for _ in range(20))
-    np.testing.assert_allclose(far, commanded - drive.latency * wanted, atol=2e-3)
-    assert drive.latency == 0.5 * XARM.smoothing
+    np.testing.assert_allclose(far, commanded - drive.latency * wanted, atol=1e-9)
+    assert drive.latency == pytest.approx(0.5 * (XARM.smoothing - plant.control_period / plant.ticks))
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.02, 0.045, 0.05, 0.12])
+def test_what_is_pending_is_what_the_arm_does_until_the_next_command_takes_effect(latency: float):
+    plant = Noting()
+    plant.latency = latency  # type: ignore[attr-defined]
+    drive = Drive(plant, 6, XARM)
+    rng = np.random.default_rng(5)
+    for _ in range(10):
+        last = drive.apply(rng.uniform(-0.2, 0.2, 6))
+    pending = drive.pending()
+    assert sum(duration for duration, _ in pending) == pytest.approx(drive.latency)
+    moved = sum((duration * velocity for duration, velocity in pending), STILL)
+    for _ in range(4):
+        drive.apply(last)
+    times = latency + plant.control_period / plant.ticks * np.arange(len(plant.velocities) + 1)
+    positions = np.vstack([STILL, np.cumsum(plant.velocities, axis=0)]) * plant.control_period / plant.ticks
+    now, then = (np.array([np.interp(at, times, joint) for joint in positions.T]) for at in (0.5, 0.5 + drive.latency))
+    np.testing.assert_allclose(moved, then - now, atol=1e-9)
 
 
 def test_a_change_that_is_too_large_is_scaled_down_for_all_joints_alike():

@@ -161,7 +161,7 @@ def test_a_plan_starts_where_a_command_that_is_smoothed_takes_effect():
     steps = list(islice(loop, 4))
     start = plant.scene.robot.start
     for asked, step in zip(clock.asked[1:], steps, strict=False):
-        np.testing.assert_allclose(asked.joint_position - start, 0.02 * step.command, atol=1e-9)
+        np.testing.assert_allclose(asked.joint_position - start, 0.015 * step.command, atol=1e-9)
         np.testing.assert_allclose(asked.joint_velocity, step.command)
 
 

@@ -702,8 +702,7 @@ def upright_rollout(
         wanted = wanted if before > 5e-4 else -np.inf
         if at[2] > upright.height + 0.008:
             wanted = max(wanted, min(0.002, before))
-        step = float(np.hypot(*(at - start)[:2]))  # a tip that is farther than another step is not slowed down yet
-        if at[2] >= body.top or gap >= step + 0.002 or wanted <= gap or before <= -radius:
+        if at[2] >= body.top or wanted <= gap or before <= -radius:
             return at
         turned = planar_rotation(pose[2])
         outward = body.outline.at(turned.T @ (at[:2] - pose[:2]))[1]
