@@ -55,6 +55,12 @@ AT_ONCE = wp.constant(10.0)
 CLOSE = wp.constant(0.05)
 """Clearance of an object beyond which a control step does not take it to its margin [m]."""
 
+SLOWING = wp.constant(5.0)
+"""Speed that a tip may push with, per clearance of the object in excess of its margin [1/s]."""
+
+NEAR = wp.constant(0.01)
+"""Gap between tool and object within which the object may be pushed, whatever the model says [m]."""
+
 LEAST_SLOPE = wp.constant(0.3)
 """Least slope of the clearance that a correction of the tip is computed with; it is one in front of a wall."""
 
@@ -63,6 +69,9 @@ PROJECTIONS = wp.constant(3)
 
 HALVINGS = wp.constant(3)
 """Number of times that the tip's motion is halved."""
+
+SLIDES = wp.constant(2)
+"""Number of corrections of a tip that slides along the object as along a wall."""
 
 SHORT = wp.constant(5.0e-4)
 """Amount by which the object's clearance may fall short of the least after them [m]."""
@@ -255,12 +264,35 @@ def is_close(upright: UprightArm, contact: Contact) -> bool:
 
 
 @wp.func
+def pushing_speed(upright: UprightArm, clearance: float) -> float:
+    """Returns the largest speed of a tip that pushes an object with a clearance [m/s].
+
+    At its margin the object is pushed no faster than it is touched: what it does on the way there may differ from the
+    prediction, and what it is pushed onto then feels that speed.
+    """
+    return upright.touch_speed + SLOWING * wp.max(clearance - upright.object_margin, 0.0)
+
+
+@wp.func
 def pushed_clearance(
     upright: UprightArm, body: ObjectModel, pose: wp.vec3, start: wp.vec3, tip: wp.vec3, radius: float,
     contact_steps: int,
 ) -> float:  # fmt: skip
     """Returns the clearance phi_2 of the pose to which a motion of the tool pushes the object [m]."""
     return pose_field(upright.object_clearance, push_along(body, pose, start, tip, radius, contact_steps))[0]
+
+
+@wp.func
+def slide_along(body: ObjectModel, pose: wp.vec3, start: wp.vec3, tip: wp.vec3, radius: float) -> wp.vec3:
+    """Returns where the tip gets on its way to a position, along an object at a pose as along a wall."""
+    moved = tip
+    c = wp.cos(pose[2])
+    s = wp.sin(pose[2])
+    for _ in range(SLIDES):
+        field = planar_field(body.body, rotate(c, -s, wp.vec2(moved[0] - pose[0], moved[1] - pose[1])))
+        outward = wp.max(radius - field[0], 0.0) * rotate(c, s, wp.normalize(wp.vec2(field[1], field[2])))
+        moved = moved + wp.vec3(outward[0], outward[1], 0.0)
+    return moved
 
 
 @wp.func
@@ -304,7 +336,12 @@ def keep_off(
                 moved = within(start, tip, scale * longest)
                 left = pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
         if left < wp.min(before, 0.0):
-            moved = wp.vec3(start[0], start[1], tip[2])
+            moved = slide_along(body, pose, start, within(start, tip, longest), radius)
+            if (
+                pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
+                < wp.min(before, 0.0) - ROUNDED
+            ):
+                moved = wp.vec3(start[0], start[1], tip[2])
     return moved
 
 
@@ -384,6 +421,10 @@ def step_upright(
     if is_close(upright, out.contact):
         tip = out.tried.tip
         pushed = out.contact.pushed
+        if out.contact.gap < CLOSE:
+            tip = within(placed.tip, tip, dt * pushing_speed(upright, out.contact.gap))
+        if tip[0] != out.tried.tip[0] or tip[1] != out.tried.tip[1]:
+            pushed = push_along(body, pose, placed.tip, tip, radius, contact_steps)
         tip = keep_off(upright, body, pose, placed.tip, tip, pushed, radius, braking, dt, contact_steps)
         if tip[0] != out.tried.tip[0] or tip[1] != out.tried.tip[1]:
             out.tried.tip = tip
@@ -446,7 +487,13 @@ def allowed_velocity(
     """
     repositioning = waypoint[0][3] > 0.0
     placed = place_upright(upright, start[0])
-    u = change_velocity(rates, most_change, start[2], command[0])
+    u = command[0]
+    tip = wp.vec2(start[0][0], start[0][1])
+    gap = phi_1(model, start[1], tip) - radius
+    if gap < NEAR and phi_1(model, start[1], tip + dt * wp.vec2(u[0], u[1])) - radius < gap + BESIDE:
+        clearance = pose_field(upright.object_clearance, start[1])[0]
+        u = within(wp.vec3(0.0, 0.0, u[2]), u, pushing_speed(upright, clearance))
+    u = change_velocity(rates, most_change, start[2], u)
     step = step_upright(upright, model, start[1], placed, u, repositioning, radius, dt, contact_steps)
     allowed[0] = (step.placed.tip - start[0]) / dt
 

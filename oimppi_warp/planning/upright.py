@@ -145,7 +145,9 @@ def _clearance(
     clearance = np.where(clearance < np.minimum(free, height) - _ON_TABLE, clearance, free)
     for layer in range(shape[2]):
         inside, outside = (0.5 * STEP * _distances(where[..., layer]) for where in (reached, ~reached))
-        clearance[..., layer] = np.where(reached[..., layer], np.minimum(clearance[..., layer], inside), -outside)
+        # The border lies beyond the last node that is reached, one does not know how far.
+        inside = np.minimum(clearance[..., layer], inside - 0.5 * STEP)
+        clearance[..., layer] = np.where(reached[..., layer], inside, -outside)
     return _field(clearance, postures, 0.5 * STEP, outside=_OUTSIDE, device=device)
 
 

@@ -693,7 +693,12 @@ def upright_rollout(
             moved = within(start, tip, share * longest)
             if gap(moved) >= min(before, 0.0):
                 return moved
-        return np.array([*start[:2], tip[2]])
+        moved = within(start, tip, longest)  # along the object, as along a wall
+        for _ in range(2):
+            turned = planar_rotation(pose[2])
+            depth, outward = body.outline.at(turned.T @ (moved[:2] - pose[:2]))
+            moved = moved + np.array([*(max(radius - depth, 0.0) * turned @ outward / np.linalg.norm(outward)), 0.0])
+        return moved if gap(moved) >= min(before, 0.0) - 5e-5 else np.array([*start[:2], tip[2]])
 
     def approach(pose: np.ndarray, start: np.ndarray, at: np.ndarray) -> np.ndarray:
         """The tool touches slowly, and not at all while it is too high to push."""
@@ -714,7 +719,11 @@ def upright_rollout(
         tried = replace(place(approach(pose, placed.tip, clear), effort), clearance=clearance(clear))
         contact = touch(world, placed, tried, pose)
         if contact.gap < 1.0:
-            tried = replace(place(keep_off(pose, placed.tip, tried.tip), effort), clearance=tried.clearance)
+            slow = tried.tip
+            if contact.gap < 0.05:
+                fastest = upright.touch_speed + 5.0 * max(contact.gap - upright.object_margin, 0.0)
+                slow = within(placed.tip, slow, dt * fastest)
+            tried = replace(place(keep_off(pose, placed.tip, slow), effort), clearance=tried.clearance)
             contact = touch(world, placed, tried, pose)
         end = tried.tip
         if contact.pressed > 0.0:  # back out of the object
