@@ -98,7 +98,7 @@ def paper(method: str = "cloi") -> Config:
             w_rush=0.0,
         ),
         episode=EpisodeConfig(tight=False, exact=False),
-        safety=Safety(smoothing=0.0),
+        safety=Safety(smoothing=0.0, filter=False),
         object_cost=ObjectCost(w_d=100.0, w_theta=0.08, w_to_go=0.0, w_margin=0.0, w_push_ring=0.0),
     )
 

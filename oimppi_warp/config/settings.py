@@ -553,6 +553,13 @@ class Safety:
         499.98, "Largest jerk of each joint (m/s^3 for a sliding joint).", unit="rad/s^3", low=1.0
     )
 
+    filter: bool = setting(
+        True,
+        "Change commands that would take the arm too close to table, obstacles or itself, or a joint to its limit, "
+        "whatever planned them.",
+    )
+    margin: float = setting(0.002, "Distance that the filter keeps the arm from all of these.", unit="m", low=0.0)
+
     def most_change(self, period: float) -> float:
         """Returns the largest change of a joint's velocity per control period [rad/s; m/s for a prismatic joint].
 

@@ -63,6 +63,11 @@ class Drive:
         self._kept = max(2, math.ceil(self._transport / self._tick - 1e-9))
         self._sent = np.zeros((self._kept, dof))  # the latest velocities that the plant was sent, one per tick
 
+    @property
+    def command(self) -> np.ndarray:
+        """Returns the joint velocities of the latest command, as it was carried out, shape [dof] [rad/s]."""
+        return self._command.copy()
+
     def allowed(self, joint_velocity: np.ndarray) -> np.ndarray:
         """Returns the joint velocities that :meth:`apply` would move towards, shape [dof] [rad/s]; sends nothing.
 

@@ -80,6 +80,7 @@ COLUMNS: dict[str, Column] = {
     "command": Column(("dof",), "rad/s", "joint velocities commanded during the step, within the limits"),
     "joint_acceleration": Column((), "rad/s^2", "largest commanded acceleration of a joint during the step"),
     "joint_jerk": Column((), "rad/s^3", "largest commanded jerk of a joint during the step"),
+    "filtered": Column((), "1", "1 if the safety filter changed the command; the header's `filtered` counts for what"),
     "limited": Column((), "1", "1 if the change of the command was reduced to the limits of acceleration and jerk"),
     "tool_position": Column((3,), "m", "position of the tool's tip at the end of the step"),
     "object_pose": Column((3,), "m, m, rad", "planar pose of the object at the end of the step"),

@@ -46,6 +46,7 @@ class Metrics:
         stops: Number of control steps in which the arm was stopped, because the last plan had expired or no plan could
             be made.
         max_joint_acceleration, max_joint_jerk: Largest commanded acceleration [rad/s^2] and jerk [rad/s^3] of a joint.
+        filtered_commands: Number of control steps in which the safety filter changed the command.
         limited_commands: Number of control steps in which the change of the command was reduced to the limits.
         max_lag_ms: Largest delay of the control loop behind the wall clock [ms].
         detections, rejected_detections, recoveries: Number of detections that arrived, that were rejected, and that
@@ -87,6 +88,7 @@ class Metrics:
     stops: int
     max_joint_acceleration: float
     max_joint_jerk: float
+    filtered_commands: int
     limited_commands: int
     max_lag_ms: float
     detections: int
@@ -156,6 +158,7 @@ def summarize(log: EpisodeLog) -> Metrics:
         stops=int(np.nansum(log["stopped"])),
         max_joint_acceleration=_of_finite(np.max, log["joint_acceleration"]),
         max_joint_jerk=_of_finite(np.max, log["joint_jerk"]),
+        filtered_commands=int(np.nansum(log["filtered"])),
         limited_commands=int(np.nansum(log["limited"])),
         max_lag_ms=_of_finite(np.max, log["lag_ms"]),
         detections=int((log["detection"] > 0).sum()),

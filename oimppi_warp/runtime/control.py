@@ -21,6 +21,7 @@ from oimppi_warp.observation import Observation, check_shapes
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.plants.drive import Drive
 from oimppi_warp.plants.plant import Plant
+from oimppi_warp.plants.safety_filter import Filtered, SafetyFilter
 from oimppi_warp.runtime.estimator import Estimator, Event
 
 
@@ -58,9 +59,11 @@ class ControlStep:
             none.
         event: Result of processing a detection in this period, one of :data:`oimppi_warp.record.log.EVENTS`.
         missed: Whether a plan was due but not ready.
-        stopped: Whether the arm was stopped: the last plan had expired, or nothing could be planned.
+        stopped: Whether the arm was stopped: the last plan had expired, nothing could be planned, or no command kept
+            the bounds of the safety filter.
         lag: Delay of the loop behind the wall clock [s].
         limited: Whether the change of the command was scaled down to the limits of acceleration and jerk.
+        filtered: Bounds that the safety filter changed the command for; empty if it did not.
         peak_acceleration, peak_jerk: See :class:`oimppi_warp.plants.drive.Drive`.
     """
 
@@ -75,6 +78,7 @@ class ControlStep:
     stopped: bool = False
     lag: float = 0.0
     limited: bool = False
+    filtered: str = ""
     peak_acceleration: float = math.nan
     peak_jerk: float = math.nan
 
@@ -104,7 +108,12 @@ class _TimedPlanner:
 
 
 def lock_step(
-    drive: Drive, planner: SupportsPlanning, estimator: Estimator | None, *, dof: int
+    drive: Drive,
+    planner: SupportsPlanning,
+    estimator: Estimator | None,
+    *,
+    dof: int,
+    guard: SafetyFilter | None = None,
 ) -> Generator[ControlStep]:
     """Yields an endless sequence of control steps in which the plant waits for the planner.
 
@@ -115,6 +124,7 @@ def lock_step(
         planner: The planner.
         estimator: Estimator of the object's pose; ``None`` for a plant without latency that reports its exact state.
         dof: Number of joints.
+        guard: Filter of the commands.
 
     Raises:
         ObservationError: An array that the plant reports has the wrong length.
@@ -131,11 +141,12 @@ def lock_step(
                 known = estimator.predict(known, drive.pending())
             timed_plan = timed_planner.plan(known)
             command = timed_plan.plan.command
-        command = drive.apply(command)
+        filtered = _filtered(guard, drive, observation, command)
+        command = drive.apply(filtered.joint_velocity)
         observation = _observed(plant, dof)
         known = _known(estimator, observation)
         step = _control_step(drive, command, timed_plan, observation, known, estimator)
-        yield replace(step, stopped=step.stopped or lost)
+        yield replace(step, stopped=step.stopped or lost or filtered.stopped, filtered=filtered.reason)
 
 
 def real_time(
@@ -145,6 +156,7 @@ def real_time(
     *,
     dof: int,
     expires: float,
+    guard: SafetyFilter | None = None,
     clock: Callable[[], float] = time.perf_counter,
     sleep: Callable[[float], None] = time.sleep,
     executor: PlanExecutor | None = None,
@@ -157,6 +169,7 @@ def real_time(
         estimator: Estimator of the object's pose.
         dof: Number of joints.
         expires: Time for which a command is held when the next plan is late [s].
+        guard: Filter of the commands.
         clock, sleep: Functions of the wall clock [s].
         executor: Executor that the planner runs in; ``None``: a single thread.
     """
@@ -165,7 +178,8 @@ def real_time(
     command, age = still, 0
     planned = halted = False
     job: Future[_TimedPlan] | None = None
-    known = estimator.update(_observed(plant, dof))
+    observation = _observed(plant, dof)
+    known = estimator.update(observation)
     own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if executor is None else None
     pool = executor or own
     assert pool is not None
@@ -181,11 +195,12 @@ def real_time(
                 missed, age = True, age + 1
                 if age * period > expires + 1e-9:
                     command, stopped = still, True
+            filtered = _filtered(guard, drive, observation, command)
             if job is None and known is not None:
                 # Commands that are already decided are executed before those of the plan requested here.
-                pending = [*drive.pending(), (period, drive.allowed(command))]
+                pending = [*drive.pending(), (period, drive.allowed(filtered.joint_velocity))]
                 job = pool.submit(timed_planner.plan, estimator.predict(known, pending))
-            sent = drive.apply(command)
+            sent = drive.apply(filtered.joint_velocity)
             due += period
             left = due - clock()
             if left > 0.0:
@@ -195,7 +210,8 @@ def real_time(
             observation = _observed(plant, dof)
             known = estimator.update(observation)
             step = _control_step(drive, sent, timed_plan, observation, known, estimator)
-            yield replace(step, missed=missed, stopped=stopped or halted, lag=max(-left, 0.0))
+            stopped = stopped or halted or filtered.stopped
+            yield replace(step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered.reason)
     finally:
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)
@@ -206,6 +222,15 @@ def _observed(plant: Plant, dof: int) -> Observation:
     observation = plant.observe()
     check_shapes(observation, dof)
     return observation
+
+
+def _filtered(guard: SafetyFilter | None, drive: Drive, observation: Observation, command: np.ndarray) -> Filtered:
+    """Returns a command as the filter lets it pass, for where the arm will be when the command takes effect."""
+    if guard is None:
+        return Filtered(command)
+    joints = observation.joint_position + sum(duration * velocity for duration, velocity in drive.pending())
+    filtered = guard.project(joints, drive.allowed(command), drive.command)
+    return filtered if filtered.reason else Filtered(command)  # the drive notes that it limits the change
 
 
 def _known(estimator: Estimator | None, observation: Observation) -> Observation | None:

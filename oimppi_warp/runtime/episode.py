@@ -24,6 +24,7 @@ from oimppi_warp.planning.plan import Plan
 from oimppi_warp.planning.resolve import entries_used, resolve
 from oimppi_warp.plants.drive import Drive
 from oimppi_warp.plants.plant import ContactPlant, MovablePlant, Plant, TruthfulPlant, has_tipped, latency_of
+from oimppi_warp.plants.safety_filter import SafetyFilter
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
 from oimppi_warp.registries import PLANTS
@@ -139,6 +140,7 @@ class Episode:
             plant=spec.plant if plant is None else type(plant).__name__,
         )
         self._drive = Drive(self.plant, scene.robot.dof, config.safety)
+        self._guard = SafetyFilter(scene, config.safety, config.control_period) if config.safety.filter else None
         self._control_steps = self._loop()
         self._plans = 0
         self._sideways: np.ndarray | None = None
@@ -163,6 +165,7 @@ class Episode:
                 "preplan_time_s": 0.0,
                 "ended": "interrupted",
                 "problems": [],
+                "filtered": {},
                 "versions": versions() | _packages(spec, config),
             }
         )
@@ -231,12 +234,14 @@ class Episode:
 
     def _loop(self) -> Generator[ControlStep]:
         """Returns the control steps of plant and planner; a plant that reports the exact state needs no estimator."""
-        dof = self.scene.robot.dof
+        dof, guard = self.scene.robot.dof, self._guard
         if self.spec.mode == "realtime":
             estimator = Estimator(self.scene, self.config)
-            return real_time(self._drive, self.planner, estimator, dof=dof, expires=self.config.episode.plan_expires)
+            expires = self.config.episode.plan_expires
+            return real_time(self._drive, self.planner, estimator, dof=dof, expires=expires, guard=guard)
         behind = self.plant.observe().object_time is not None or self._drive.latency > 0.0
-        return lock_step(self._drive, self.planner, Estimator(self.scene, self.config) if behind else None, dof=dof)
+        estimator = Estimator(self.scene, self.config) if behind else None
+        return lock_step(self._drive, self.planner, estimator, dof=dof, guard=guard)
 
     def _knock(self, time: float) -> None:
         """Knocks the object as the run's option ``knock`` says, in the control period that begins at ``time`` [s]."""
@@ -284,6 +289,9 @@ class Episode:
             if plan.problem and plan.problem != self._problem:
                 self.log.header["problems"].append([len(self.log), plan.problem])
             self._problem = plan.problem
+        if step.filtered:
+            counts = self.log.header["filtered"]
+            counts[step.filtered] = counts.get(step.filtered, 0) + 1
         truth = self.state_after(step)
         position_error, yaw_error = pose_error(truth.object_pose, self.scene.goal)
         forces = {}
@@ -312,6 +320,7 @@ class Episode:
             stopped=float(step.stopped),
             lag_ms=1e3 * step.lag,
             limited=float(step.limited),
+            filtered=float(bool(step.filtered)),
             joint_acceleration=step.peak_acceleration,
             joint_jerk=step.peak_jerk,
             **forces,
