@@ -7,7 +7,6 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +21,8 @@ _SHARE = 0.5
 """Largest share of a distance, in excess of the margin, that one control period may take away."""
 _BRAKING = 0.3
 """Share of the largest change of the joint velocities that is counted on for braking; the rest is left for turning."""
-_SEEN = 0.15
-"""Distance beyond which nothing is looked at [m]."""
+_SEEN = 0.3
+"""Distance within which shapes are looked at once a command has to be changed [m]."""
 _BACK, _SLOWLY = 2.0, 0.01
 """Rate at which a distance below the margin is restored [1/s], and its largest speed [m/s, rad/s]."""
 _ROUNDING = 1e-6
@@ -49,6 +48,31 @@ class Filtered:
     joint_velocity: np.ndarray
     reason: str = ""
     stopped: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Bounds:
+    """Bounds of the joint velocities.
+
+    Attributes:
+        lower, upper: Those of each joint, shape [dof] [rad/s].
+        rows: Coefficients of the speeds at which distances grow, shape [n, dof] [m/rad].
+        least: Lower bounds of these speeds, shape [n] [m/s].
+        names: What each keeps apart.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    rows: np.ndarray
+    least: np.ndarray
+    names: list[str]
+
+    def exceeded_by(self, velocity: np.ndarray) -> list[str]:
+        """Returns what joint velocities [dof] would come too close to."""
+        beyond = np.maximum(self.lower - velocity, velocity - self.upper) > _ROUNDING
+        near = self.rows @ velocity < self.least - _ROUNDING
+        joints = [f"the limit of joint {j + 1}" for j in np.flatnonzero(beyond)]
+        return joints + [self.names[i] for i in np.flatnonzero(near)]
 
 
 class SafetyFilter:
@@ -88,11 +112,15 @@ class SafetyFilter:
         still = np.flatnonzero(np.isin(roles, ["table", "obstacle"]))
         pairs = [(int(a), int(b)) for a in moving for b in still]
         self._place(scene.robot.start)
-        own = self._apart(made.link_bodies, [*moving, *np.flatnonzero(roles == "base")])
-        pairs += [pair for pair in own if self._distance(*pair)[0] > safety.margin]
+        self._joint = self._model.dof_jntid[made.joint_qvel]
+        self._sliding = self._model.jnt_type[self._joint] == mujoco.mjtJoint.mjJNT_SLIDE
+        links = self._links(made.link_bodies)
+        self._moved = links[:, None] >= np.arange(len(joints))  # [geom, joint]
+        own = [*moving.tolist(), *np.flatnonzero(roles == "base").tolist()]
+        apart = [(a, b) for a in own for b in own if links[a] - links[b] >= 2]
+        pairs += [pair for pair in apart if self._distance(*pair)[0] > safety.margin]
         self._pairs = np.array(pairs, dtype=int).reshape(-1, 2)
-        # A plane's bounding radius is zero, and the table's is that of all of it: they are always looked at.
-        self._with_table = (roles[self._pairs] == "table").any(axis=1)  # its bounding sphere says nothing
+        self._boxes = self._model.geom_type[self._pairs[:, 1]] == mujoco.mjtGeom.mjGEOM_BOX
 
     def project(self, joints: np.ndarray, wanted: np.ndarray, before: np.ndarray) -> Filtered:
         """Returns the joint velocities nearest to the wanted ones that are allowed for a control period.
@@ -106,61 +134,47 @@ class SafetyFilter:
 
         if not np.isfinite(joints).all():
             return Filtered(self._braked(before), "joint positions that are not known", stopped=True)
-        lower, upper, rows, least, names = self._bounds(joints)
-        if self._kept(wanted, lower, upper, rows, least):
+        self._place(joints)
+        gaps = self._least_distances()
+        if not self._bounds(joints, gaps < self._needed(wanted)).exceeded_by(wanted):
             return Filtered(wanted)
-        # The limit of acceleration is the drive's, which scales the whole change down: here it only bounds the search.
-        low, high = np.maximum(lower, before - self._most), np.minimum(upper, before + self._most)
+        bounds = self._bounds(joints, gaps < _SEEN)
+        reason = ", ".join(dict.fromkeys(bounds.exceeded_by(wanted)))
+        # The nearest motion of the tool. The drive limits accelerations: here they only bound the search.
         jacobian = tip_jacobian(self._robot, joints)[:3]
         cost = jacobian.T @ jacobian + _JOINTS * np.eye(len(wanted))
-        flag, found = -1, wanted
-        most = np.full(len(least), np.inf)
+        slowest, fastest = before - self._most, before + self._most
+        low, high = np.maximum(bounds.lower, slowest), np.minimum(bounds.upper, fastest)
+        any_speed = np.full(len(bounds.least), np.inf)
         if (low <= high).all():
-            found, _, flag, _ = daqp.solve(
-                cost, -cost @ wanted, rows, np.concatenate([high, most]), np.concatenate([low, least])
-            )
-        at_limit = [f"the limit of joint {j + 1}" for j in range(len(wanted)) if not lower[j] <= wanted[j] <= upper[j]]
-        near = [name for name, row, bound in zip(names, rows, least, strict=True) if row @ wanted < bound - _ROUNDING]
-        reason = ", ".join(dict.fromkeys([*at_limit, *near]))
-        if flag == _SOLVED:
-            return Filtered(np.asarray(found), reason)
+            most, least = np.concatenate([high, any_speed]), np.concatenate([low, bounds.least])
+            found, _, flag, _ = daqp.solve(cost, -cost @ wanted, bounds.rows, most, least)
+            if flag == _SOLVED:
+                return Filtered(np.asarray(found), reason)
         # Nothing keeps all bounds: come to rest, and exceed them as little as possible on the way.
-        low, high = before - self._most, before + self._most
-        rows = np.vstack([np.eye(len(wanted)), rows])
-        soft = np.concatenate([np.zeros(len(wanted), np.int32), np.full(len(rows), _SOFT, np.int32)])
-        found, _, flag, _ = daqp.solve(
-            cost,
-            np.zeros(len(wanted)),
-            rows,
-            np.concatenate([high, upper, most]),
-            np.concatenate([low, lower, least]),
-            soft,
-        )
+        rows = np.vstack([np.eye(len(wanted)), bounds.rows])
+        most = np.concatenate([fastest, bounds.upper, any_speed])
+        least = np.concatenate([slowest, bounds.lower, bounds.least])
+        sense = np.concatenate([np.zeros(len(wanted), np.int32), np.full(len(rows), _SOFT, np.int32)])
+        found, _, flag, _ = daqp.solve(cost, np.zeros(len(wanted)), rows, most, least, sense)
         return Filtered(np.asarray(found) if flag in (_SOLVED, _SOFTLY) else self._braked(before), reason, stopped=True)
 
-    def _bounds(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[str]]:
-        """Returns the bounds of the joint velocities, and those of linear combinations of them.
-
-        Returns:
-            Lower and upper bounds, shape [dof]; the coefficients of the combinations, shape [n, dof], with their lower
-            bounds, shape [n], and what each keeps apart.
-        """
-        upper = np.minimum(self._speed, self._closest(self._upper - joints, np.full(len(joints), self._most)))
-        lower = -np.minimum(self._speed, self._closest(joints - self._lower, np.full(len(joints), self._most)))
-        self._place(joints)
-        centers, radii = self._data.geom_xpos[self._pairs], self._model.geom_rbound[self._pairs]
-        gaps = np.linalg.norm(centers[:, 0] - centers[:, 1], axis=1) - radii.sum(axis=1)
+    def _bounds(self, joints: np.ndarray, seen: np.ndarray) -> _Bounds:
+        """Returns the bounds of the joint velocities at joint positions [dof], for the pairs marked in ``seen``."""
+        change = np.full(len(joints), self._most)
+        upper = np.minimum(self._speed, self._closest(self._upper - joints, change))
+        lower = -np.minimum(self._speed, self._closest(joints - self._lower, change))
         rows, distances, names = [], [], []
-        for a, b in self._pairs[self._with_table | (gaps < _SEEN)]:
+        for a, b in self._pairs[seen]:
             distance, ends = self._distance(a, b)
-            if 0.0 != distance < _SEEN:
+            if distance != 0.0:  # where they just touch, there is no direction
                 toward = (ends[1] - ends[0]) / distance
                 rows.append(toward @ (self._jacobian(b, ends[1]) - self._jacobian(a, ends[0])))
                 distances.append(distance - self._margin)
                 names.append(f"{self._names[a]} and {self._names[b]}")
         found = np.array(rows).reshape(-1, len(joints))
         slower = np.abs(found).sum(axis=1) * self._most if np.isfinite(self._most) else np.full(len(found), np.inf)
-        return lower, upper, found, -self._closest(np.array(distances), slower), names
+        return _Bounds(lower, upper, found, -self._closest(np.array(distances), slower), names)
 
     def _closest(self, distances: np.ndarray, slower: np.ndarray) -> np.ndarray:
         """Returns the largest speeds at which distances may shrink, which a period can reduce by ``slower``.
@@ -172,29 +186,44 @@ class SafetyFilter:
         speed = np.minimum(_SHARE * left / self._period, 0.5 * (np.sqrt(b * b + 8.0 * b * left / self._period) - b))
         return speed - np.minimum(_BACK * (left - distances), _SLOWLY)
 
-    def _kept(
-        self, wanted: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: np.ndarray, least: np.ndarray
-    ) -> bool:
-        within = (wanted >= lower - _ROUNDING).all() and (wanted <= upper + _ROUNDING).all()
-        return bool(within and (rows @ wanted >= least - _ROUNDING).all())
-
     def _braked(self, before: np.ndarray) -> np.ndarray:
         """Returns the velocities before, all reduced by the same factor as far as the limit of acceleration allows."""
         most = float(np.abs(before).max())
         return before * max(1.0 - self._most / most, 0.0) if most > 0.0 else np.zeros_like(before)
 
-    def _apart(self, link_bodies: np.ndarray, geoms: Sequence[int]) -> list[tuple[int, int]]:
-        """Returns the pairs of the arm's shapes that are on links which are not neighbours."""
+    def _needed(self, wanted: np.ndarray) -> np.ndarray:
+        """Returns distances of the pairs from which on joint velocities are surely allowed, shape [pair] [m].
+
+        No point of a shape is faster than its farthest one about each joint. A speed ``v`` of approach is allowed from
+        ``v period (v / b + 1) / 2`` on, and from ``v period / share`` on, with ``b`` as in :meth:`_closest`; ``v / b``
+        is no larger than the joint velocities over the change of velocity that is counted on.
+        """
+        arms = np.linalg.norm(self._data.geom_xpos[:, None] - self._data.xanchor[self._joint], axis=2)
+        arms = np.where(self._sliding, 1.0, arms + self._model.geom_rbound[:, None]) * self._moved
+        speed = (arms @ np.abs(wanted))[self._pairs].sum(axis=1)
+        steps = 0.5 * (np.abs(wanted).max() / (_BRAKING * self._most) + 1.0)
+        return self._margin + speed * self._period * max(steps, 1.0 / _SHARE)
+
+    def _links(self, link_bodies: np.ndarray) -> np.ndarray:
+        """Returns the link that each shape moves with, shape [geom]; -1 for what does not move with the arm."""
         index = {int(body): i for i, body in enumerate(link_bodies)}
-
-        def link(geom: int) -> int:
-            body = int(self._model.geom_bodyid[geom])
-            while body and body not in index:
+        links = []
+        for start in self._model.geom_bodyid:
+            body = int(start)
+            while body and body not in index:  # a body that is welded to a link
                 body = int(self._model.body_parentid[body])
-            return index.get(body, -1)
+            links.append(index.get(body, -1))
+        return np.array(links)
 
-        links = {int(geom): link(geom) for geom in geoms}
-        return [(a, b) for a in links for b in links if links[a] - links[b] >= 2]
+    def _least_distances(self) -> np.ndarray:
+        """Returns lower bounds of the pairs' distances, those of spheres (or the second's box) around them [m]."""
+        first, second = self._pairs.T
+        apart = self._data.geom_xpos[first] - self._data.geom_xpos[second]
+        gaps = np.linalg.norm(apart, axis=1) - self._model.geom_rbound[second]
+        boxes = second[self._boxes]
+        local = np.einsum("nij,ni->nj", self._data.geom_xmat[boxes].reshape(-1, 3, 3), apart[self._boxes])
+        gaps[self._boxes] = np.linalg.norm(np.maximum(np.abs(local) - self._model.geom_size[boxes], 0.0), axis=1)
+        return gaps - self._model.geom_rbound[first]
 
     def _place(self, joints: np.ndarray) -> None:
         import mujoco
@@ -208,7 +237,7 @@ class SafetyFilter:
         import mujoco
 
         ends = np.zeros(6)
-        distance = mujoco.mj_geomDistance(self._model, self._data, a, b, _SEEN, ends)
+        distance = mujoco.mj_geomDistance(self._model, self._data, a, b, np.inf, ends)
         return distance, ends.reshape(2, 3)
 
     def _jacobian(self, geom: int, point: np.ndarray) -> np.ndarray:
