@@ -71,6 +71,13 @@ class Run(TaskOptions):
         metrics = summarize(log)
         for step, reason in log.header.get("problems", []):
             console.print(f"step {step}: the arm was stopped: {reason}", soft_wrap=True)
+        if metrics.filtered_commands:
+            reasons = sorted(log.header["filtered"].items(), key=lambda item: -item[1])
+            console.print(
+                f"the safety filter changed {metrics.filtered_commands} of {metrics.steps} commands, "
+                f"most often for: {reasons[0][0]}",
+                soft_wrap=True,
+            )
         if self.json is not None:
             self.json.absolute().parent.mkdir(parents=True, exist_ok=True)
             write_atomically(self.json, metrics.json().encode())

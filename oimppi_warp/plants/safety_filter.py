@@ -7,7 +7,7 @@ them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -43,11 +43,13 @@ class Filtered:
         joint_velocity: Joint velocities, shape [dof] [rad/s; m/s for a prismatic joint].
         reason: Bounds that the command was changed for, such as ``"link5 and the table"``; empty if it was not changed.
         stopped: Whether no command keeps all bounds, so that the arm is stopped.
+        nearest: Nearest points of the shapes that it was changed for, shape [n, 2, 3] [m].
     """
 
     joint_velocity: np.ndarray
     reason: str = ""
     stopped: bool = False
+    nearest: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,7 @@ class _Bounds:
         rows: Coefficients of the speeds at which distances grow, shape [n, dof] [m/rad].
         least: Lower bounds of these speeds, shape [n] [m/s].
         names: What each keeps apart.
+        nearest: Nearest points of these, shape [n, 2, 3] [m].
     """
 
     lower: np.ndarray
@@ -66,13 +69,13 @@ class _Bounds:
     rows: np.ndarray
     least: np.ndarray
     names: list[str]
+    nearest: np.ndarray
 
-    def exceeded_by(self, velocity: np.ndarray) -> list[str]:
-        """Returns what joint velocities [dof] would come too close to."""
+    def exceeded_by(self, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the joints, and the rows, whose bounds joint velocities [dof] exceed: two arrays of indices."""
         beyond = np.maximum(self.lower - velocity, velocity - self.upper) > _ROUNDING
         near = self.rows @ velocity < self.least - _ROUNDING
-        joints = [f"the limit of joint {j + 1}" for j in np.flatnonzero(beyond)]
-        return joints + [self.names[i] for i in np.flatnonzero(near)]
+        return np.flatnonzero(beyond), np.flatnonzero(near)
 
 
 class SafetyFilter:
@@ -136,10 +139,13 @@ class SafetyFilter:
             return Filtered(self._braked(before), "joint positions that are not known", stopped=True)
         self._place(joints)
         gaps = self._least_distances()
-        if not self._bounds(joints, gaps < self._needed(wanted)).exceeded_by(wanted):
+        beyond, near = self._bounds(joints, gaps < self._needed(wanted)).exceeded_by(wanted)
+        if not len(beyond) and not len(near):
             return Filtered(wanted)
         bounds = self._bounds(joints, gaps < _SEEN)
-        reason = ", ".join(dict.fromkeys(bounds.exceeded_by(wanted)))
+        beyond, near = bounds.exceeded_by(wanted)
+        names = [*(f"the limit of joint {j + 1}" for j in beyond), *(bounds.names[i] for i in near)]
+        reason, nearest = ", ".join(dict.fromkeys(names)), bounds.nearest[near]
         # The nearest motion of the tool. The drive limits accelerations: here they only bound the search.
         jacobian = tip_jacobian(self._robot, joints)[:3]
         cost = jacobian.T @ jacobian + _JOINTS * np.eye(len(wanted))
@@ -150,21 +156,22 @@ class SafetyFilter:
             most, least = np.concatenate([high, any_speed]), np.concatenate([low, bounds.least])
             found, _, flag, _ = daqp.solve(cost, -cost @ wanted, bounds.rows, most, least)
             if flag == _SOLVED:
-                return Filtered(np.asarray(found), reason)
+                return Filtered(np.asarray(found), reason, nearest=nearest)
         # Nothing keeps all bounds: come to rest, and exceed them as little as possible on the way.
         rows = np.vstack([np.eye(len(wanted)), bounds.rows])
         most = np.concatenate([fastest, bounds.upper, any_speed])
         least = np.concatenate([slowest, bounds.lower, bounds.least])
         sense = np.concatenate([np.zeros(len(wanted), np.int32), np.full(len(rows), _SOFT, np.int32)])
         found, _, flag, _ = daqp.solve(cost, np.zeros(len(wanted)), rows, most, least, sense)
-        return Filtered(np.asarray(found) if flag in (_SOLVED, _SOFTLY) else self._braked(before), reason, stopped=True)
+        braked = np.asarray(found) if flag in (_SOLVED, _SOFTLY) else self._braked(before)
+        return Filtered(braked, reason, stopped=True, nearest=nearest)
 
     def _bounds(self, joints: np.ndarray, seen: np.ndarray) -> _Bounds:
         """Returns the bounds of the joint velocities at joint positions [dof], for the pairs marked in ``seen``."""
         change = np.full(len(joints), self._most)
         upper = np.minimum(self._speed, self._closest(self._upper - joints, change))
         lower = -np.minimum(self._speed, self._closest(joints - self._lower, change))
-        rows, distances, names = [], [], []
+        rows, distances, names, nearest = [], [], [], []
         for a, b in self._pairs[seen]:
             distance, ends = self._distance(a, b)
             if distance != 0.0:  # where they just touch, there is no direction
@@ -172,9 +179,11 @@ class SafetyFilter:
                 rows.append(toward @ (self._jacobian(b, ends[1]) - self._jacobian(a, ends[0])))
                 distances.append(distance - self._margin)
                 names.append(f"{self._names[a]} and {self._names[b]}")
+                nearest.append(ends)
         found = np.array(rows).reshape(-1, len(joints))
         slower = np.abs(found).sum(axis=1) * self._most if np.isfinite(self._most) else np.full(len(found), np.inf)
-        return _Bounds(lower, upper, found, -self._closest(np.array(distances), slower), names)
+        least = -self._closest(np.array(distances), slower)
+        return _Bounds(lower, upper, found, least, names, np.array(nearest).reshape(-1, 2, 3))
 
     def _closest(self, distances: np.ndarray, slower: np.ndarray) -> np.ndarray:
         """Returns the largest speeds at which distances may shrink, which a period can reduce by ``slower``.

@@ -63,7 +63,7 @@ class ControlStep:
             the bounds of the safety filter.
         lag: Delay of the loop behind the wall clock [s].
         limited: Whether the change of the command was scaled down to the limits of acceleration and jerk.
-        filtered: Bounds that the safety filter changed the command for; empty if it did not.
+        filtered: The command as the safety filter let it pass; ``None`` without a filter.
         peak_acceleration, peak_jerk: See :class:`oimppi_warp.plants.drive.Drive`.
     """
 
@@ -78,7 +78,7 @@ class ControlStep:
     stopped: bool = False
     lag: float = 0.0
     limited: bool = False
-    filtered: str = ""
+    filtered: Filtered | None = None
     peak_acceleration: float = math.nan
     peak_jerk: float = math.nan
 
@@ -146,7 +146,7 @@ def lock_step(
         observation = _observed(plant, dof)
         known = _known(estimator, observation)
         step = _control_step(drive, command, timed_plan, observation, known, estimator)
-        yield replace(step, stopped=step.stopped or lost or filtered.stopped, filtered=filtered.reason)
+        yield replace(step, stopped=step.stopped or lost or filtered.stopped, filtered=filtered)
 
 
 def real_time(
@@ -211,7 +211,7 @@ def real_time(
             known = estimator.update(observation)
             step = _control_step(drive, sent, timed_plan, observation, known, estimator)
             stopped = stopped or halted or filtered.stopped
-            yield replace(step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered.reason)
+            yield replace(step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered)
     finally:
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)

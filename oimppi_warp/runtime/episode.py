@@ -286,12 +286,15 @@ class Episode:
             elif plan.object_update is not None and self._plans % _REFERENCE_EVERY == 0:
                 self.log.add_reference(plan.reference)
             self._plans += 1
-            if plan.problem and plan.problem != self._problem:
-                self.log.header["problems"].append([len(self.log), plan.problem])
-            self._problem = plan.problem
-        if step.filtered:
+        filtered = step.filtered.reason if step.filtered is not None else ""
+        if filtered:
             counts = self.log.header["filtered"]
-            counts[step.filtered] = counts.get(step.filtered, 0) + 1
+            counts[filtered] = counts.get(filtered, 0) + 1
+        problem = problem_of(step)
+        if problem and problem != self._problem:
+            self.log.header["problems"].append([len(self.log), problem])
+        if problem or plan is not None:
+            self._problem = problem
         truth = self.state_after(step)
         position_error, yaw_error = pose_error(truth.object_pose, self.scene.goal)
         forces = {}
@@ -320,13 +323,20 @@ class Episode:
             stopped=float(step.stopped),
             lag_ms=1e3 * step.lag,
             limited=float(step.limited),
-            filtered=float(bool(step.filtered)),
+            filtered=float(bool(filtered)),
             joint_acceleration=step.peak_acceleration,
             joint_jerk=step.peak_jerk,
             **forces,
             **row,
         )
         return position_error, yaw_error
+
+
+def problem_of(step: ControlStep) -> str:
+    """Returns why the arm was stopped in a control step by the planner or the safety filter; empty if it was not."""
+    if step.filtered is not None and step.filtered.stopped:
+        return f"no command within the limits of acceleration keeps these bounds: {step.filtered.reason}"
+    return "" if step.plan is None else step.plan.problem
 
 
 def _packages(spec: RunSpec, config: Config) -> dict[str, str]:

@@ -24,6 +24,7 @@ REFERENCE = (0.95, 0.6, 0.1)
 PLAN = (0.1, 0.35, 0.9)
 FORCE = (0.85, 0.1, 0.1)
 CLEARANCE = (0.55, 0.2, 0.6)
+KEPT_APART = (1.0, 0.25, 0.0)
 FAINT, STRONG = np.array((0.72, 0.76, 0.85)), np.array((0.45, 0.2, 0.75))
 """Colours of sampled paths with zero weight and with the largest weight."""
 METRES_PER_NEWTON = 0.01
@@ -66,6 +67,7 @@ class Canvas:
         self._draw_plan(picture)
         self._draw_contacts(picture.contact_points)
         self._draw_clearance(picture)
+        self._draw_kept_apart(picture.kept_apart)
 
     def _load(self, scene: Scene) -> None:
         self._posed = PosedScene(scene)
@@ -116,6 +118,12 @@ class Canvas:
         radii = wp.full(_MAX_CONTACTS, _CONTACT_RADIUS, dtype=float, device="cpu")
         colors = wp.full(_MAX_CONTACTS, wp.vec3(*FORCE), dtype=wp.vec3, device="cpu")
         self._viewer.log_points("/oimppi/contact/point", points, radii, colors)
+
+    def _draw_kept_apart(self, nearest: np.ndarray) -> None:
+        shown = np.zeros((_MAX_CONTACTS, 2, 3))
+        shown[:, :, 2] = -1.0  # unused entries are hidden below the table
+        shown[: len(nearest)] = nearest[:_MAX_CONTACTS]
+        self._lines("kept_apart", [shown], KEPT_APART, width=0.06)
 
     def _draw_clearance(self, picture: Picture) -> None:
         """Draws a line from the object to the nearest obstacle or the robot's base; hidden if none is near."""

@@ -27,6 +27,7 @@ class Picture:
         sampled: Tool paths of some samples, shape [k, n, 3] [m], the cheapest first.
         weights: Their weights relative to the largest one, shape [k].
         contact_points: Contact points, and the forces on the touched bodies, shape [n, 6] [m, N].
+        kept_apart: Nearest points of shapes that the safety filter keeps apart, shape [n, 2, 3] [m].
         terms: Weighted cost terms of the cheapest sample, by name.
         figures: Values plotted over time, by name and unit.
         status: A one-line status message.
@@ -41,6 +42,7 @@ class Picture:
     sampled: np.ndarray = field(default_factory=lambda: _none(0, 0, 3))
     weights: np.ndarray = field(default_factory=lambda: _none(0))
     contact_points: np.ndarray = field(default_factory=lambda: _none(0, 6))
+    kept_apart: np.ndarray = field(default_factory=lambda: _none(0, 2, 3))
     terms: dict[str, float] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
     status: str = ""

@@ -19,7 +19,7 @@ import numpy as np
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plants.plant import MovablePlant, TruthfulPlant
 from oimppi_warp.runtime.control import ControlStep
-from oimppi_warp.runtime.episode import Episode, Setup
+from oimppi_warp.runtime.episode import Episode, Setup, problem_of
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.view.picture import Picture
 
@@ -148,8 +148,9 @@ class Session:
                 continue
             self._times.append(time.perf_counter())
             self._last = self._episode.state_after(step)
-            if step.plan is not None:
-                self._problem_of_plan = step.plan.problem
+            if step.plan is not None or problem_of(step):
+                self._problem_of_step = problem_of(step)
+            self._filtered = "" if step.filtered is None else step.filtered.reason
             self.latest = self._picture(step)
             if self._episode.log.header["mode"] == "lockstep":
                 period = self._episode.config.control_period / self.speed
@@ -162,7 +163,7 @@ class Session:
         self._steps: Generator[ControlStep] = episode.steps()
         self._over = False
         self._last: Observation | None = None
-        self._problem_of_plan = ""
+        self._problem_of_step = self._filtered = ""
 
     def _apply_requests(self) -> None:
         """Applies the pending requests that are ready."""
@@ -224,6 +225,7 @@ class Session:
             joints=truth.joint_position,
             object_transform=truth.object_transform,
             contact_points=plant.contact_points if isinstance(plant, MovablePlant) else np.zeros((0, 6)),
+            kept_apart=np.zeros((0, 2, 3)) if step is None or step.filtered is None else step.filtered.nearest,
             status=self._status(),
         )
         if step is None or step.plan is None or step.plan.problem:
@@ -260,8 +262,10 @@ class Session:
             return "preparing the requested change"
         if self.paused:
             return "paused"
-        if self._problem_of_plan:
-            return f"stopped: {self._problem_of_plan}"
+        if self._problem_of_step:
+            return f"stopped: {self._problem_of_step}"
+        if self._filtered:
+            return f"the safety filter keeps the arm off: {self._filtered}"
         if self._episode.planner.repositioning:
             return "no progress: repositioning to push from another side"
         return "pushing"

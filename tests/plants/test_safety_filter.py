@@ -112,7 +112,7 @@ def test_whatever_is_commanded_the_arm_touches_nothing(name: str, seed: int):
     assert force == 0.0
     assert min(map(watch.around, at)) > 0.0
     assert min(map(watch.to_limits, at)) > -1e-3
-    assert sum(bool(step.filtered) for step in steps) > 30, "the commands would have led somewhere"
+    assert sum(bool(step.filtered.reason) for step in steps) > 30, "the commands would have led somewhere"
     assert max(step.peak_acceleration for step in steps) <= safety.acceleration_limit + 1e-6
     assert max(step.peak_jerk for step in steps) <= safety.jerk_limit + 1e-6
 
@@ -121,7 +121,7 @@ def test_without_the_filter_it_does():
     scene = shipped("task02")
     steps, _, force = wild(scene, 1, filtered=False)
     assert force > 100.0
-    assert not any(step.filtered for step in steps)
+    assert all(step.filtered.joint_velocity is not None and not step.filtered.reason for step in steps)
 
 
 def test_the_arm_does_not_touch_itself():
@@ -230,7 +230,8 @@ def test_in_real_time_too():
     )
     reasons = set()
     for step in islice(loop, 300):
-        reasons.add(step.filtered)
+        assert step.filtered is not None
+        reasons.add(step.filtered.reason)
         assert plant.contacts.robot_obstacle == 0.0
     loop.close()
     assert len(reasons) > 2

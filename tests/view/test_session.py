@@ -14,6 +14,7 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError, SceneError
+from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.record.log import EpisodeLog, LogError
 from oimppi_warp.runtime.episode import Episode, Setup
@@ -197,6 +198,23 @@ def test_a_line_shows_the_clearance_of_the_object(x, gap):
     (line,) = viewer.lines["/oimppi/clearance"]
     assert np.linalg.norm(line[1] - line[0]) == pytest.approx(gap, abs=1e-6)
     assert line[0, 2] > scene.object.rest_height
+
+
+def test_what_the_safety_filter_keeps_apart_is_drawn_and_said(session, monkeypatch):
+    """A planner that leads the tool into the table."""
+    planner, robot = session.running.planner, session.running.scene.robot
+    plan, jacobian = planner.plan, tip_jacobian(robot, robot.start)
+    down = np.linalg.pinv(jacobian) @ np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0])
+    monkeypatch.setattr(planner, "plan", lambda seen: replace(plan(seen), command=down))
+    until(lambda: len(session.latest.kept_apart))
+    picture = session.latest
+    assert picture.status.startswith("the safety filter keeps") and "tool and the table" in picture.status
+    viewer = Lines()
+    Canvas(viewer).draw(picture)
+    drawn = viewer.lines["/oimppi/kept_apart"]
+    line = drawn[drawn[:, 0, 2] > -0.5][0]
+    assert abs(line[0, 2]) < 0.1 and line[1, 2] == pytest.approx(0.0, abs=1e-6), "from the tool down to the table"
+    np.testing.assert_allclose(line[0, :2], tip_frame(robot, picture.joints)[1][:2], atol=0.03)
 
 
 @pytest.fixture(scope="module")
