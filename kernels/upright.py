@@ -41,7 +41,10 @@ HIGH = wp.constant(0.008)
 """Height of the tip above that for pushing from which it does not touch the object's side: it would tip it [m]."""
 
 BESIDE = wp.constant(2.0e-3)
-"""Gap that such a tip keeps to the object [m]."""
+"""Gap that such a tip keeps to the object, and a tip above the object to its top [m]."""
+
+SKIM = wp.constant(0.01)
+"""Height above the object's top up to which a tip keeps off its sides, as it may come down further [m]."""
 
 TOUCHING = wp.constant(5.0e-4)
 """Gap between tool and object up to which they touch: the tool's speed is not limited, so that it can push [m]."""
@@ -178,27 +181,6 @@ def braking_at(upright: UprightArm, speed: float) -> float:
 
 
 @wp.func
-def move_upright(
-    upright: UprightArm, model: ObjectModel, pose: wp.vec3, tip: wp.vec3, u: wp.vec3, most: float, repositioning: bool,
-    radius: float, dt: float,
-) -> wp.vec3:  # fmt: skip
-    """Returns the tip's position after a control step with the velocity ``u``, as the servo of the arm follows it.
-
-    The horizontal speed is limited to ``most``, which the joints allow. The vertical velocity is the servo's. While the
-    tool is being repositioned it is that of ``u``, and the servo only keeps the tip from sinking below its height.
-    ``radius`` is that of the tool.
-    """
-    v = wp.vec2(u[0], u[1])
-    v = wp.min(1.0, most / wp.max(wp.length(v), 1.0e-6)) * v
-    ahead = wp.vec2(tip[0], tip[1]) + dt * v
-    rise = wp.max(u[2], wp.min(HEIGHT_RATE, 1.0 / dt) * (upright.height - tip[2]))
-    if not repositioning:
-        rise = servo_height(upright, model, pose, tip, ahead, radius)
-        rise = wp.sign(rise) * wp.min(wp.abs(rise), wp.abs(upright.height - tip[2]) / dt)
-    return wp.vec3(ahead[0], ahead[1], tip[2] + dt * rise)
-
-
-@wp.func
 def closest_approach(distance: float, braking: float, dt: float) -> float:
     """Returns the largest approach of a control step to something at a distance, such that the tip stops before it [m].
 
@@ -214,6 +196,30 @@ def closest_approach(distance: float, braking: float, dt: float) -> float:
 def braking_distance(approach: float, braking: float, dt: float) -> float:
     """Returns the distance within which :func:`closest_approach` is less than an approach of a control step [m]."""
     return wp.max(approach / APPROACH, approach * (approach / dt + braking) / wp.max(2.0 * braking, 1.0e-6))
+
+
+@wp.func
+def move_upright(
+    upright: UprightArm, model: ObjectModel, pose: wp.vec3, tip: wp.vec3, u: wp.vec3, most: float, repositioning: bool,
+    radius: float, braking: float, dt: float,
+) -> wp.vec3:  # fmt: skip
+    """Returns the tip's position after a control step with the velocity ``u``, as the servo of the arm follows it.
+
+    The horizontal speed is limited to ``most``, which the joints allow. The vertical velocity is the servo's. While the
+    tool is being repositioned it is that of ``u``, and the servo only keeps the tip from sinking below its height, and
+    from coming down on the object faster than it can stop. ``radius`` is that of the tool.
+    """
+    v = wp.vec2(u[0], u[1])
+    v = wp.min(1.0, most / wp.max(wp.length(v), 1.0e-6)) * v
+    ahead = wp.vec2(tip[0], tip[1]) + dt * v
+    rise = wp.max(u[2], wp.min(HEIGHT_RATE, 1.0 / dt) * (upright.height - tip[2]))
+    if not repositioning:
+        rise = servo_height(upright, model, pose, tip, ahead, radius)
+        rise = wp.sign(rise) * wp.min(wp.abs(rise), wp.abs(upright.height - tip[2]) / dt)
+    elif rise < 0.0 and tip[2] >= model.top:
+        if phi_1(model, pose, ahead) < radius + ASIDE:
+            rise = wp.max(rise, -closest_approach(tip[2] - model.top - BESIDE, braking, dt) / dt)
+    return wp.vec3(ahead[0], ahead[1], tip[2] + dt * rise)
 
 
 @wp.func
@@ -355,7 +361,7 @@ def least_gap(upright: UprightArm, body: ObjectModel, before: float, tip: wp.vec
     least = -wp.inf
     if before > TOUCHING:
         least = before - wp.max(upright.touch_speed * dt, closest_approach(before, braking, dt))
-    if tip[2] > upright.height + HIGH and tip[2] < body.top:
+    if tip[2] > upright.height + HIGH:
         least = wp.max(least, wp.min(BESIDE, before))
     return least
 
@@ -373,7 +379,7 @@ def approach(
     field = planar_field(body.body, rotate(c, -s, wp.vec2(tip[0] - pose[0], tip[1] - pose[1])))
     gap = field[0] - radius
     length = wp.length(step)
-    if tip[2] < body.top and gap + length < braking_distance(length, braking, dt) + BESIDE:
+    if tip[2] < body.top + SKIM and gap + length < braking_distance(length, braking, dt) + BESIDE:
         before = phi_1(body, pose, wp.vec2(start[0], start[1])) - radius
         lack = least_gap(upright, body, before, tip, braking, dt) - gap
         if lack > 0.0 and before > -radius:
@@ -410,7 +416,7 @@ def step_upright(
     out = UprightStep()
     most = fastest(upright, placed.tip)
     braking = braking_at(upright, most)
-    wanted = move_upright(upright, body, pose, placed.tip, u, most, repositioning, radius, dt)
+    wanted = move_upright(upright, body, pose, placed.tip, u, most, repositioning, radius, braking, dt)
     least = least_clearance(placed.arm_clearance, upright.arm_margin, braking, dt)
     out.tried = place_upright(upright, wanted)
     if out.tried.arm_clearance < least:
@@ -451,16 +457,16 @@ def step_upright(
 
 
 @wp.func
-def change_velocity(rates: wp.array[wp.vec2], most: float, before: wp.vec3, u: wp.vec3) -> wp.vec3:
+def change_velocity(rates: wp.array[wp.vec3], most: float, before: wp.vec3, u: wp.vec3) -> wp.vec3:
     """Returns the velocity of the tip, on the way from one to another, to which it can change at once [m/s].
 
-    ``rates`` are the joint velocities per horizontal velocity of the tip, ``most`` their largest change [rad/s].
+    ``rates`` are the joint velocities per velocity of the tip, ``most`` their largest change [rad/s].
     """
-    change = wp.vec2(u[0] - before[0], u[1] - before[1])
+    change = u - before
     share = float(1.0)
     for j in range(rates.shape[0]):
         share = wp.min(share, most / wp.max(wp.abs(wp.dot(rates[j], change)), 1.0e-6))
-    return wp.vec3(before[0] + share * change[0], before[1] + share * change[1], u[2])
+    return before + share * change
 
 
 @wp.kernel
@@ -470,7 +476,7 @@ def allowed_velocity(
     model: ObjectModel,
     radius: float,
     start: wp.array[wp.vec3],
-    rates: wp.array[wp.vec2],
+    rates: wp.array[wp.vec3],
     most_change: float,
     waypoint: wp.array[wp.vec4],
     command: wp.array[wp.vec3],
@@ -482,7 +488,7 @@ def allowed_velocity(
     """Computes the velocity with which the tip follows a command for one control step, by :func:`step_upright` [m/s].
 
     Shapes: ``start`` [3]: the tip's position, the object's pose and the tip's velocity in the control step before;
-    ``rates`` [dof]: joint velocities per horizontal velocity of the tip [rad/m]; ``waypoint``, ``command`` and
+    ``rates`` [dof]: joint velocities per velocity of the tip [rad/m]; ``waypoint``, ``command`` and
     ``allowed`` [1]. ``most_change`` is the largest change of a joint's velocity [rad/s].
     """
     repositioning = waypoint[0][3] > 0.0
@@ -592,9 +598,9 @@ def make_joint_controls(dof: int) -> wp.Kernel:
             most = fastest(upright, last)
             braking = braking_at(upright, most)
             least = least_clearance(placed.arm_clearance, upright.arm_margin, braking, dt)
-            placed = place_upright(
-                upright, move_upright(upright, model, start[1], last, controls[n, h], most, repositioning, radius, dt)
-            )
+            u_tip = controls[n, h]
+            moved = move_upright(upright, model, start[1], last, u_tip, most, repositioning, radius, braking, dt)
+            placed = place_upright(upright, moved)
             if placed.arm_clearance < least:
                 placed = keep_clear(upright.clearance, placed, least)
             # Once touched, the object is no longer where it was.

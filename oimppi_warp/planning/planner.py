@@ -144,7 +144,7 @@ class Planner:
             self.optimizer.shift,
         ]
         self._start = compute.input(3, wp.vec3)  # the tip's position, the object's pose, the tip's velocity
-        self._rates = compute.input(scene.robot.dof, wp.vec2)  # joint velocities per horizontal velocity of the tip
+        self._rates = compute.input(scene.robot.dof, wp.vec3)  # joint velocities per velocity of the tip
         self._allowed = compute.output(1, wp.vec3)
         if upright is not None:
             model = object_model(self.geometry, tool_friction=scene.object.tool_friction)
@@ -223,7 +223,7 @@ class Planner:
         rates = None
         if self._servo is not None:
             rates = self._servo.rates(observation.joint_position)
-            self._rates.host[:] = rates.move
+            self._rates.host[:] = rates.follow
             self._start.host[:] = tip, pose, rates.linear @ observation.joint_velocity
         self._rollouts.set_state(observation, self.goal)
         repositioning = bool(waypoint[3] > 0.0)

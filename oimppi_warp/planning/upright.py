@@ -178,6 +178,8 @@ class TipRates:
         hold: Joint velocities per rate of the height and of the axis's x and y, shape [dof, n].
         free: Projection of joint velocities onto those that change neither, shape [dof, dof].
         move: Joint velocities per horizontal velocity of the tip that change neither, shape [dof, 2] [rad/m].
+        follow: Joint velocities per velocity of the tip with the axis held, shape [dof, 3] [rad/m]; the last column is
+            zero for an arm that cannot lift its tool.
     """
 
     joints: np.ndarray
@@ -186,6 +188,7 @@ class TipRates:
     hold: np.ndarray
     free: np.ndarray
     move: np.ndarray
+    follow: np.ndarray
 
 
 class ToolServo:
@@ -212,7 +215,10 @@ class ToolServo:
         hold = _damped_inverse(held)
         free = np.eye(self._robot.dof) - hold @ held
         axis = tip_frame(self._robot, joints)[0][:, 2]
-        return TipRates(joints, axis, linear, hold, free, _damped_inverse(linear[:2] @ free))
+        move = _damped_inverse(linear[:2] @ free)
+        lift = hold[:, 0] if self._held.start == 0 else np.zeros(len(joints))
+        follow = np.column_stack([move, lift - move @ linear[:2] @ lift])
+        return TipRates(joints, axis, linear, hold, free, move, follow)
 
     def joint_velocity(self, rates: TipRates, velocity: np.ndarray) -> np.ndarray:
         """Returns the joint velocities that follow a velocity of the tip, within their limits, shape [dof] [rad/s].

@@ -57,7 +57,7 @@ class Follower:
         start, command = (wp.array(each.astype(np.float32), dtype=wp.vec3, device=DEVICE) for each in vectors)
         waypoint = wp.array(np.array([[0.0, 0.0, 0.0, repositioning]], np.float32), dtype=wp.vec4, device=DEVICE)
         out = wp.zeros(1, dtype=wp.vec3, device=DEVICE)
-        rates = wp.zeros(0, dtype=wp.vec2, device=DEVICE)  # no limit of the acceleration
+        rates = wp.zeros(0, dtype=wp.vec3, device=DEVICE)  # no limit of the acceleration
         inputs = [self.packed, self.model, self.scene.robot.tool_radius, start, rates, 0.0, waypoint, command]
         inputs += [self.period, 8]
         wp.launch(allowed_velocity, 1, inputs=inputs, outputs=[out], device=DEVICE)
@@ -140,7 +140,48 @@ def test_a_push_along_a_wall_goes_on():
     _, follow = wall(gap=0.001)
     pose, tip = np.array([0.42, 0.0, 0.0]), np.array([0.42, -0.0385, HEIGHT])
     velocity = follow.allowed(tip, pose, np.array([0.0, 0.2, 0.0]))
-    np.testing.assert_allclose(velocity[:2], [0.0, 0.2], atol=0.02)
+    np.testing.assert_allclose(velocity[:2], [0.0, RobotLevel().touch_speed], atol=0.01)
+
+
+@pytest.mark.parametrize("gap", [0.002, 0.01, 0.03, 0.06])
+def test_an_object_beside_an_obstacle_is_pushed_slowly(gap: float):
+    _, follow = wall(gap=gap)
+    pose, tip = np.array([0.42, 0.0, 0.0]), np.array([0.42, -0.0385, HEIGHT])
+    level = RobotLevel()
+    fastest = level.touch_speed + 5.0 * (gap - level.object_margin)
+    velocity = follow.allowed(tip, pose, np.array([0.0, 0.3, 0.0]))
+    assert velocity[1] == pytest.approx(min(0.3, fastest), abs=0.03)
+    away = follow.allowed(tip, pose, np.array([0.0, -0.3, 0.0]))
+    assert away[1] == pytest.approx(-0.3, abs=1e-3), "the tool leaves it as fast as it likes"
+
+
+@pytest.mark.parametrize("along", [-0.15, 0.15])
+def test_a_tool_slides_along_an_object_that_cannot_yield(along: float):
+    """It is held back from pressing the block on the wall, but not from moving along the block's face."""
+    scene, follow = wall(gap=0.0)
+    pose = np.array([0.42, 0.0, 0.0])
+    tip = np.array([pose[0] - 0.05 - scene.robot.tool_radius, 0.0, HEIGHT])
+    velocity = follow.allowed(tip, pose, np.array([0.1, along, 0.0]))
+    assert velocity[0] < 5e-3
+    assert velocity[1] / along > 0.3
+
+
+def test_the_arm_does_not_go_through_its_stretched_posture():
+    """There its elbow could fold to the other side, for which none of the fields holds."""
+    scene = replace(shipped("task01"), start=(0.2, -0.5, 0.0))
+    follow, joints = Follower(scene), joints_at(shipped("task01").robot, (0.52, 0.26, HEIGHT))
+    before, outward = joints.copy(), np.array([0.3, 0.15, 0.0])
+    for step in range(240):
+        wanted = outward if step < 120 else -outward
+        velocity = follow.joint_velocity(joints, np.array(scene.start), wanted)
+        joints = joints + DT * velocity
+        if step == 119:
+            singular = np.linalg.svd(tip_jacobian(scene.robot, joints)[:2], compute_uv=False)[-1]
+            assert np.hypot(*tip_frame(scene.robot, joints)[1][:2]) > 0.66, "it reaches far"
+            assert singular > 0.05
+        if step > 120 and np.hypot(*tip_frame(scene.robot, joints)[1][:2]) < 0.581:
+            break
+    np.testing.assert_allclose(joints, before, atol=0.15)
 
 
 def test_a_tool_that_presses_an_object_on_a_wall_is_taken_back():
@@ -193,7 +234,7 @@ def test_the_tip_changes_its_velocity_as_fast_as_the_joints_may():
     scene = replace(task(), start=(0.4, -0.45, 0.0))
     servo = ToolServo(scene.robot, limits=velocity_bound(scene, RobotLevel()), period=DT)
     joints = joints_at(scene.robot, (0.45, 0.1, HEIGHT))
-    rates = servo.rates(joints).move
+    rates = servo.rates(joints).follow
     linear = tip_jacobian(scene.robot, joints)[:3]
     np.testing.assert_allclose(linear[:2] @ rates, np.eye(2), atol=1e-3)
     np.testing.assert_allclose(linear[2] @ rates, np.zeros(2), atol=1e-3)
@@ -203,7 +244,7 @@ def test_the_tip_changes_its_velocity_as_fast_as_the_joints_may():
 
     def allowed(most: float) -> np.ndarray:
         start = wp.array(np.array([tip, scene.start, before], np.float32), dtype=wp.vec3, device=DEVICE)
-        columns = wp.array(rates.astype(np.float32), dtype=wp.vec2, device=DEVICE)
+        columns = wp.array(rates.astype(np.float32), dtype=wp.vec3, device=DEVICE)
         waypoint = wp.zeros(1, dtype=wp.vec4, device=DEVICE)
         command = wp.array(wanted[None].astype(np.float32), dtype=wp.vec3, device=DEVICE)
         out = wp.zeros(1, dtype=wp.vec3, device=DEVICE)

@@ -707,7 +707,7 @@ def upright_rollout(
         wanted = wanted if before > 5e-4 else -np.inf
         if at[2] > upright.height + 0.008:
             wanted = max(wanted, min(0.002, before))
-        if at[2] >= body.top or wanted <= gap or before <= -radius:
+        if at[2] >= body.top + 0.01 or wanted <= gap or before <= -radius:
             return at
         turned = planar_rotation(pose[2])
         outward = body.outline.at(turned.T @ (at[:2] - pose[:2]))[1]
