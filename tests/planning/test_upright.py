@@ -236,8 +236,7 @@ def test_the_tip_changes_its_velocity_as_fast_as_the_joints_may():
     joints = joints_at(scene.robot, (0.45, 0.1, HEIGHT))
     rates = servo.rates(joints).follow
     linear = tip_jacobian(scene.robot, joints)[:3]
-    np.testing.assert_allclose(linear[:2] @ rates, np.eye(2), atol=1e-3)
-    np.testing.assert_allclose(linear[2] @ rates, np.zeros(2), atol=1e-3)
+    np.testing.assert_allclose(linear @ rates, np.eye(3), atol=1e-3)
     model, packed = object_model(build_geometry(scene, DEVICE), tool_friction=0.2), upright_model(scene).packed
     tip = tip_frame(scene.robot, joints)[1]
     before, wanted = np.array([0.25, 0.0, 0.0]), np.array([-0.2, 0.2, 0.0])
@@ -254,9 +253,9 @@ def test_the_tip_changes_its_velocity_as_fast_as_the_joints_may():
 
     np.testing.assert_allclose(allowed(np.inf), wanted, atol=1e-5)
     most = Safety().most_change(DT)
-    changed = rates @ (allowed(most) - before)[:2]
+    changed = rates[:, :2] @ (allowed(most) - before)[:2]
     assert np.abs(changed).max() == pytest.approx(most, rel=1e-3)
-    way = rates @ (wanted - before)[:2]
+    way = rates[:, :2] @ (wanted - before)[:2]
     np.testing.assert_allclose(changed / most, way / np.abs(way).max(), atol=1e-3)
 
 
@@ -291,6 +290,32 @@ def test_a_tip_above_the_object_is_not_lowered_and_one_beside_it_is():
         rates = Follower(scene).joint_velocity(joints, pose, np.zeros(3))
         fell = tip_frame(scene.robot, joints + DT * rates)[1][2] < top + 0.02 - 1e-3
         assert fell == sinks
+
+
+def test_the_tool_is_not_lowered_onto_the_object_faster_than_it_can_stop():
+    """A tip that comes down while it moves over the object's edge stops above its top."""
+    scene = task(pushed=block((0.10, 0.06, 0.05)))
+    follow = Follower(scene)
+    pose, top = np.array([0.42, 0.0, 0.0]), follow.geometry.top
+    tip, speeds = np.array([0.42, 0.0, top + 0.06]), []
+    for _ in range(40):
+        velocity = follow.allowed(tip, pose, np.array([0.0, 0.0, -0.3]), repositioning=True)
+        tip = tip + DT * velocity
+        speeds.append(-velocity[2])
+    assert top < tip[2] < top + 0.006
+    assert speeds[0] > 0.15, "it comes down fast"
+    braked = -np.diff(speeds)
+    slower = 0.5 * follow.packed.agility * reference.space_field(follow.packed.speed, tip)
+    assert braked.max() < 1.6 * slower, "and brakes as the arm can"
+    beside = np.array([0.42, 0.03 + scene.robot.tool_radius + 0.011, top + 0.02])
+    assert follow.allowed(beside, pose, np.array([0.0, 0.0, -0.3]), repositioning=True)[2] == pytest.approx(
+        -0.3, abs=1e-3
+    )
+    for height in (0.005, 0.02):
+        near = np.array([0.42, 0.03 + scene.robot.tool_radius + 0.004, top + height])
+        moved = near + DT * follow.allowed(near, pose, np.array([0.0, -0.2, 0.0]), repositioning=True)
+        over = moved[1] < 0.03 + scene.robot.tool_radius
+        assert over == (height > 0.01), "a tip that may come down further keeps off the side"
 
 
 def test_the_servo_keeps_the_direction_where_a_joint_is_at_its_limit():
