@@ -37,11 +37,8 @@ ASIDE = wp.constant(0.01)
 APPROACH = wp.constant(0.5)
 """Largest share of a clearance, in excess of the margin, that one control step may take away."""
 
-HIGH = wp.constant(0.008)
-"""Height of the tip above that for pushing from which it does not touch the object's side: it would tip it [m]."""
-
 BESIDE = wp.constant(2.0e-3)
-"""Gap that such a tip keeps to the object, and a tip above the object to its top [m]."""
+"""Gap that a tip which is too high to push keeps to the object, and a tip above the object to its top [m]."""
 
 SKIM = wp.constant(0.01)
 """Height above the object's top up to which a tip keeps off its sides, as it may come down further [m]."""
@@ -104,6 +101,7 @@ class UprightArm:
         speed: Largest horizontal speed of the tip in any direction within the joints' velocity limits [m/s].
         agility: Change of the tip's velocity that a control step can make, as a fraction of ``speed``.
         height: Height of the tip while pushing [m].
+        highest: Height from which the tip does not touch the object's side, which it would tip over [m].
         arm_margin: Clearance that the arm keeps [m].
         object_clearance: Clearance phi_2 of the object, to obstacles and to the table's edge [m].
         object_margin: Its least value: below, the object is not pushed further [m].
@@ -115,6 +113,7 @@ class UprightArm:
     speed: SpaceField
     agility: float
     height: float
+    highest: float
     arm_margin: float
     object_clearance: PoseField
     object_margin: float
@@ -361,7 +360,7 @@ def least_gap(upright: UprightArm, body: ObjectModel, before: float, tip: wp.vec
     least = -wp.inf
     if before > TOUCHING:
         least = before - wp.max(upright.touch_speed * dt, closest_approach(before, braking, dt))
-    if tip[2] > upright.height + HIGH:
+    if tip[2] > upright.highest:
         least = wp.max(least, wp.min(BESIDE, before))
     return least
 

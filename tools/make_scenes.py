@@ -17,6 +17,7 @@ import scene_arm7  # noqa: E402
 import scene_point  # noqa: E402
 import scene_robot  # noqa: E402
 import scene_tasks  # noqa: E402
+import scene_tippy  # noqa: E402
 
 from oimppi_warp.authoring import schema, task  # noqa: E402
 from oimppi_warp.authoring.objects import catalog  # noqa: E402
@@ -37,6 +38,9 @@ def write_all(folder: Path) -> None:
         obj.write(scenes / "objects" / f"{obj.name}.usda", note=NOTE)
     for each in scene_tasks.TASKS:
         task.write(each, scenes, note=NOTE)
+    for each in scene_tippy.TASKS:
+        each.object.write(scenes / "tippy" / "objects" / f"{each.object.name}.usda", note=NOTE)
+        task.write(each, scenes / "tippy", note=NOTE, robots="../robots")
 
 
 if __name__ == "__main__":

@@ -104,14 +104,20 @@ class Task:
 
 
 def write(
-    task: Task, folder: Path, *, note: str = "", find_arm_start: Callable[[Scene], Sequence[float] | None] | None = None
+    task: Task,
+    folder: Path,
+    *,
+    note: str = "",
+    robots: str = "./robots",
+    find_arm_start: Callable[[Scene], Sequence[float] | None] | None = None,
 ) -> Path:
-    """Writes a task's scene to ``folder``, which must already contain ``robots`` and ``objects``.
+    """Writes a task's scene to ``folder``, which must already contain ``objects``.
 
     Args:
         task: The task.
         folder: Destination.
         note: Text appended to the title in the file's documentation.
+        robots: Folder of the robots, relative to ``folder``.
         find_arm_start: Gives the arm's joint positions at the start [rad], or ``None`` for the robot's own, once the
             scene is complete.
 
@@ -137,7 +143,7 @@ def write(
 
     robot = stage.DefinePrim("/World/Robot")
     robot_file = task.robot if is_object_file(Path(task.robot)) else f"{task.robot}.usda"
-    robot.GetReferences().AddReference(f"./robots/{robot_file}")
+    robot.GetReferences().AddReference(f"{robots}/{robot_file}")
     if task.robot_start:
         pose_robot(stage, "/World/Robot", task.robot_start)
 

@@ -16,7 +16,7 @@ from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.reach import Reach, reach_of
-from oimppi_warp.geometry.tipping import can_tip
+from oimppi_warp.geometry.tipping import can_tip, tipping_height
 from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS
 from oimppi_warp.registry import Registry
 from oimppi_warp.scene import Scene
@@ -25,6 +25,10 @@ _USUAL_REACH = 0.717
 """Reach of the xArm6 with its stick, for which ``cost.push_ring`` and ``object_cost.push_ring`` are given [m]."""
 _EVERYWHERE = 1e3
 """Outer radius of a ring that excludes nothing [m]."""
+_PUSHED_AT = 0.6
+"""Height of a push, at most, as a share of that at which it tips the object over."""
+_THIN = 0.05
+"""Tipping height below which it matters how low an object is pushed [m]."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
     - ``cost.push_ring`` and ``object_cost.push_ring`` are scaled to the robot's own reach.
     - If the goal's tolerance allows every yaw, costs of yaw are off.
     - Costs that keep an object from tipping over are off for an object that a push cannot tip.
+    - An object that a push at the height ``cost.height`` could tip over is pushed lower.
     - The weights of cost terms from outside the package are filled in.
 
     Settings that are resolved already are returned as they are, with no changes, so that nothing is scaled twice.
@@ -71,8 +76,8 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
     Raises:
         ConfigError: The settings were resolved for another kind of task, whose values would be wrong here.
     """
-    reach, tips = reach_of(scene.robot), can_tip(scene.object)
-    task = _task(reach, any_yaw=not math.isfinite(scene.tolerance.yaw), tips=tips)
+    reach, tips, tips_from = reach_of(scene.robot), can_tip(scene.object), tipping_height(scene.object)
+    task = _task(reach, any_yaw=not math.isfinite(scene.tolerance.yaw), tips=tips, tips_from=tips_from)
     if config.resolved_for not in ("", task):
         raise ConfigError(
             f"the settings were resolved for another task: {config.resolved_for}; {scene.name} is: {task}\n"
@@ -95,6 +100,10 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
         if not tips:
             effective = replace(effective, cost=replace(effective.cost, w_overhang=0.0, w_rush=0.0))
             reasons |= dict.fromkeys(("cost.w_overhang", "cost.w_rush"), "a push cannot tip the object")
+        lower = _PUSHED_AT * tips_from
+        if tips and 0.0 < lower < effective.cost.height:
+            effective = replace(effective, cost=replace(effective.cost, height=lower))
+            reasons["cost.height"] = f"a push from {1000 * tips_from:.0f} mm above the table tips the object over"
         effective = replace(effective, cost=replace(effective.cost, extra=effective_weights(effective.cost)))
     if control_period is not None:
         effective = replace(effective, control_period=control_period)
@@ -113,10 +122,13 @@ def entries_used(spec: RunSpec, config: Config) -> list[tuple[Registry[Any], str
     return used
 
 
-def _task(reach: Reach, *, any_yaw: bool, tips: bool) -> str:
+def _task(reach: Reach, *, any_yaw: bool, tips: bool, tips_from: float) -> str:
     """Describes the properties of a task that settings depend on."""
+    tipping = "can tip" if tips else "cannot tip"
+    if tips and tips_from < _THIN:
+        tipping = f"tips from {1000 * tips_from:.0f} mm"
     ring = f"reach x{_scale(reach):g}" if reach.border is None else "no ring of reach"
-    return ", ".join([ring, "any yaw" if any_yaw else "yaw counts", "can tip" if tips else "cannot tip"])
+    return ", ".join([ring, "any yaw" if any_yaw else "yaw counts", tipping])
 
 
 def _scale(reach: Reach) -> float:

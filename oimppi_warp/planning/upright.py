@@ -21,6 +21,7 @@ from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.geometry.kinematics import pack_arm, tip_frame
 from oimppi_warp.geometry.postures import STEP, Postures, halved, postures_of
 from oimppi_warp.geometry.reach import can_lift, tip_rates
+from oimppi_warp.geometry.tipping import tipping_height
 from oimppi_warp.kernels.geometry import SpaceField
 from oimppi_warp.kernels.kinematics import Environment
 from oimppi_warp.kernels.upright import SEAM, UprightArm, make_upright_clearance
@@ -37,6 +38,9 @@ _ON_TABLE = 1e-3
 """Amount by which a link has to be closer to the table than the tip for the table to count [m]."""
 _SLOWEST = 0.02
 """Least speed of the tip in the fields [m/s], where a joint's velocity limit would allow almost none."""
+_HIGHER, _HIGHER_SHARE = 0.008, 0.3
+"""Height above that for pushing at which the tip may still touch the object: at most so much [m], and at most this
+share of the height at which a push tips the object over."""
 _TILT_RATE = 4.0
 """Rate at which the servo reduces the tool's tilt [1/s]."""
 _HOME_RATE = 0.5
@@ -97,6 +101,7 @@ def build_upright(
     packed.speed = _field(speed, postures, STEP, outside=_SLOWEST, device=device)
     packed.agility = most_change / float(limits.max())
     packed.height = height
+    packed.highest = height + min(_HIGHER, _HIGHER_SHARE * tipping_height(scene.object))
     packed.arm_margin, packed.object_margin = level.arm_margin, level.object_margin
     packed.touch_speed = level.touch_speed
     packed.object_clearance = geometry.clearance

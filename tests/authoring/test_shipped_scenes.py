@@ -62,7 +62,8 @@ def test_no_file_names_a_place_outside_the_scenes():
     for file in (ROOT / "scenes").rglob("*.usda"):
         references = [part.split("@")[0] for part in file.read_text().split("@")[1::2]]
         for reference in references:
-            assert reference.startswith("./")
+            assert reference.startswith(("./", "../"))
+            assert (file.parent / reference).resolve().is_relative_to(ROOT / "scenes")
             assert (file.parent / reference).is_file()
 
 

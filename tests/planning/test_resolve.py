@@ -120,3 +120,23 @@ def test_a_plants_own_control_period_takes_the_place_of_the_setting():
     assert "plant" in resolved.changes["control_period"].reason
     assert "control_period" not in resolve(best("cloi"), scene, control_period=0.05).changes
     assert resolve(resolved.config, scene, control_period=0.04).changes == {}
+
+
+@pytest.mark.parametrize("thickness", [0.012, 0.03, 0.1])
+def test_an_object_that_a_push_could_tip_over_is_pushed_and_touched_low_enough(thickness: float, device: str):
+    """At friction 0.4 a push tips it from half of its thickness, divided by 0.4: 15 mm, 37.5 mm and 125 mm."""
+    scene = small_tasks.task(pushed=small_tasks.block((0.10, thickness, 0.05)))
+    resolved = resolve(few("best"), scene)
+    tips_from, height = thickness / 2 / 0.4, resolved.config.cost.height
+    assert height == pytest.approx(min(best().cost.height, 0.6 * tips_from))
+    assert ("cost.height" in resolved.changes) == (thickness < 0.02)
+    planner = make_planner(scene, resolved.config, method="cloi", engine="quasistatic", device=device, threads=1)
+    upright = planner.dynamics.task.upright
+    assert upright is not None
+    assert upright.packed.height == pytest.approx(height)
+    assert height < upright.packed.highest <= min(height + 0.008, 0.9 * tips_from) + 1e-6
+    if thickness > 0.02:
+        assert upright.packed.highest == pytest.approx(height + 0.008)
+    other = 0.012 if thickness > 0.02 else 0.03
+    with pytest.raises(ConfigError, match="resolved for another task"):
+        resolve(resolved.config, small_tasks.task(pushed=small_tasks.block((0.10, other, 0.05))))

@@ -705,7 +705,7 @@ def upright_rollout(
         before, gap = body.gap(pose, start[:2]) - radius, body.gap(pose, at[:2]) - radius
         wanted = before - max(upright.touch_speed * dt, approached(before, braking(start)))
         wanted = wanted if before > 5e-4 else -np.inf
-        if at[2] > upright.height + 0.008:
+        if at[2] > upright.highest:
             wanted = max(wanted, min(0.002, before))
         if at[2] >= body.top + 0.01 or wanted <= gap or before <= -radius:
             return at
