@@ -55,8 +55,11 @@ AT_ONCE = wp.constant(10.0)
 CLOSE = wp.constant(0.05)
 """Clearance of an object beyond which a control step does not take it to its margin [m]."""
 
-SLOWING = wp.constant(5.0)
+SLOWING = wp.constant(8.0)
 """Speed that a tip may push with, per clearance of the object in excess of its margin [1/s]."""
+
+FASTER = wp.constant(0.03)
+"""Increase per control step of the speed at which the tip pushes, beyond that of the touch [m/s]."""
 
 NEAR = wp.constant(0.01)
 """Gap between tool and object within which the object may be pushed, whatever the model says [m]."""
@@ -493,11 +496,22 @@ def allowed_velocity(
     repositioning = waypoint[0][3] > 0.0
     placed = place_upright(upright, start[0])
     u = command[0]
+    c = wp.cos(start[1][2])
+    s = wp.sin(start[1][2])
     tip = wp.vec2(start[0][0], start[0][1])
-    gap = phi_1(model, start[1], tip) - radius
-    if gap < NEAR and phi_1(model, start[1], tip + dt * wp.vec2(u[0], u[1])) - radius < gap + BESIDE:
-        clearance = pose_field(upright.object_clearance, start[1])[0]
-        u = within(wp.vec3(0.0, 0.0, u[2]), u, pushing_speed(upright, clearance))
+    field = planar_field(model.body, rotate(c, -s, tip - wp.vec2(start[1][0], start[1][1])))
+    gap = field[0] - radius
+    if gap < NEAR and start[0][2] < model.top:
+        # The model may be wrong about where, and whether, the tip pushes: its speed is limited before it is sure to.
+        ahead = phi_1(model, start[1], tip + dt * wp.vec2(u[0], u[1])) - radius
+        if ahead < gap + BESIDE:
+            clearance = pose_field(upright.object_clearance, start[1])[0]
+            u = within(wp.vec3(0.0, 0.0, u[2]), u, pushing_speed(upright, clearance))
+        outward = rotate(c, s, wp.normalize(wp.vec2(field[1], field[2])))
+        before = -wp.dot(wp.vec2(start[2][0], start[2][1]), outward)
+        faster = -wp.dot(wp.vec2(u[0], u[1]), outward) - wp.max(upright.touch_speed, before + FASTER)
+        back = wp.max(faster, 0.0) * outward
+        u = u + wp.vec3(back[0], back[1], 0.0)
     u = change_velocity(rates, most_change, start[2], u)
     step = step_upright(upright, model, start[1], placed, u, repositioning, radius, dt, contact_steps)
     allowed[0] = (step.placed.tip - start[0]) / dt

@@ -188,7 +188,7 @@ class RobotLevel:
         0.085,
         "Largest speed towards the object with which the tool touches it, in the rollouts and on the arm, with "
         "`robot.controls=tool`. It is also the largest speed at which an object at its margin to an obstacle is "
-        "pushed; up to 5 cm away from there, 0.05 m/s faster for each centimetre. Not in the paper.",
+        "pushed; farther away, 0.08 m/s faster for each centimetre. Not in the paper.",
         unit="m/s",
         low=1e-3,
     )

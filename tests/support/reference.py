@@ -721,7 +721,7 @@ def upright_rollout(
         if contact.gap < 1.0:
             slow = tried.tip
             if contact.gap < 0.05:
-                fastest = upright.touch_speed + 5.0 * max(contact.gap - upright.object_margin, 0.0)
+                fastest = upright.touch_speed + 8.0 * max(contact.gap - upright.object_margin, 0.0)
                 slow = within(placed.tip, slow, dt * fastest)
             tried = replace(place(keep_off(pose, placed.tip, slow), effort), clearance=tried.clearance)
             contact = touch(world, placed, tried, pose)
