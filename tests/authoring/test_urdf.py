@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from pxr import Usd, UsdGeom
 from scipy.spatial import ConvexHull
-from support.sample_urdfs import arm_parts, joint, link, shape, write_urdf
+from support.sample_urdfs import arm_parts, joint, link, panda_parts, shape, ur_parts, write_urdf
 
 from oimppi_warp.authoring import box, write_object
 from oimppi_warp.authoring.robots.arm import Arm
@@ -24,7 +24,7 @@ from oimppi_warp.authoring.robots.start_pose import HEIGHT, table_clearance, wit
 from oimppi_warp.cli.main import main
 from oimppi_warp.config.presets import best
 from oimppi_warp.errors import SceneError
-from oimppi_warp.geometry.feasibility import check_task
+from oimppi_warp.geometry.feasibility import check_task, sample_start
 from oimppi_warp.geometry.footprint import core_points, footprint, outline, rotation_matrix
 from oimppi_warp.geometry.kinematics import link_frames, tip_frame
 from oimppi_warp.geometry.reach import can_lift, reach_of
@@ -466,3 +466,21 @@ def test_an_arm_from_a_urdf_brings_its_object_to_the_goal(tmp_path, device):
     assert main(["scene", "robot", str(urdf), "--tool-axis=x", "--out", str(tmp_path)]) == 0
     log = Episode(load_scene(tmp_path / "made_open.usda"), best("cloi"), method="cloi", device=device, seed=0).run()
     assert summarize(log).success
+
+
+@pytest.mark.parametrize("method", ["cloi", pytest.param("soi", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("name", "parts"), [("ur", ur_parts), ("panda", panda_parts)])
+def test_an_imported_arm_is_as_gentle_as_the_one_that_is_shipped(tmp_path, device, name, parts, method):
+    urdf = write_urdf(tmp_path, parts(), name)
+    assert main(["scene", "robot", str(urdf), "--out", str(tmp_path)]) == 0
+    scene = load_scene(tmp_path / f"{name}_open.usda")
+    for seed in (1,) if method == "cloi" else (1, 2):
+        start = replace(scene, start=sample_start(scene, seed))
+        log = Episode(start, best(method), method=method, device=device, seed=seed).run()
+        found = summarize(log)
+        assert found.success, f"seed {seed}: {found.ended}"
+        assert found.max_contact_robot_obstacle_n <= 5.0
+        assert found.max_contact_object_obstacle_n <= 30.0
+        assert found.max_contact_tool_object_n <= 25.0
+        assert found.max_joint_acceleration <= best(method).safety.acceleration_limit + 1e-6
+        assert found.max_joint_jerk <= best(method).safety.jerk_limit + 1e-6
