@@ -30,7 +30,7 @@ def suite_of(folder: Path, text: str) -> Suite:
 
 def test_the_shipped_suites_have_the_trials_that_they_promise():
     found = {suite.name: suite for suite in shipped_suites()}
-    assert set(found) == {"ablation", "best-sim", "disturbed", "exact", "lab", "paper-sim", "smoke"}
+    assert set(found) == {"ablation", "best-sim", "disturbed", "exact", "lab", "paper-sim", "smoke", "tippy"}
     for name, preset in (("paper-sim", "paper"), ("best-sim", "best")):
         trials, scenes = make_trials(found[name])
         assert len(trials) == 6 * 3 * 10
@@ -42,6 +42,8 @@ def test_the_shipped_suites_have_the_trials_that_they_promise():
     lab, _ = make_trials(found["lab"])
     assert all(trial.real_time and trial.run.plant == "lab" for trial in lab)
     assert lab[0].config.preset == "lab"
+    tippy, scenes = make_trials(found["tippy"])
+    assert len(tippy) == 7 * 2 * 10 and len(scenes) == 7
 
 
 def test_the_first_trials_use_the_scenes_own_starts_and_all_methods_share_them(tmp_path: Path):
@@ -269,7 +271,7 @@ def test_a_part_of_a_suite_can_be_run():
 
 
 def test_suites_are_package_data():
-    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 7
+    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 8
     import tomllib
 
     project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())
