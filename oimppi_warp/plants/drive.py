@@ -85,7 +85,10 @@ class Drive:
         return wanted if most <= self._most else self._command + self._most / most * change
 
     def pending(self) -> list[tuple[float, np.ndarray]]:
-        """Returns what the arm does until the next command takes effect: durations [s] and joint velocities [rad/s]."""
+        """Returns what the arm does until the next command takes effect: durations [s] and joint velocities [rad/s].
+
+        The last pair has no duration: the velocity that the next command changes.
+        """
         under_way = math.ceil(self._transport / self._tick - 1e-9)
         coming = self._velocities(math.ceil(self._lag / self._tick - 1e-9))
         durations = np.full(under_way + len(coming), self._tick)
@@ -94,7 +97,7 @@ class Drive:
         if len(coming):
             durations[-1] -= len(coming) * self._tick - self._lag
         velocities = np.vstack([self._sent[len(self._sent) - under_way :], coming])
-        return list(zip(durations.tolist(), velocities, strict=True))
+        return [*zip(durations.tolist(), velocities, strict=True), (0.0, self._command)]
 
     def apply(self, joint_velocity: np.ndarray) -> np.ndarray:
         """Moves towards joint velocities, for one control period.

@@ -13,6 +13,7 @@ import numpy as np
 
 from oimppi_warp.config.settings import Safety
 from oimppi_warp.geometry.kinematics import tip_jacobian
+from oimppi_warp.observation import BEYOND_LIMITS, beyond_limits
 from oimppi_warp.physics.newton_model import ROLES
 from oimppi_warp.physics.world import World
 from oimppi_warp.scene import Scene
@@ -25,6 +26,10 @@ _SEEN = 0.3
 """Distance within which shapes are looked at once a command has to be changed [m]."""
 _BACK, _SLOWLY = 2.0, 0.01
 """Rate at which a distance below the margin is restored [1/s], and its largest speed [m/s, rad/s]."""
+_EASILY = 0.03
+"""Velocities of the joints that restoring a distance may take [rad/s; m/s for a prismatic joint]."""
+_AT_LEAST = 0.1
+"""Velocity that the filter may give to a joint, even if none is as fast in the command [rad/s; m/s]."""
 _ROUNDING = 1e-6
 """Amount by which a command may exceed a bound and pass unchanged [m/s, rad/s]."""
 _JOINTS = 1e-2
@@ -42,14 +47,19 @@ class Filtered:
     Attributes:
         joint_velocity: Joint velocities, shape [dof] [rad/s; m/s for a prismatic joint].
         reason: Bounds that the command was changed for, such as ``"link5 and the table"``; empty if it was not changed.
-        stopped: Whether no command keeps all bounds, so that the arm is stopped.
+        problem: Why the arm is stopped, if no command keeps all bounds; else empty.
         nearest: Nearest points of the shapes that it was changed for, shape [n, 2, 3] [m].
     """
 
     joint_velocity: np.ndarray
     reason: str = ""
-    stopped: bool = False
+    problem: str = ""
     nearest: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
+
+    @property
+    def stopped(self) -> bool:
+        """Returns whether the arm is being stopped."""
+        return bool(self.problem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +145,15 @@ class SafetyFilter:
         """
         import daqp
 
-        if not np.isfinite(joints).all():
-            return Filtered(self._braked(before), "joint positions that are not known", stopped=True)
+        if not np.isfinite(joints).all() or (beyond_limits(self._robot, joints) > BEYOND_LIMITS).any():
+            problem = "the joint positions cannot be true"
+            return Filtered(self._braked(before), problem, problem=problem)
         self._place(joints)
-        gaps = self._least_distances()
-        beyond, near = self._bounds(joints, gaps < self._needed(wanted)).exceeded_by(wanted)
+        gaps, needed = self._least_distances(), self._needed(wanted)
+        beyond, near = self._bounds(joints, gaps < needed).exceeded_by(wanted)
         if not len(beyond) and not len(near):
             return Filtered(wanted)
-        bounds = self._bounds(joints, gaps < _SEEN)
+        bounds = self._bounds(joints, gaps < np.maximum(needed, _SEEN))
         beyond, near = bounds.exceeded_by(wanted)
         names = [*(f"the limit of joint {j + 1}" for j in beyond), *(bounds.names[i] for i in near)]
         reason, nearest = ", ".join(dict.fromkeys(names)), bounds.nearest[near]
@@ -150,7 +161,10 @@ class SafetyFilter:
         jacobian = tip_jacobian(self._robot, joints)[:3]
         cost = jacobian.T @ jacobian + _JOINTS * np.eye(len(wanted))
         slowest, fastest = before - self._most, before + self._most
-        low, high = np.maximum(bounds.lower, slowest), np.minimum(bounds.upper, fastest)
+        now = float(np.abs(before).max())
+        cap = max(now, float(np.abs(wanted).max()), _AT_LEAST)
+        low = np.maximum(np.maximum(bounds.lower, slowest), -cap)
+        high = np.minimum(np.minimum(bounds.upper, fastest), cap)
         any_speed = np.full(len(bounds.least), np.inf)
         if (low <= high).all():
             most, least = np.concatenate([high, any_speed]), np.concatenate([low, bounds.least])
@@ -158,13 +172,15 @@ class SafetyFilter:
             if flag == _SOLVED:
                 return Filtered(np.asarray(found), reason, nearest=nearest)
         # Nothing keeps all bounds: come to rest, and exceed them as little as possible on the way.
+        low, high = np.maximum(slowest, -now), np.minimum(fastest, now)
         rows = np.vstack([np.eye(len(wanted)), bounds.rows])
-        most = np.concatenate([fastest, bounds.upper, any_speed])
-        least = np.concatenate([slowest, bounds.lower, bounds.least])
+        most = np.concatenate([high, np.maximum(bounds.upper, 0.0), any_speed])
+        least = np.concatenate([low, np.minimum(bounds.lower, 0.0), np.minimum(bounds.least, 0.0)])
         sense = np.concatenate([np.zeros(len(wanted), np.int32), np.full(len(rows), _SOFT, np.int32)])
         found, _, flag, _ = daqp.solve(cost, np.zeros(len(wanted)), rows, most, least, sense)
         braked = np.asarray(found) if flag in (_SOLVED, _SOFTLY) else self._braked(before)
-        return Filtered(braked, reason, stopped=True, nearest=nearest)
+        problem = f"no command within the limits of acceleration keeps these bounds: {reason}"
+        return Filtered(braked, reason, problem=problem, nearest=nearest)
 
     def _bounds(self, joints: np.ndarray, seen: np.ndarray) -> _Bounds:
         """Returns the bounds of the joint velocities at joint positions [dof], for the pairs marked in ``seen``."""
@@ -182,7 +198,9 @@ class SafetyFilter:
                 nearest.append(ends)
         found = np.array(rows).reshape(-1, len(joints))
         slower = np.abs(found).sum(axis=1) * self._most if np.isfinite(self._most) else np.full(len(found), np.inf)
-        least = -self._closest(np.array(distances), slower)
+        # What is too close is restored only as far as the joints can do so easily, if they can at all.
+        easily = _EASILY * np.abs(found).sum(axis=1)
+        least = np.minimum(-self._closest(np.array(distances), slower), easily)
         return _Bounds(lower, upper, found, least, names, np.array(nearest).reshape(-1, 2, 3))
 
     def _closest(self, distances: np.ndarray, slower: np.ndarray) -> np.ndarray:
@@ -193,7 +211,7 @@ class SafetyFilter:
         left = np.maximum(distances, 0.0)
         b = _BRAKING * np.minimum(slower, 1e3)
         speed = np.minimum(_SHARE * left / self._period, 0.5 * (np.sqrt(b * b + 8.0 * b * left / self._period) - b))
-        return speed - np.minimum(_BACK * (left - distances), _SLOWLY)
+        return speed - np.minimum(_BACK * np.maximum(-distances, 0.0), _SLOWLY)
 
     def _braked(self, before: np.ndarray) -> np.ndarray:
         """Returns the velocities before, all reduced by the same factor as far as the limit of acceleration allows."""
@@ -263,4 +281,4 @@ def _name(path: str, role: str) -> str:
     parts = path.rsplit("/", 2)
     if role == "obstacle":
         return f"the obstacle {parts[-1].rsplit('_', 1)[0]}"
-    return f"the {role}" if role in ("table", "base") or len(parts) < 3 else parts[-2]
+    return f"the {role}" if role != "arm" or len(parts) < 3 else parts[-2]

@@ -24,7 +24,9 @@ hold_seconds       Time for which the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``
 preplan_time_s     Wall time of planning before the first step (SOI's object plan) [s]
-problems           ``[step, reason]`` for each step at which no plan could be made from the observation
+problems           ``[step, reason]`` for each step at which no plan could be made from the observation, or no command
+                   kept the bounds of the safety filter
+filtered           Number of steps in which the safety filter changed the command, by what it was changed for
 ended              Reason for the end: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
 versions           Versions of Python and packages, see :func:`versions`
 ================== ==================================================================================================
@@ -100,7 +102,11 @@ COLUMNS: dict[str, Column] = {
     "cost_terms": Column(("n_terms",), "1", "weighted cost terms of the nominal, summed over the horizon"),
     "lost_samples": Column((), "1", "number of samples whose cost was not finite"),
     "missed_deadline": Column((), "1", "1 if a plan was due but not ready"),
-    "stopped": Column((), "1", "1 if the arm was stopped because the plan had expired or no plan could be made"),
+    "stopped": Column(
+        (),
+        "1",
+        "1 if the arm was stopped: the plan had expired, none could be made, or no command kept all bounds",
+    ),
     "lag_ms": Column((), "ms", "delay of the control loop behind the wall clock"),
 }
 """All columns. A row holds one control step: the command applied during it, the plan that contained the command, and

@@ -43,8 +43,8 @@ class Metrics:
         mean_effective_samples, mean_object_effective_samples: Effective sample sizes of the two levels.
         lost_samples: Total number of samples whose cost was not finite.
         missed_deadlines: Number of control steps in which a plan was due but not ready.
-        stops: Number of control steps in which the arm was stopped, because the last plan had expired or no plan could
-            be made.
+        stops: Number of control steps in which the arm was stopped, because the last plan had expired, no plan could
+            be made, or no command kept all bounds of the safety filter.
         max_joint_acceleration, max_joint_jerk: Largest commanded acceleration [rad/s^2] and jerk [rad/s^3] of a joint.
         filtered_commands: Number of control steps in which the safety filter changed the command.
         limited_commands: Number of control steps in which the change of the command was reduced to the limits.

@@ -333,10 +333,10 @@ class Episode:
 
 
 def problem_of(step: ControlStep) -> str:
-    """Returns why the arm was stopped in a control step by the planner or the safety filter; empty if it was not."""
-    if step.filtered is not None and step.filtered.stopped:
-        return f"no command within the limits of acceleration keeps these bounds: {step.filtered.reason}"
-    return "" if step.plan is None else step.plan.problem
+    """Returns why the planner or the safety filter stopped the arm in a control step; empty if neither did."""
+    if step.plan is not None and step.plan.problem:
+        return step.plan.problem
+    return "" if step.filtered is None else step.filtered.problem
 
 
 def _packages(spec: RunSpec, config: Config) -> dict[str, str]:

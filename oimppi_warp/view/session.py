@@ -265,7 +265,7 @@ class Session:
         if self._problem_of_step:
             return f"stopped: {self._problem_of_step}"
         if self._filtered:
-            return f"the safety filter keeps the arm off: {self._filtered}"
+            return f"the safety filter changed the command, for: {self._filtered}"
         if self._episode.planner.repositioning:
             return "no progress: repositioning to push from another side"
         return "pushing"

@@ -208,7 +208,7 @@ def test_what_the_safety_filter_keeps_apart_is_drawn_and_said(session, monkeypat
     monkeypatch.setattr(planner, "plan", lambda seen: replace(plan(seen), command=down))
     until(lambda: len(session.latest.kept_apart))
     picture = session.latest
-    assert picture.status.startswith("the safety filter keeps") and "tool and the table" in picture.status
+    assert picture.status.startswith("the safety filter changed") and "the tool and the table" in picture.status
     viewer = Lines()
     Canvas(viewer).draw(picture)
     drawn = viewer.lines["/oimppi/kept_apart"]
