@@ -174,7 +174,7 @@ def _field(values: np.ndarray, postures: Postures, step: float, *, outside: floa
 
 @dataclass(frozen=True, eq=False)
 class TipRates:
-    """How the tip moves with the joints, at one posture.
+    """Jacobian of the tip at a posture, and the joint velocities that move the tip or hold the tool.
 
     Attributes:
         joints: The joint positions, shape [dof] [rad; m for a prismatic joint].
@@ -214,7 +214,7 @@ class ToolServo:
         self._limits, self._period = limits, period
 
     def rates(self, joints: np.ndarray) -> TipRates:
-        """Returns how the tip moves with the joints, at joint positions, shape [dof] [rad; m for a prismatic joint]."""
+        """Returns the Jacobian and its inverses at joint positions, shape [dof] [rad; m for a prismatic joint]."""
         linear, tilting = tip_rates(self._robot, joints)
         held = np.vstack([linear[2], tilting])[self._held]
         hold = _damped_inverse(held)
@@ -229,7 +229,7 @@ class ToolServo:
         """Returns the joint velocities that follow a velocity of the tip, within their limits, shape [dof] [rad/s].
 
         Args:
-            rates: How the tip moves at the present joint positions.
+            rates: Jacobian and inverses at the present joint positions.
             velocity: Velocity of the tip, shape [3] [m/s].
         """
         hold, move, linear = rates.hold, rates.move, rates.linear

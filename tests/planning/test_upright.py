@@ -163,7 +163,7 @@ def test_an_object_beside_an_obstacle_is_pushed_slowly(gap: float):
 
 @pytest.mark.parametrize("along", [-0.15, 0.15])
 def test_a_tool_slides_along_an_object_that_cannot_yield(along: float):
-    """It is held back from pressing the block on the wall, but not from moving along the block's face."""
+    """A tool that may not press a block onto a wall can still move along the face of the block."""
     scene, follow = wall(gap=0.0)
     pose = np.array([0.42, 0.0, 0.0])
     tip = np.array([pose[0] - 0.05 - scene.robot.tool_radius, 0.0, HEIGHT])
@@ -173,7 +173,7 @@ def test_a_tool_slides_along_an_object_that_cannot_yield(along: float):
 
 
 def test_the_arm_does_not_go_through_its_stretched_posture():
-    """There its elbow could fold to the other side, for which none of the fields holds."""
+    """A stretched arm could fold its elbow to the other side, where the clearance field is wrong."""
     scene = replace(shipped("task01"), start=(0.2, -0.5, 0.0))
     follow, joints = Follower(scene), joints_at(shipped("task01").robot, (0.52, 0.26, HEIGHT))
     before, outward = joints.copy(), np.array([0.3, 0.15, 0.0])
