@@ -199,6 +199,9 @@ class PushedObject(_ReadOnly):
         unit_inertia: Rotational inertia about the centre of mass, divided by the mass, in the axes of the body's frame,
             shape [3, 3] [m^2]; ``None`` for that of the colliders at uniform density. Inertia and rest height depend on
             the colliders: with new colliders, also set ``unit_inertia=None`` and the new ``rest_height``.
+        limit_surface_radius: Largest torque of friction between object and table about the centre of mass, divided by
+            the largest force [m]; ``None``: computed from the colliders
+            (:func:`oimppi_warp.geometry.footprint.limit_surface`).
     """
 
     path: str
@@ -209,6 +212,7 @@ class PushedObject(_ReadOnly):
     colliders: tuple[Collider, ...]
     rest_height: float
     unit_inertia: np.ndarray | None = None
+    limit_surface_radius: float | None = None
 
     def scaled(self, factor: float) -> PushedObject:
         """Returns the object with all lengths multiplied by a factor, and with the same mass."""
@@ -218,6 +222,7 @@ class PushedObject(_ReadOnly):
             colliders=tuple(collider.scaled(factor) for collider in self.colliders),
             rest_height=factor * self.rest_height,
             unit_inertia=None if self.unit_inertia is None else factor**2 * self.unit_inertia,
+            limit_surface_radius=None if self.limit_surface_radius is None else factor * self.limit_surface_radius,
         )
 
 

@@ -23,7 +23,7 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.runtime.episode import Setup
 from oimppi_warp.runtime.request import prepare_scene
 from oimppi_warp.usd import shipped_scenes
-from oimppi_warp.view.browser import open_viewer
+from oimppi_warp.view.browser import open_viewer, view_of
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.session import Session
 
@@ -48,9 +48,11 @@ class Stage:
         self.session = Session(Setup(prepare_scene(scene, start=1), best("cloi")), speed=float("inf"))
         self.session.paused = self.session.watched = True
         self.session.start()
-        self._viewer = open_viewer(port=8500)
+        table = self.session.running.scene.table
+        self._viewer = open_viewer(table, port=8500)
         camera = self._viewer.server.initial_camera
-        camera.position, camera.look_at, camera.fov = EYE, LOOK_AT, FIELD
+        camera.position, camera.look_at = view_of(table, eye=EYE, target=LOOK_AT)
+        camera.fov = FIELD
         self._canvas = Canvas(self._viewer)
         self._draw()
         page.goto(f"http://127.0.0.1:{self._viewer.server.get_port()}")

@@ -14,7 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # imports the package from this checkout
 
 import scene_arm7  # noqa: E402
-import scene_point  # noqa: E402
+import scene_gantries  # noqa: E402
+import scene_pusht  # noqa: E402
 import scene_robot  # noqa: E402
 import scene_tasks  # noqa: E402
 import scene_tippy  # noqa: E402
@@ -33,11 +34,12 @@ def write_all(folder: Path) -> None:
     (folder / "docs" / "schema.md").write_text(schema.page())
     scene_robot.write(scenes / "robots")
     scene_arm7.write(scenes / "robots")
-    scene_point.write(scenes / "robots")
+    scene_gantries.write(scenes / "robots")
     for obj in catalog.OBJECTS:
         obj.write(scenes / "objects" / f"{obj.name}.usda", note=NOTE)
     for each in scene_tasks.TASKS:
         task.write(each, scenes, note=NOTE)
+    scene_pusht.write(scenes, note=NOTE)
     for each in scene_tippy.TASKS:
         each.object.write(scenes / "tippy" / "objects" / f"{each.object.name}.usda", note=NOTE)
         task.write(each, scenes / "tippy", note=NOTE, robots="../robots")

@@ -122,7 +122,18 @@ SCHEMAS = (
         "a rigid body; exactly one in a scene",
         "The object to be pushed. It must have a mass, at least one collider and a physics material, lie on the table, "
         "and be rotated about z only. Its coefficient of friction with the table, and with the tool, is the larger of "
-        "the two materials' `physics:dynamicFriction`, as in MuJoCo.",
+        "the two materials' `physics:dynamicFriction`, as in MuJoCo; with the tool it may be zero.",
+        (
+            Attribute(
+                "oimppi:limitSurfaceRadius",
+                "double",
+                "0",
+                "m",
+                "Largest torque of the friction between object and table about the centre of mass, divided by the "
+                "largest force: the planner's model of how easily the object turns. 0 computes it from the shape, "
+                "which rests on its corners.",
+            ),
+        ),
     ),
     Schema(
         "OimppiObstacleAPI",

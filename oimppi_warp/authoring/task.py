@@ -38,6 +38,7 @@ TABLE_LOWER, TABLE_UPPER, TABLE_THICKNESS = (-0.25, -0.8), (1.0, 0.8), 0.04
 TABLE_FRICTION, OBSTACLE_FRICTION = 0.1, 0.3
 TABLE_COLOR, OBSTACLE_COLOR = (0.6, 0.58, 0.54), (0.35, 0.37, 0.4)
 
+CAMERA = (1.55, -0.95, 1.05), (0.32, -0.02, 0.1)  # m
 SPREAD = (0.11, 0.45)  # half widths of the range that starts are drawn from: m, rad
 PAPER, TIGHT = (0.2, 0.5), (0.05, 0.1)  # m, rad
 
@@ -77,6 +78,14 @@ Obstacle = Block | Pillar | StaticObject
 
 
 @dataclass(frozen=True)
+class TableTop:
+    """The table's top: its corners with the smallest and the largest x and y [m]."""
+
+    lower: tuple[float, float] = TABLE_LOWER
+    upper: tuple[float, float] = TABLE_UPPER
+
+
+@dataclass(frozen=True)
 class Task:
     """A task to be written as a scene; poses are (x [m], y [m], yaw [rad]).
 
@@ -89,6 +98,9 @@ class Task:
         tolerance, tight: Tolerance for success, and the tight one, reported as well: position [m] and yaw [rad].
         robot_start: Joint positions at the start [rad; m for a prismatic joint]; if empty, the robot's own.
         robot: Name of the robot's file in ``robots/``; the extension defaults to ``.usda``.
+        table: The table's top.
+        spread: Half-widths of the range that starts are drawn from [m, rad].
+        camera: Position of the camera, and the point that it looks at [m].
     """
 
     name: str
@@ -101,6 +113,9 @@ class Task:
     tight: tuple[float, float] = TIGHT
     robot_start: tuple[float, ...] = field(default=())
     robot: str = "xarm6"
+    table: TableTop = TableTop()
+    spread: tuple[float, float] = SPREAD
+    camera: tuple[tuple[float, float, float], tuple[float, float, float]] = CAMERA
 
 
 def write(
@@ -132,14 +147,14 @@ def write(
     types = Sdf.ValueTypeNames
     attribute(world, "oimppi:title", types.String, task.title)
     attribute(world, "oimppi:goal", types.Double3, Gf.Vec3d(*rounded(task.goal)))
-    attribute(world, "oimppi:spread", types.Double2, Gf.Vec2d(*SPREAD))
+    attribute(world, "oimppi:spread", types.Double2, Gf.Vec2d(*task.spread))
     attribute(world, "oimppi:tolerance", types.Double2, Gf.Vec2d(*task.tolerance))
     attribute(world, "oimppi:tightTolerance", types.Double2, Gf.Vec2d(*task.tight))
 
     gravity = UsdPhysics.Scene.Define(stage, "/World/PhysicsScene")
     gravity.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
     gravity.CreateGravityMagnitudeAttr(9.81)
-    _write_view(stage)
+    _write_view(stage, *task.camera)
 
     robot = stage.DefinePrim("/World/Robot")
     robot_file = task.robot if is_object_file(Path(task.robot)) else f"{task.robot}.usda"
@@ -147,7 +162,7 @@ def write(
     if task.robot_start:
         pose_robot(stage, "/World/Robot", task.robot_start)
 
-    _write_table(stage, min(TABLE_FRICTION, task.object.friction or TABLE_FRICTION))
+    _write_table(stage, task.table, min(TABLE_FRICTION, task.object.friction or TABLE_FRICTION))
     body = stage.DefinePrim("/World/Object")
     body.GetReferences().AddReference(f"./objects/{task.object.name}.usda")
     UsdPhysics.RigidBodyAPI.Apply(body)
@@ -186,8 +201,9 @@ def add_starts(stage: Usd.Stage, file: Path) -> None:
     """
     scene = load_scene(file)
     check_task(scene)
+    widest = scene.spread if any(scene.spread) else SPREAD
     for share in (1.0, 0.5, 0.25, 0.125, 0.0):
-        spread = (share * SPREAD[0], share * SPREAD[1])
+        spread = (share * widest[0], share * widest[1])
         tried = replace(scene, spread=spread)
         drawn: list[Pose] = []
         if share:
@@ -202,10 +218,10 @@ def add_starts(stage: Usd.Stage, file: Path) -> None:
     stage.Save()
 
 
-def _write_table(stage: Usd.Stage, friction: float) -> None:
+def _write_table(stage: Usd.Stage, top: TableTop, friction: float) -> None:
     """Writes the table; its friction is at most the object's, since the larger of the two applies."""
     UsdGeom.Scope.Define(stage, "/World/Materials")
-    (x0, y0), (x1, y1) = TABLE_LOWER, TABLE_UPPER
+    (x0, y0), (x1, y1) = top.lower, top.upper
     center, size = ((x0 + x1) / 2, (y0 + y1) / 2, -TABLE_THICKNESS / 2), (x1 - x0, y1 - y0, TABLE_THICKNESS)
     table = box(stage, "/World/Table", center, size, Look(TABLE_COLOR, collide=True))
     apply_api(table, "OimppiTableAPI")
@@ -234,8 +250,8 @@ def _write_obstacle(stage: Usd.Stage, obstacle: Obstacle, material: UsdShade.Mat
     apply_api(prim, "OimppiObstacleAPI")
 
 
-def _write_view(stage: Usd.Stage) -> None:
-    """Writes a light, and a camera that looks over the table towards the arm."""
+def _write_view(stage: Usd.Stage, eye: Pose, target: Pose) -> None:
+    """Writes a light, and a camera at one point that looks at another [m]."""
     UsdLux.DomeLight.Define(stage, "/World/Sky").CreateIntensityAttr(300.0)
     sun = UsdLux.DistantLight.Define(stage, "/World/Sun")
     sun.CreateIntensityAttr(1500.0)
@@ -244,7 +260,7 @@ def _write_view(stage: Usd.Stage) -> None:
     camera = UsdGeom.Camera.Define(stage, "/World/Camera")
     camera.CreateFocalLengthAttr(24.0)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
-    view = Gf.Matrix4d().SetLookAt(Gf.Vec3d(1.55, -0.95, 1.05), Gf.Vec3d(0.32, -0.02, 0.1), Gf.Vec3d(0, 0, 1))
+    view = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*eye), Gf.Vec3d(*target), Gf.Vec3d(0, 0, 1))
     pose = view.GetInverse()
     camera.AddTranslateOp().Set(Gf.Vec3d(*rounded(pose.ExtractTranslation())))
     q = pose.ExtractRotationQuat()

@@ -48,7 +48,7 @@ class View(TaskOptions):
             from oimppi_warp.view.replay import Replay, ReplayView
 
             replay = Replay(self.replay)
-            viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
+            viewer = open_viewer(replay.scene.table, host=self.host, port=self.port, paused=self.paused)
             return _serve(viewer, self.port, ReplayView(viewer, replay).run, None)
         setup, console = self.prepare()
         from oimppi_warp.view.browser import open_viewer
@@ -57,7 +57,7 @@ class View(TaskOptions):
 
         with console.status("loading kernels"):
             session = Session(setup)
-        viewer = open_viewer(host=self.host, port=self.port, paused=self.paused)
+        viewer = open_viewer(setup.scene.table, host=self.host, port=self.port, paused=self.paused)
         return _serve(viewer, self.port, LiveView(viewer, session).run, session.close)
 
 

@@ -185,17 +185,21 @@ def outline(pieces: Iterable[Piece]) -> BaseGeometry:
 def limit_surface(body: PushedObject, *, support: Literal["corners", "area"] = "corners") -> LimitSurface:
     """Computes the limit surface of an object that rests on its footprint: ``mu m g`` and ``c r`` of equation 5.
 
-    The torque limit is the integral of ``mu p |r - r_c|`` over the support, that is ``mu m g`` times the mean distance
-    of the support to the friction centre, which is the centre of mass seen from above. It depends on the distribution
-    of the pressure ``p``: a rigid body on a rigid table rests on the corners of its pieces, as it does in contact
-    engines; the other common assumption is uniform pressure over the area. For the T block they give 0.085 and 0.057 m;
-    pushes of the simulated T agree best with 0.08 to 0.09 m (``tests/planning/test_parity.py``).
+    Unless the scene gives the radius (``limit_surface_radius``), the torque limit is the integral of ``mu p |r - r_c|``
+    over the support, that is ``mu m g`` times the mean distance of the support to the friction centre, which is the
+    centre of mass seen from above. It depends on the distribution of the pressure ``p``: a rigid body on a rigid table
+    rests on the corners of its pieces, as it does in contact engines; the other common assumption is uniform pressure
+    over the area. For the T block they give 0.085 and 0.057 m; pushes of the simulated T agree best with 0.08 to 0.09 m
+    (``tests/planning/test_parity.py``).
 
     Args:
         body: The object.
         support: Points that carry the object with equal pressure: the corners of its pieces, or their whole area.
     """
     center = np.asarray(body.center_of_mass[:2], dtype=float)
+    force = body.friction * body.mass * GRAVITY
+    if body.limit_surface_radius is not None:
+        return LimitSurface(center, body.limit_surface_radius, force)
     pieces = footprint(body.colliders)
     if support == "corners":
         rims = [piece.vertices if piece.radius == 0.0 else _rim(piece) for piece in pieces]
@@ -203,7 +207,7 @@ def limit_surface(body: PushedObject, *, support: Literal["corners", "area"] = "
     else:
         points = _grid_inside(outline(pieces), count=4000)
     radius = float(np.linalg.norm(points - center, axis=1).mean())
-    return LimitSurface(center, radius, body.friction * body.mass * GRAVITY)
+    return LimitSurface(center, radius, force)
 
 
 def _rim(piece: Piece) -> np.ndarray:

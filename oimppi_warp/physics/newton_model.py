@@ -335,7 +335,7 @@ def _friction(scene: Scene, roles: np.ndarray) -> np.ndarray:
     other shape's applies: ``tool_friction`` for the tool, and ``friction`` for all others.
     """
     friction = np.full(len(roles), scene.object.friction)
-    friction[roles == ROLES.index("tool")] = scene.object.tool_friction
+    friction[roles == ROLES.index("tool")] = max(scene.object.tool_friction, MIN_FRICTION)
     friction[roles == ROLES.index("object")] = MIN_FRICTION
     return friction
 

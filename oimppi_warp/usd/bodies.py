@@ -98,6 +98,7 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
         colliders=colliders,
         rest_height=rest_height,
         unit_inertia=unit_inertia(prim, mass),
+        limit_surface_radius=stage.attempt(None, limit_surface_radius, stage, prim),
     )
     pose = transform(frame)
     yaw = 2.0 * math.atan2(pose[5], pose[6])
@@ -183,26 +184,50 @@ def center_of_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider,
     return np.average([c for _, c in parts], axis=0, weights=[volume for volume, _ in parts])
 
 
+def limit_surface_radius(stage: SceneStage, prim: Usd.Prim) -> float | None:
+    """Returns ``oimppi:limitSurfaceRadius`` of the object [m]; ``None`` if it is to follow from the shape.
+
+    Raises:
+        SceneError: It is not a finite number, or it is negative.
+    """
+    radius = float(stage.numbers(prim, "oimppi:limitSurfaceRadius", (), "a length, zero or more"))
+    if not 0.0 <= radius < math.inf:
+        raise stage.error(
+            f"oimppi:limitSurfaceRadius is {radius:g}",
+            prim,
+            allowed="a length above zero, in metres; 0 computes it from the shape",
+            fix="correct it, or leave it out",
+        )
+    return radius or None
+
+
 def _frictions(stage: SceneStage, prim: Usd.Prim) -> tuple[float, float]:
     """Returns the object's friction coefficients with the table and with the tool."""
     tools = [tip.GetParent() for tip in stage.prims_with("OimppiToolAPI")]
     tables = stage.prims_with("OimppiTableAPI")
     own, table, tool = (largest_friction(stage, bodies) for bodies in ([prim], tables, tools))
-    pairs = float(np.maximum(own, table)), float(np.maximum(own, tool))
-    if any(friction <= 0.0 for friction in pairs):
+    if own is None and (table is None or tool is None):
         fix = "bind a material with PhysicsMaterialAPI and a physics:dynamicFriction to its colliders"
-        stage.collect(stage.error("the object has no friction", prim, allowed="a coefficient above zero", fix=fix))
-    return pairs
+        allowed = "a coefficient above zero with the table, zero or more with the tool"
+        stage.collect(stage.error("the object has no friction", prim, allowed=allowed, fix=fix))
+    with_table, with_tool = (float(np.maximum(own or 0.0, other or 0.0)) for other in (table, tool))
+    if with_table <= 0.0 and not (own is None and table is None):
+        fix = "give its material or the table's a physics:dynamicFriction above zero"
+        allowed = "a coefficient above zero; only the friction with the tool may be zero"
+        stage.collect(stage.error("the object has no friction with the table", prim, allowed=allowed, fix=fix))
+    return with_table, with_tool
 
 
-def largest_friction(stage: SceneStage, bodies: list[Usd.Prim]) -> float:
-    """Returns the largest dynamic friction of the materials bound to the bodies' colliders, 0 if none has a material.
+def largest_friction(stage: SceneStage, bodies: list[Usd.Prim]) -> float | None:
+    """Returns the largest dynamic friction of the materials bound to the bodies' colliders; ``None`` without any.
 
     NaN if there are no bodies, or if a coefficient is invalid (the stage then has the mistake).
     """
+    if not bodies:
+        return math.nan
     shapes = [shape for body in bodies for shape in collider_prims(body)]
     found = [stage.attempt(math.nan, stage.friction, shape) for shape in shapes]
-    return float(np.max([0.0 if bodies else math.nan, *(value or 0.0 for value in found)]))
+    return float(np.max(known)) if (known := [value for value in found if value is not None]) else None
 
 
 def _moving_parts(stage: SceneStage, prim: Usd.Prim, noun: str) -> bool:

@@ -121,7 +121,7 @@ def _write_obstacles(stage: Usd.Stage, obstacles: tuple[Obstacle, ...], original
 
 
 def _write_object(stage: Usd.Stage, pushed: PushedObject, original: PushedObject) -> None:
-    """Gives the object its shape, mass and friction, where they differ from the file's."""
+    """Gives the object its shape, mass, friction and limit surface, where they differ from the file's."""
     if pushed.path != original.path:
         stage.RemovePrim(original.path)
     same_shape = pushed.path == original.path and _is_still(_motion(original.colliders, pushed.colliders))
@@ -134,6 +134,9 @@ def _write_object(stage: Usd.Stage, pushed: PushedObject, original: PushedObject
     weights = [(each.mass, each.center_of_mass, each.unit_inertia) for each in (pushed, original)]
     if not same_shape or content_of_data(weights[0]) != content_of_data(weights[1]):
         _write_weight(prim, pushed)
+    if pushed.limit_surface_radius != original.limit_surface_radius:
+        radius = prim.CreateAttribute("oimppi:limitSurfaceRadius", Sdf.ValueTypeNames.Double, False)
+        radius.Set(pushed.limit_surface_radius or 0.0)
     frictions = [(each.friction, each.tool_friction) for each in (pushed, original)]
     if not same_shape or frictions[0] != frictions[1]:
         _write_friction(stage, prim, min(frictions[0]))

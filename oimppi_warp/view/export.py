@@ -33,7 +33,7 @@ def export_html(replay: Replay, file: Path) -> None:
     """Writes a single page with viser's player and the whole episode; it needs neither a server nor a network."""
     from oimppi_warp.view.browser import open_viewer
 
-    viewer = open_viewer()
+    viewer = open_viewer(replay.scene.table)
     try:
         record = viewer.server.get_scene_serializer()
         canvas = Canvas(viewer)

@@ -14,13 +14,16 @@ import shapely
 from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
 from oimppi_warp.geometry.feasibility import START_CLEARANCE, check_task, object_outline, sample_start
-from oimppi_warp.geometry.footprint import core_points, footprint, height_range, outline, rotation_matrix
+from oimppi_warp.geometry.footprint import core_points, footprint, height_range, limit_surface, outline, rotation_matrix
 from oimppi_warp.geometry.kinematics import link_frames, tip_frame
 from oimppi_warp.geometry.reach import can_lift, reach_of
 from oimppi_warp.usd import load_scene, shipped_scenes
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = ("arm7_01", "lab01", "lab02", "point01", "task01", "task02", "task03", "task03_wide", "task04", "task05")
+NAMES = (
+    *("arm7_01", "lab01", "lab02", "point01", "pusht", "task01", "task02", "task03", "task03_wide", "task04"),
+    "task05",
+)
 
 T_START, T_GOAL = (0.30, -0.45, 0.0), (0.50, 0.30, math.pi)
 START_AND_GOAL = {
@@ -32,6 +35,7 @@ START_AND_GOAL = {
     "task05": ((0.30, -0.40, 0.0), (0.50, 0.15, -math.pi / 2)),
     "arm7_01": (T_START, T_GOAL),
     "point01": (T_START, T_GOAL),
+    "pusht": ((0.25, 0.262, 0.0), (0.256, 0.256, -math.pi / 4)),
     "lab01": ((0.381, 0.343, 0.0), (0.381, -0.305, 0.0)),
     "lab02": ((0.381, 0.343, 0.0), (0.381, -0.305, 0.0)),
 }
@@ -88,12 +92,13 @@ def test_every_scene_can_be_done_from_each_of_its_ten_starts(scenes, name):
 def test_starts_keep_to_their_spread_and_leave_room(scenes, name):
     scene = scenes[name]
     offsets = np.abs(scene.starts - scene.starts[0])
-    assert (offsets <= (0.11, 0.11, 0.45)).all()
+    assert (offsets <= ((0.15, 0.15, math.pi) if name == "pusht" else (0.11, 0.11, 0.45))).all()
     blocks = [outline(footprint(obstacle.colliders)) for obstacle in scene.obstacles]
     for start in scene.starts[1:]:
         shape = object_outline(scene, tuple(start))
         assert all(shapely.distance(shape, block) >= 0.045 for block in blocks)
-        assert shapely.distance(shape, shapely.Point(0.0, 0.0)) >= 0.09 + 0.045 - 1e-4
+        if scene.robot.base.colliders:
+            assert shapely.distance(shape, shapely.Point(0.0, 0.0)) >= 0.09 + 0.045 - 1e-4
 
 
 def test_the_same_seed_draws_the_same_start_and_another_seed_another(scenes):
@@ -144,6 +149,19 @@ def test_the_t_block_is_the_one_of_the_paper(scenes):
     assert tuple(shapely.bounds(shape)) == pytest.approx((-0.10, -0.125, 0.10, 0.025))
     assert shapely.area(shape) == pytest.approx(0.20 * 0.05 + 0.05 * 0.10)
     assert body.center_of_mass == pytest.approx((0.0, -0.025, 0.0))
+
+
+def test_the_t_of_pusht_is_that_of_gym_pusht(scenes):
+    """At 1 mm per pixel, and with y upwards: two rectangles, and D = diag(1, 1, 1/3000) about (0, 45)."""
+    scene = scenes["pusht"]
+    bar, stem = shapely.box(-0.06, -0.03, 0.06, 0.0), shapely.box(-0.015, -0.12, 0.015, -0.03)
+    shape = outline(footprint(scene.object.colliders))
+    assert shapely.area(shapely.symmetric_difference(shape, shapely.union(bar, stem))) < 1e-9
+    surface = limit_surface(scene.object)
+    np.testing.assert_allclose(surface.center, (0.0, -0.045), atol=1e-8)
+    np.testing.assert_allclose(surface.mobility / surface.mobility[0], (1.0, 1.0, 1e6 / 3000.0), rtol=1e-6)
+    assert scene.object.tool_friction == 0.0 and scene.robot.tool_radius == 0.015
+    assert scene.table.lower == pytest.approx((0.008, 0.008)) and scene.table.upper == pytest.approx((0.504, 0.504))
 
 
 def test_letters_are_whole_and_their_pieces_do_not_overlap(scenes):

@@ -146,6 +146,14 @@ def test_a_limit_surface_scales_with_the_object(support):
     assert large.radius == pytest.approx(2 * small.radius, rel=SAMPLING_ERROR)
 
 
+def test_the_scene_may_give_the_limit_surface():
+    given = replace(block(), limit_surface_radius=0.03)
+    assert limit_surface(given).radius == 0.03
+    assert limit_surface(given.scaled(2.0)).radius == 0.06
+    assert limit_surface(given).force == limit_surface(block()).force
+    np.testing.assert_allclose(limit_surface(given).mobility[2] / limit_surface(given).mobility[0], 1 / 0.03**2)
+
+
 def test_the_friction_force_is_mu_m_g():
     heavy = limit_surface(replace(block(), mass=2.0, friction=0.7))
     assert heavy.force == pytest.approx(2.0 * 0.7 * GRAVITY)

@@ -16,7 +16,19 @@ from oimppi_warp.physics.newton_model import DRIVE_GAIN, ROLES
 from oimppi_warp.physics.world import World
 from oimppi_warp.usd import load_scene
 
-SCENES = ("task01", "task02", "task03", "task03_wide", "task04", "task05", "lab01", "lab02", "point01", "arm7_01")
+SCENES = (
+    "task01",
+    "task02",
+    "task03",
+    "task03_wide",
+    "task04",
+    "task05",
+    "lab01",
+    "lab02",
+    "point01",
+    "pusht",
+    "arm7_01",
+)
 
 FLOAT32 = 1e-6
 """Tolerance of what went through single precision: metres, or parts of a unit quaternion."""

@@ -344,6 +344,11 @@ MISTAKES = {
     "an object without collider": (without("/World/Object/shape"), "the object has no collider", "PhysicsCollisionAPI"),
     "an object that cannot move": (drop("/World/Object", "PhysicsRigidBodyAPI"), "cannot move", "PhysicsRigidBodyAPI"),
     "an object without friction": (no_friction, "has no friction", "physics:dynamicFriction"),
+    "a negative limit surface": (
+        put("/World/Object", "oimppi:limitSurfaceRadius", -0.1),
+        "oimppi:limitSurfaceRadius is -0.1",
+        "above zero, in metres",
+    ),
     "negative friction": (
         lambda s: UsdPhysics.MaterialAPI(prim(s, "/World/Object/Material")).GetDynamicFrictionAttr().Set(-0.5),
         "physics:dynamicFriction is -0.5",

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import shapely
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
+from support.bad_scenes import put
 from support.variants import variant
 
 from oimppi_warp.geometry.footprint import core_points, footprint, height_range, outline
@@ -165,6 +166,21 @@ def test_the_larger_friction_of_a_pair_counts(tmp_path, table, tool, expected):
 
     pushed = load_scene(variant(tmp_path, change)).object
     assert (pushed.friction, pushed.tool_friction) == pytest.approx(expected)
+
+
+def test_the_tool_may_be_without_friction_if_the_materials_say_so(tmp_path):
+    def change(stage: Usd.Stage) -> None:
+        for path in ("/World/Object/Material", "/World/Robot/ToolMaterial"):
+            UsdPhysics.MaterialAPI(stage.GetPrimAtPath(path)).GetDynamicFrictionAttr().Set(0.0)
+
+    pushed = load_scene(variant(tmp_path, change)).object
+    assert (pushed.friction, pushed.tool_friction) == pytest.approx((0.1, 0.0))
+
+
+def test_a_limit_surface_is_read_from_the_object(tmp_path):
+    assert load_scene("task02").object.limit_surface_radius is None
+    file = variant(tmp_path, put("/World/Object", "oimppi:limitSurfaceRadius", 0.07))
+    assert load_scene(file).object.limit_surface_radius == 0.07
 
 
 def test_friction_is_inherited_by_the_shapes_below_a_binding(tmp_path):

@@ -95,7 +95,7 @@ class Served:
 def live(device: str):
     setup = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device=device, threads=1))
     session = Session(setup)
-    viewer = open_viewer(port=8470)
+    viewer = open_viewer(setup.scene.table, port=8470)
     served = Served(viewer, LiveView(viewer, session))
     served.session = session
     yield served
@@ -234,8 +234,9 @@ def test_the_control_loop_keeps_its_rate_with_a_slow_browser(live, page):
 
 
 def test_a_replay_scrubs(record, page):
-    viewer = open_viewer(port=8480, paused=True)
-    view = ReplayView(viewer, Replay(record))
+    replay = Replay(record)
+    viewer = open_viewer(replay.scene.table, port=8480, paused=True)
+    view = ReplayView(viewer, replay)
     served = Served(viewer, view)
     try:
         page.goto(served.url)

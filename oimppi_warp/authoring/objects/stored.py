@@ -14,7 +14,7 @@ from oimppi_warp.authoring.objects.outlines import checked_mass
 from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
 from oimppi_warp.geometry.footprint import collider_mesh, height_range
 from oimppi_warp.scene import Collider, PushedObject
-from oimppi_warp.usd.bodies import center_of_mass, largest_friction
+from oimppi_warp.usd.bodies import center_of_mass, largest_friction, limit_surface_radius
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, solid
 from oimppi_warp.usd.conversion.upright import align_upright
 from oimppi_warp.usd.inertia import read_mass, unit_inertia
@@ -122,7 +122,7 @@ def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
             what = f"its material <{material.GetPath()}> is not below the default prim, and would be left behind"
             raise stage.error(what, prim, allowed=f"a prim below <{root.GetPath()}>", fix="move it there")
     doc = str(stage.stage.GetRootLayer().documentation).partition(". ")[0] or f"the object {stage.file.stem}"
-    friction = largest_friction(stage, [root])
+    friction = largest_friction(stage, [root]) or 0.0
     return StoredObject(stage.file, stage.file.stem, doc, colliders, friction, mass if weighed else None)
 
 
@@ -145,6 +145,7 @@ def read_body(file: Path) -> PushedObject:
         colliders=obj.colliders,
         rest_height=obj.rest_height,
         unit_inertia=unit_inertia(root, mass),
+        limit_surface_radius=limit_surface_radius(stage, root),
     )
 
 

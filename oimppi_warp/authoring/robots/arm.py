@@ -83,6 +83,7 @@ class Stick:
         mass: Mass [kg].
         position: Position of the stick's base in the last link's frame [m].
         turn: Orientation of the stick in that frame, as a quaternion xyzw.
+        friction: Coulomb friction coefficient; that of a pair of shapes is the larger of their coefficients.
     """
 
     length: float
@@ -90,6 +91,7 @@ class Stick:
     mass: float = 0.05
     position: Vector = (0.0, 0.0, 0.0)
     turn: Vector = NOT_TURNED
+    friction: float = 0.3
 
     @property
     def mount(self) -> np.ndarray:

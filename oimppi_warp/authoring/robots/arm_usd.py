@@ -123,7 +123,7 @@ def _write_tool(stage: Usd.Stage, arm: Arm) -> None:
     mass_properties(tool, stick.mass, (0.0, 0.0, stick.length / 2), inertia)
     ends = (0.0, 0.0, stick.radius), (0.0, 0.0, stick.length - stick.radius)
     capsule(stage, f"{path}/collider", *ends, stick.radius, arm.look)
-    bind_physics(tool, physics_material(stage, f"/{arm.name}/ToolMaterial", FRICTION))
+    bind_physics(tool, physics_material(stage, f"/{arm.name}/ToolMaterial", stick.friction))
     tip = UsdGeom.Xform.Define(stage, f"{path}/tip").GetPrim()
     set_pose(tip, (0.0, 0.0, stick.length))
     apply_api(tip, "OimppiToolAPI")
