@@ -38,10 +38,14 @@ ENGINES: Registry[Any] = Registry(
 PLANTS: Registry[Any] = Registry(
     "plant",
     "oimppi_warp.plants",
-    {"ideal": "oimppi_warp.plants.plant:ideal_plant", "lab": "oimppi_warp.plants.lab:lab_plant"},
+    {
+        "ideal": "oimppi_warp.plants.plant:ideal_plant",
+        "lab": "oimppi_warp.plants.lab:lab_plant",
+        "pusht": "oimppi_warp.plants.pusht:PushT",
+    },
 )
-"""Functions that make a plant to control, ``(scene, config, *, seed) -> Plant``
-(:class:`oimppi_warp.plants.plant.Plant`)."""
+"""Functions or classes that make a plant to control, ``(scene, config, *, seed) -> Plant``
+(:class:`oimppi_warp.plants.plant.Plant`); further keyword arguments are options (``--plant-options``)."""
 
 COST_TERMS: Registry[Any] = Registry("cost term", "oimppi_warp.cost_terms", {})
 """Cost terms of the robot level, in addition to the built-in ones (:class:`oimppi_warp.CostTerm`)."""

@@ -18,10 +18,12 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.bench.causes import RAISED, Cause, likely_cause
+from oimppi_warp.bench.suite import Published
 from oimppi_warp.bench.trial import Trial
 from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.plants.factory import starts_itself
 from oimppi_warp.record.log import EpisodeLog, LogError, flatten, to_json, write_atomically
-from oimppi_warp.record.metrics import first_hold, hold_steps, summarize, within
+from oimppi_warp.record.metrics import first_success, summarize
 
 FORMAT = 1
 """Version of the file format; readers refuse other versions."""
@@ -119,6 +121,8 @@ class ResultSet:
         entries: The suite's entries as they were run.
         places: Data for top-view pictures by task, see :mod:`oimppi_warp.bench.footprints`.
         results: One result per trial.
+        note: Remark of the suite for the report.
+        published: Results that others published for the same tasks.
     """
 
     suite: str
@@ -128,6 +132,8 @@ class ResultSet:
     entries: list[dict[str, Any]]
     places: dict[str, Any]
     results: list[Result]
+    note: str = ""
+    published: tuple[Published, ...] = ()
 
     @property
     def tasks(self) -> list[str]:
@@ -180,6 +186,7 @@ def load_results(path: str | Path) -> ResultSet:
         if facts.pop("format") != FORMAT:
             raise ValueError(f"its format version is not {FORMAT}")
         facts["results"] = [result_from(row) for row in facts["results"]]
+        facts["published"] = tuple(_published_from(row) for row in facts.get("published", ()))
         return ResultSet(**facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise LogError(
@@ -188,12 +195,18 @@ def load_results(path: str | Path) -> ResultSet:
         ) from None
 
 
+def _published_from(row: dict[str, Any]) -> Published:
+    known = {name: value for name, value in row.items() if value is not None}  # NaN is stored as null
+    return Published(**known)
+
+
 def result_from(row: dict[str, Any]) -> Result:
     """Creates a result from its JSON, the inverse of :func:`result_row`."""
     row = _options_of_command(row["command"]) | row  # rows of earlier versions lack the device and the threads
     options = {item.name: row.pop(item.name) for item in fields(RunSpec) if item.name in row}
-    if options.get("knock") is not None:
-        options["knock"] = tuple(options["knock"])
+    for name in ("knock", "plant_options"):
+        if options.get(name) is not None:
+            options[name] = tuple(options[name])
     row["run"] = RunSpec(**options)
     row["start"] = tuple(row["start"])
     for name in ("success_steps", "error_until_success_m"):
@@ -234,9 +247,10 @@ def make_result(
     if log is None:
         return Result(**common, cause=RAISED, evidence=error.strip().rpartition("\n")[2], error=error)
     metrics = summarize(log).row()
+    if starts_itself(trial.run.plant):
+        common["start"] = tuple(metrics["start"])
     cause = Cause("", "") if metrics["success"] else likely_cause(log, reach=reach)
-    held = hold_steps(log.header["hold_seconds"], log.header["control_period"])
-    arrived = first_hold(within(log, log.header["tolerance"]), held)
+    arrived, judged = first_success(log), bool(log.header.get("scores"))
     until = len(log) if arrived is None else arrived + 1
     rows = np.unique(np.linspace(0, len(log) - 1, min(PATH_POINTS, len(log))).round().astype(int))
     plans = np.clip(log["plan_ms"][np.isfinite(log["plan_ms"])], PLAN_BINS[0], PLAN_BINS[-1] * (1 - 1e-9))
@@ -246,8 +260,8 @@ def make_result(
         metrics=metrics,
         success_steps=math.nan if arrived is None else arrived + 1,
         error_until_success_m=float(np.mean(log["position_error"][:until])) if until else math.nan,
-        tight_counts=trial.config.episode.tight,
-        exact_counts=trial.config.episode.exact,
+        tight_counts=trial.config.episode.tight and not judged,
+        exact_counts=trial.config.episode.exact and not judged,
         time=log["time"][rows].round(3).tolist(),
         pose=log["object_pose"][rows].round(4).tolist(),
         position_error=log["position_error"][rows].round(4).tolist(),

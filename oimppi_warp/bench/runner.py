@@ -150,6 +150,8 @@ class SuiteRun:
             entries=[entry.row() for entry in self.suite.entries],
             places=self.places,
             results=[self.finished[trial.key] for trial in self.trials if trial.key in self.finished],
+            note=self.suite.note,
+            published=self.suite.published,
         )
 
     def _folder(self, trial: Trial) -> Path:

@@ -75,6 +75,7 @@ class Statistics:
         object_force: Largest force between the object and an obstacle or the robot's base, over all trials [N].
         robot_force: Largest force between arm or tool and an obstacle or the table, over all trials [N].
         raised: Number of trials that raised an error.
+        scores: For each figure of merit that the plant gives, the mean over the trials of the largest value.
     """
 
     success: Rate
@@ -102,6 +103,7 @@ class Statistics:
     object_force: float
     robot_force: float
     raised: int
+    scores: dict[str, float]
 
 
 def summarize_results(results: Sequence[Result]) -> Statistics:
@@ -134,7 +136,15 @@ def summarize_results(results: Sequence[Result]) -> Statistics:
         object_force=_largest(results, "max_contact_object_obstacle_n"),
         robot_force=_largest(results, "max_contact_robot_obstacle_n"),
         raised=sum(bool(result.error) for result in results),
+        scores=_scores(results),
     )
+
+
+def _scores(results: Sequence[Result]) -> dict[str, float]:
+    """Returns the mean of each largest score; a trial that raised an error counts as zero."""
+    found = [result.metrics.get("best_scores") or {} for result in results]
+    names = dict.fromkeys(name for scores in found for name in scores)
+    return {name: float(np.mean([scores.get(name) or 0.0 for scores in found])) for name in names}
 
 
 def finite(results: Sequence[Result], name: str) -> np.ndarray:

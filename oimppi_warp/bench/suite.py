@@ -8,6 +8,7 @@ settings; `docs/bench.md` lists them.
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -88,6 +89,23 @@ _FIELDS = {"set": "assignments"}
 
 
 @dataclass(frozen=True)
+class Published:
+    """A result that others published for the same tasks; the report shows it below ours.
+
+    Attributes:
+        name: Name of the method.
+        source: Publication, and the conditions that differ.
+        success: Success rate, from 0 to 1; NaN if it is not given.
+        scores: Means over the episodes of their largest scores, by the names that the plant gives them.
+    """
+
+    name: str
+    source: str
+    success: float = math.nan
+    scores: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Suite:
     """A suite of trials.
 
@@ -96,12 +114,16 @@ class Suite:
         title: One-line description.
         file: File that it was read from.
         entries: Entries of the suite.
+        note: Remark for the report.
+        published: Results that others published.
     """
 
     name: str
     title: str
     file: Path
     entries: tuple[Entry, ...]
+    note: str = ""
+    published: tuple[Published, ...] = ()
 
     def changed(self, **changes: Any) -> Suite:
         """Returns the suite with other values for some keys in all entries; values of ``None`` are ignored.
@@ -173,13 +195,15 @@ def load_suite(suite: str | Path) -> Suite:
         raise ConfigError(f"{file}: not a TOML file ({error})") from None
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read ({error.strerror})") from None
-    title = found.pop("title", file.stem)
-    if not isinstance(title, str):
-        raise ConfigError(f"{file}: title = {title!r}\n  allowed: text")
+    title, note = found.pop("title", file.stem), found.pop("note", "")
+    for key, text in (("title", title), ("note", note)):
+        if not isinstance(text, str):
+            raise ConfigError(f"{file}: {key} = {text!r}\n  allowed: text")
+    published = _published(file, found.pop("published", []))
     tables = found.pop("entry", [{}])
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise ConfigError(f"{file}: entry is not a list of tables\n  allowed: [[entry]], followed by its keys")
-    common = _values(found, f"{file}: ", beside=("title", "entry"))
+    common = _values(found, f"{file}: ", beside=("title", "note", "entry", "published"))
     entries = []
     for number, table in enumerate(tables):
         where = f"{file}: " if len(tables) == 1 else f"{file}, entry {number + 1}: "
@@ -188,9 +212,31 @@ def load_suite(suite: str | Path) -> Suite:
             fix = 'tasks = ["task01", "task02"]'
             raise ConfigError(f"{where}no tasks\n  to do:   add some at the top of the file or in the entry: {fix}")
         entries.append(entry)
-    made = Suite(file.stem, title, file, tuple(entries))
+    made = Suite(file.stem, title, file, tuple(entries), note, published)
     _check(made)
     return made
+
+
+def _published(file: Path, tables: Any) -> tuple[Published, ...]:
+    """Reads the results that others published; raises ConfigError if one of them is not as :class:`Published` says."""
+    found = []
+    for table in tables if isinstance(tables, list) else [tables]:
+        try:
+            row = Published(**table)
+        except TypeError:
+            row = None
+        if row is None or not (
+            isinstance(row.name, str)
+            and isinstance(row.source, str)
+            and isinstance(row.scores, dict)
+            and all(map(_number, [row.success, *row.scores.values()]))
+        ):
+            raise ConfigError(
+                f"{file}: [[published]] = {table!r} cannot be used\n"
+                "  allowed: name and source (text), success (0 to 1), scores (a table of numbers)"
+            )
+        found.append(row)
+    return tuple(found)
 
 
 def _check(suite: Suite) -> None:
@@ -270,6 +316,10 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         ),
         "mode": _one_of(MODES),
         "plant": _one_of(PLANTS),
+        "plant_options": (
+            lambda value: _strings(value) and all("=" in item for item in value),
+            'a list of options of the plant, like ["damping=0.1"]',
+        ),
         "friction": (lambda value: _number(value) and 0 < value <= 10, "a friction coefficient above 0, up to 10"),
         "knock": (
             lambda value: isinstance(value, list) and len(value) == 3 and all(_number(x) and x >= 0 for x in value),

@@ -16,6 +16,7 @@ from oimppi_warp.config.overrides import effective_weights
 from oimppi_warp.config.run_spec import LARGEST_SEED, RunSpec
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.plants.factory import starts_itself
 from oimppi_warp.record.log import flatten, to_json
 from oimppi_warp.runtime.request import SettingsRequest, prepare_scene
 
@@ -36,7 +37,7 @@ class Trial:
         scene: Name of a shipped scene, or a file, from which it is loaded.
         content: Hash of the scene's files.
         number: Number of the trial, from 0; the same number means the same start and the same seed for every method.
-        start: Planar start pose of the object: x, y, yaw [m, m, rad].
+        start: Planar start pose of the object: x, y, yaw [m, m, rad]. A plant that starts itself ignores it.
         run: Options of the run, with the trial's own seed.
         settings: Requested settings.
     """
@@ -85,7 +86,9 @@ class Trial:
         words += ["--device", run.device]
         if run.threads is not None:
             words += ["--threads", str(run.threads)]
-        words += ["--seed", str(run.seed), "--start", ",".join(map(repr, self.start))]
+        words += ["--seed", str(run.seed)]
+        if not starts_itself(run.plant):
+            words += ["--start", ",".join(map(repr, self.start))]
         if settings.max_sim_seconds is not None:
             words += ["--max-sim-seconds", repr(settings.max_sim_seconds)]
         if settings.tolerance is not None:
@@ -93,6 +96,8 @@ class Trial:
         for option in ("mode", "plant"):
             if (value := getattr(run, option)) != getattr(RunSpec(), option):
                 words += [f"--{option}", value]
+        if run.plant_options:
+            words += ["--plant-options", *run.plant_options]
         if run.friction is not None:
             words += ["--friction", repr(run.friction)]
         if run.knock is not None:
@@ -180,7 +185,7 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
             content = scene_content(scene.file)
             for number in entry.numbers:
                 seed = trial_seed(entry.run.seed, number)
-                start = _start(scene, number, seed)
+                start = scene.start if starts_itself(entry.run.plant) else _start(scene, number, seed)
                 for method in entry.methods:
                     run = replace(entry.run, method=method, seed=seed)
                     trials.append(Trial(name, path, content, number, start, run, entry.settings))

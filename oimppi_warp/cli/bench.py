@@ -241,9 +241,12 @@ def _summary(results: ResultSet, folder: Path) -> None:
     """Prints a table of the results, the number of trials, and the causes of failures with their counts."""
     from rich.console import Console
 
-    from oimppi_warp.bench.report.tables import brief_table
+    from oimppi_warp.bench.report.tables import brief_table, score_table
 
-    _print_table(brief_table(results))
+    scores = score_table(results)
+    _print_table(scores if scores.rows else brief_table(results))
+    if scores.rows and results.note:
+        Console(highlight=False).print(results.note, soft_wrap=True)
     missing = results.planned - len(results.results)
     failed = [result for result in results.results if not result.success]
     console = Console(highlight=False)

@@ -240,10 +240,15 @@ def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
         "plans": f"median {metrics.plan_ms_median:.1f} ms, p95 {metrics.plan_ms_p95:.1f} ms, "
         f"{metrics.control_hz:.0f} Hz; {metrics.mean_effective_samples:.1f} effective samples on average",
         "clearance": clearance,
-        "forces": f"at most {metrics.max_contact_tool_object_n:.1f} N between tool and object, "
-        f"{metrics.max_contact_object_obstacle_n:.1f} N between object and obstacles, "
-        f"{metrics.max_contact_robot_obstacle_n:.1f} N between robot and obstacles or table",
     }
+    if metrics.best_scores:
+        rows["scores"] = ", ".join(f"{name} {value:.3f}" for name, value in metrics.best_scores.items()) + " at best"
+    if math.isfinite(metrics.max_contact_tool_object_n):
+        rows["forces"] = (
+            f"at most {metrics.max_contact_tool_object_n:.1f} N between tool and object, "
+            f"{metrics.max_contact_object_obstacle_n:.1f} N between object and obstacles, "
+            f"{metrics.max_contact_robot_obstacle_n:.1f} N between robot and obstacles or table"
+        )
     if metrics.detections > 0:
         rows["perception"] = (
             f"{metrics.detections} detections, {metrics.rejected_detections} rejected, "

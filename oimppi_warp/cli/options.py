@@ -11,6 +11,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.runtime.request import SettingsRequest, parse_pose, parse_start, parse_tolerance, prepare_scene
 
 if TYPE_CHECKING:
@@ -82,11 +83,17 @@ class TaskOptions:
 
         console = notices()
         from oimppi_warp.compute import device
+        from oimppi_warp.plants.factory import starts_itself
 
         where = device.pick_device(self.run.device)
         if self.run.device == "auto" and (unused := device.unused_gpu()):
             console.print(f"planning on the CPU: {unused}", soft_wrap=True)
         with console.status("reading the scene"):
+            if start is not None and starts_itself(self.run.plant):
+                raise ConfigError(
+                    f"--start {self.start}: the plant {self.run.plant} places arm and object itself\n"
+                    "  to do:   choose a start with --seed"
+                )
             scene = prepare_scene(self.scene, start=start, goal=goal, seed=self.run.seed)
             if (count := _warning_count(self.scene)) > 0:
                 warnings = f"{count} warning{'s' if count > 1 else ''}"

@@ -50,7 +50,10 @@ class RunSpec:
     plant: PlantName = "ideal"
     """Plant to control: an ideal simulation (ideal), or a simulated laboratory (lab), configured by the settings lab.*.
     In lab, the object is detected once a second, with delay, noise, occasional outliers and occlusion by the arm.
-    Commands are delayed and joint accelerations are limited."""
+    Commands are delayed and joint accelerations are limited. pusht is the benchmark Push-T, for the scene pusht."""
+
+    plant_options: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE", help_behavior_hint="(default: none)")] = ()
+    """Options of the plant: the keyword arguments of the function that makes it."""
 
     mode: Mode = "lockstep"
     """Timing: the plant waits for each plan (lockstep) or runs in parallel with the planner in real time (realtime)."""
@@ -90,6 +93,9 @@ class RunSpec:
         METHODS.check(self.method)
         ENGINES.check(self.engine, "auto")
         PLANTS.check(self.plant)
+        for option in self.plant_options:
+            if "=" not in option:
+                raise ConfigError(f"plant_options: {option} is not an assignment\n  allowed: NAME=VALUE")
         if self.mode not in MODES:
             raise ConfigError(f"mode {self.mode!r} does not exist\n  allowed: {', '.join(MODES)}")
         if self.threads is not None and self.threads < 1:

@@ -54,12 +54,27 @@ class Contacts:
     object_table: float
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """What a plant itself says about the task so far.
+
+    Attributes:
+        success: Whether the task is done.
+        over: Whether the plant has ended the episode, for example at its own time limit.
+        scores: Figures of merit by name.
+    """
+
+    success: bool
+    over: bool
+    scores: dict[str, float]
+
+
 class Plant(Protocol):
     """An arm controlled by joint velocities, together with its surroundings, as seen by a planner.
 
     Only the members below are required. A plant may also have ``latency``, the time from a command to its effect [s]
-    (:func:`latency_of`), and implement :class:`StreamingPlant`, :class:`TruthfulPlant`, :class:`ContactPlant` and
-    :class:`MovablePlant`.
+    (:func:`latency_of`), and ``own_world`` (:func:`has_own_world`), and implement :class:`StreamingPlant`,
+    :class:`TruthfulPlant`, :class:`ContactPlant`, :class:`MovablePlant` and :class:`JudgingPlant`.
 
     Attributes:
         control_period: Duration of one command, and of a planner's time steps [s].
@@ -137,6 +152,21 @@ class MovablePlant(Protocol):
     def contact_points(self) -> np.ndarray:
         """Returns the contact points [m] and normal forces [N] in the world frame, shape [n, 6]: 3 numbers each."""
         ...
+
+
+@runtime_checkable
+class JudgingPlant(Protocol):
+    """A plant that decides itself when the task is done, such as the environment of a benchmark."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Returns the verdict after the last control period; its scores always have the same names."""
+        ...
+
+
+def has_own_world(plant: object) -> bool:
+    """Returns whether a plant, or its class, places arm and object itself and has a friction of its own."""
+    return bool(getattr(plant, "own_world", False))
 
 
 def latency_of(plant: Plant) -> float:

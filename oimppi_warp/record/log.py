@@ -13,7 +13,7 @@ engine             Rollout engine used; ``engine_reason`` explains the choice if
 device             Device used for planning, e.g. ``cpu`` or ``cuda:0``
 threads            Number of CPU threads used for planning
 preset, seed       Name of the preset, and the seed
-plant, mode        Name of the plant; ``lockstep`` or ``realtime``
+plant, mode        Name of the plant (its options: ``plant_options``); ``lockstep`` or ``realtime``
 config             All settings as used, as nested dictionaries
 requested          Settings that were adjusted for the task: ``{name: [requested value, reason for the change]}``
 start, goal        Planar poses of the object (x, y [m], yaw [rad])
@@ -23,6 +23,7 @@ exact_tolerance    The exact tolerance, in the same form; not in records of earl
 hold_seconds       Time for which the object must stay within tolerance [s]
 control_period     [s]
 cost_terms         Names of the entries of the column ``cost_terms``
+scores             Names of the entries of the column ``scores``, for a plant that judges the task itself, else empty
 preplan_time_s     Wall time of planning before the first step (SOI's object plan) [s]
 problems           ``[step, reason]`` for each step at which no plan could be made from the observation, or no command
                    kept the bounds of the safety filter
@@ -31,8 +32,8 @@ ended              Reason for the end: ``success``, ``time limit``, ``object fel
 versions           Versions of Python and packages, see :func:`versions`
 ================== ==================================================================================================
 
-Records written by earlier versions may lack ``threads``, ``requested``, ``engine_reason``, ``plant`` and ``mode`` (they
-used the ideal plant in lock step); :attr:`EpisodeLog.run` substitutes these values.
+Records written by earlier versions may lack ``scores``, ``threads``, ``requested``, ``engine_reason``, ``plant`` and
+``mode`` (they used the ideal plant in lock step); :attr:`EpisodeLog.run` substitutes these values.
 """
 
 from __future__ import annotations
@@ -94,6 +95,8 @@ COLUMNS: dict[str, Column] = {
     "contact_tool_object": Column((), "N", "largest force between tool and object during the step"),
     "contact_object_obstacle": Column((), "N", "largest force between object and obstacles during the step"),
     "contact_robot_obstacle": Column((), "N", "largest force between robot and obstacles or table during the step"),
+    "done": Column((), "1", "1 if the plant says that the task is done; NaN if the plant does not judge"),
+    "scores": Column(("n_scores",), "1", "figures of merit that the plant gives"),
     "plan_ms": Column((), "ms", "wall time of the planner's call"),
     "object_plan_ms": Column((), "ms", "part of plan_ms spent in the object level"),
     "effective_samples": Column((), "1", "effective sample size of the robot level"),
@@ -150,6 +153,7 @@ class EpisodeLog:
             **needed,
             threads=self.header.get("threads"),
             plant=self.header.get("plant", "ideal"),
+            plant_options=tuple(self.header.get("plant_options") or ()),
             mode=self.header.get("mode", "lockstep"),
             friction=self.header.get("friction"),
             knock=None if (knock := self.header.get("knock")) is None else (knock[0], knock[1], knock[2]),

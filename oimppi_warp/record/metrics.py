@@ -24,7 +24,8 @@ class Metrics:
         run: The options of the run, with engine, device and threads resolved. In JSON its fields are inlined.
         start, goal: Planar poses of the object (x, y [m], yaw [rad]).
         ended: Reason for the end of the episode, see :mod:`oimppi_warp.record.log`.
-        success: Whether the object stayed within tolerance for the hold time.
+        success: Whether the object stayed within tolerance for the hold time or, with a plant that judges the task
+            itself, whether the plant says that the task is done.
         success_tight, success_exact: The same for the tight and for the exact tolerance.
         position_error_m, yaw_error_rad: Errors at the end of the episode [m, rad].
         mean_position_error_m: Position error averaged over time (the paper's epsilon_d) [m].
@@ -53,6 +54,7 @@ class Metrics:
             replaced the prediction.
         mean_estimate_error_m, max_estimate_error_m: Distance between the object's estimated and true positions.
         mean_cost_terms: Mean of each cost term over time.
+        best_scores: Largest value of each figure of merit that the plant gives, by name; empty if it gives none.
         versions: Versions of Python and of the packages used.
     """
 
@@ -97,6 +99,7 @@ class Metrics:
     mean_estimate_error_m: float
     max_estimate_error_m: float
     mean_cost_terms: dict[str, float]
+    best_scores: dict[str, float]
     versions: dict[str, str]
 
     def json(self) -> str:
@@ -113,7 +116,7 @@ def summarize(log: EpisodeLog) -> Metrics:
     header = log.header
     period = float(header["control_period"])
     need = hold_steps(header["hold_seconds"], period)
-    arrived = first_hold(within(log, header["tolerance"]), need)
+    arrived = first_success(log)
     arrived_tight = first_hold(within(log, header["tight_tolerance"]), need)
     arrived_exact = first_hold(within(log, header.get("exact_tolerance") or _exact(header["tolerance"])), need)
     start, goal = tuple(header["start"]), tuple(header["goal"])
@@ -166,7 +169,8 @@ def summarize(log: EpisodeLog) -> Metrics:
         recoveries=int((log["detection"] == EVENTS.index("recovered")).sum()),
         mean_estimate_error_m=_of_finite(np.mean, off),
         max_estimate_error_m=_of_finite(np.max, off),
-        mean_cost_terms=_mean_cost_terms(log),
+        mean_cost_terms=_of_columns(np.mean, log, "cost_terms"),
+        best_scores=_of_columns(np.max, log, "scores"),
         versions=dict(header.get("versions", {})),
     )
 
@@ -175,6 +179,17 @@ def pose_error(pose: Any, goal: Any) -> tuple[float, float]:
     """Returns distance [m] and absolute angle [rad], from 0 to pi, between two planar poses."""
     turn = (float(pose[2]) - float(goal[2]) + math.pi) % (2 * math.pi) - math.pi
     return math.hypot(float(pose[0]) - float(goal[0]), float(pose[1]) - float(goal[1])), abs(turn)
+
+
+def first_success(log: EpisodeLog) -> int | None:
+    """Returns the step at which the object came within tolerance and stayed, or which the plant says was the last.
+
+    ``None`` if the task was not done.
+    """
+    if log.header.get("scores"):
+        return first_hold(log["done"] == 1.0, 1)
+    need = hold_steps(log.header["hold_seconds"], float(log.header["control_period"]))
+    return first_hold(within(log, log.header["tolerance"]), need)
 
 
 def within(log: EpisodeLog, tolerance: Mapping[str, float | None]) -> np.ndarray:
@@ -211,7 +226,7 @@ def _of_finite(reduce: Callable[[np.ndarray], Any], values: np.ndarray) -> float
     return float(reduce(finite)) if len(finite) else math.nan
 
 
-def _mean_cost_terms(log: EpisodeLog) -> dict[str, float]:
-    names = log.header.get("cost_terms", [])
-    terms = log["cost_terms"]
-    return {name: _of_finite(np.mean, terms[:, index]) for index, name in enumerate(names) if index < terms.shape[1]}
+def _of_columns(reduce: Callable[[np.ndarray], Any], log: EpisodeLog, column: str) -> dict[str, float]:
+    """Reduces each entry of a column whose names are in the header, over time."""
+    names, values = log.header.get(column, []), log[column]
+    return {name: _of_finite(reduce, values[:, index]) for index, name in enumerate(names) if index < values.shape[1]}

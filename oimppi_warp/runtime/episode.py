@@ -23,11 +23,20 @@ from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.planning.resolve import entries_used, resolve
 from oimppi_warp.plants.drive import Drive
-from oimppi_warp.plants.plant import ContactPlant, MovablePlant, Plant, TruthfulPlant, has_tipped, latency_of
+from oimppi_warp.plants.factory import make_plant
+from oimppi_warp.plants.plant import (
+    ContactPlant,
+    JudgingPlant,
+    MovablePlant,
+    Plant,
+    TruthfulPlant,
+    has_own_world,
+    has_tipped,
+    latency_of,
+)
 from oimppi_warp.plants.safety_filter import SafetyFilter
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
-from oimppi_warp.registries import PLANTS
 from oimppi_warp.runtime.control import ControlStep, lock_step, real_time
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.scene import Scene
@@ -109,13 +118,10 @@ class Episode:
         if spec.threads is None and spec.mode == "realtime":
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
-        if plant is None:
-            actual = scene
-            if spec.friction is not None:
-                actual = replace(scene, object=replace(scene.object, friction=spec.friction))
-            self.plant: Plant = PLANTS.get_checked(spec.plant)(actual, config, seed=spec.seed)
-        else:
-            self.plant = plant
+        self.plant: Plant = make_plant(scene, config, spec) if plant is None else plant
+        if has_own_world(self.plant):
+            x, y, yaw = map(float, self.plant.observe().object_pose)
+            self.scene = scene = scene.with_start((x, y, yaw))
         if spec.friction is not None and plant is not None:
             raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")
         if spec.knock is not None and not isinstance(self.plant, MovablePlant):
@@ -162,6 +168,7 @@ class Episode:
                 "hold_seconds": config.episode.hold_seconds,
                 "control_period": config.control_period,
                 "cost_terms": list(self.planner.dynamics.terms),
+                "scores": list(self.plant.verdict.scores) if isinstance(self.plant, JudgingPlant) else [],
                 "preplan_time_s": 0.0,
                 "ended": "interrupted",
                 "problems": [],
@@ -173,8 +180,9 @@ class Episode:
     def run(self, on_step: Callable[[EpisodeLog], None] | None = None) -> EpisodeLog:
         """Runs until the object has stayed within tolerance for the hold time, or the time is up.
 
-        It ends early when the object tips over or falls off the table, on Ctrl-C, and when the plant diverges; the log
-        is complete in these cases too.
+        A :class:`oimppi_warp.plants.plant.JudgingPlant` decides itself when the task is done. The episode ends early
+        when the object tips over or falls off the table, on Ctrl-C, and when the plant diverges; the log is complete in
+        these cases too.
 
         Args:
             on_step: Called after every control step with the log so far.
@@ -221,6 +229,12 @@ class Episode:
                 if self._has_fallen():
                     self.log.header["ended"] = "object fell"
                     break
+                if isinstance(self.plant, JudgingPlant):
+                    verdict = self.plant.verdict
+                    if verdict.success or verdict.over:
+                        self.log.header["ended"] = "success" if verdict.success else "time limit"
+                        break
+                    continue
                 held = held + 1 if position_error <= wanted.position and yaw_error <= wanted.yaw else 0
                 if held == wanted_steps:
                     self.log.header["ended"] = "success"
@@ -305,6 +319,10 @@ class Episode:
                 "contact_object_obstacle": contacts.object_obstacle,
                 "contact_robot_obstacle": contacts.robot_obstacle,
             }
+        judged = {}
+        if isinstance(self.plant, JudgingPlant):
+            verdict = self.plant.verdict
+            judged = {"done": float(verdict.success), "scores": np.array(list(verdict.scores.values()))}
         row = {} if plan is None else _of_plan(plan)
         self.log.append(
             time=truth.time,
@@ -327,6 +345,7 @@ class Episode:
             joint_acceleration=step.peak_acceleration,
             joint_jerk=step.peak_jerk,
             **forces,
+            **judged,
             **row,
         )
         return position_error, yaw_error

@@ -19,12 +19,14 @@ from oimppi_warp.bench.report.tables import (
     failures,
     paper_table,
     safety_table,
+    score_table,
     shown_methods,
     success_table,
     time_table,
 )
 from oimppi_warp.bench.report.write import write_report
 from oimppi_warp.bench.results import ResultSet, load_results
+from oimppi_warp.bench.suite import Published
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.plots.style import method_colors
 from oimppi_warp.record.log import LogError
@@ -177,6 +179,31 @@ def test_the_committed_results_are_read_and_reported(name: str):
     assert all(result.run.device == "cpu" and result.run.threads == 1 for result in results.results)
     times = {row[1]: row[4] for row in time_table(results).rows if row[4] != "-"}
     assert all(("(" in text) is (method == "SOI") for method, text in times.items())
+
+
+def test_scores_of_the_plant_stand_above_those_that_others_published(tmp_path: Path):
+    def scored(result, **scores: float):
+        return replace(result, metrics=result.metrics | {"best_scores": scores})
+
+    good, bad = make_one(number=0), make_one(number=1, success=False)
+    found = make_set([scored(good, coverage=0.99, reward=1.0), scored(bad, coverage=0.5, reward=0.6)])
+    assert score_table(make_set([good, bad])).rows == ()
+    others = (Published("Policy", "a paper", 0.638, {"coverage": 0.959}), Published("Other", "a card"))
+    found = replace(found, note="Ours knows the model.", published=others)
+    found.save(tmp_path / "results.json")
+    found = load_results(tmp_path)
+    table = score_table(found)
+    assert table.header[4:6] == ("largest coverage, mean", "largest reward, mean")
+    assert table.rows[0][:6] == ("task01", "CLOI", "1/2", "9 to 91 %", "0.745", "0.800")
+    assert table.rows[1] == ("a paper", "Policy", "63.8 %", "-", "0.959", "-", "-", "-")
+    assert table.rows[2] == ("a card", "Other", "-", "-", "-", "-", "-", "-")
+    assert table.note.endswith("were published by others. Ours knows the model.")
+    page, markdown = write_report(found, tmp_path)
+    for text in (page.read_text(), markdown.read_text()):
+        assert "Ours knows the model." in text and "a paper" in text
+    # A trial that raised an error has scored nothing.
+    raised = replace(found, results=[*found.results, make_one(number=2, error=TRACE)])
+    assert score_table(raised).rows[0][4] == "0.497"
 
 
 def test_methods_that_are_not_the_papers_are_shown_after_them_with_colours_of_their_own(tmp_path: Path):

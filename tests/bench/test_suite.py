@@ -30,7 +30,7 @@ def suite_of(folder: Path, text: str) -> Suite:
 
 def test_the_shipped_suites_have_the_trials_that_they_promise():
     found = {suite.name: suite for suite in shipped_suites()}
-    assert set(found) == {"ablation", "best-sim", "disturbed", "exact", "lab", "paper-sim", "smoke", "tippy"}
+    assert set(found) == {"ablation", "best-sim", "disturbed", "exact", "lab", "paper-sim", "pusht", "smoke", "tippy"}
     for name, preset in (("paper-sim", "paper"), ("best-sim", "best")):
         trials, scenes = make_trials(found[name])
         assert len(trials) == 6 * 3 * 10
@@ -44,6 +44,10 @@ def test_the_shipped_suites_have_the_trials_that_they_promise():
     assert lab[0].config.preset == "lab"
     tippy, scenes = make_trials(found["tippy"])
     assert len(tippy) == 7 * 2 * 10 and len(scenes) == 7
+    pusht, _ = make_trials(found["pusht"])
+    assert len(pusht) == 3 * 200 and [trial.run.seed for trial in pusht[:3]] == [1000] * 3  # as in env.reset(seed=1000)
+    assert all("--start" not in trial.arguments and trial.config.episode.max_sim_seconds == 30 for trial in pusht)
+    assert found["pusht"].published[0].scores == {"coverage": 0.959} and "learns nothing" in found["pusht"].note
 
 
 def test_the_first_trials_use_the_scenes_own_starts_and_all_methods_share_them(tmp_path: Path):
@@ -123,7 +127,7 @@ def test_a_trial_is_written_with_its_options_beside_its_other_fields():
     row = make_trial(assignments=("cost.w_d=3",)).row()
     assert set(row) == {
         *("task", "scene", "content", "number", "start", "method", "engine", "device", "threads", "seed", "plant"),
-        *("mode", "friction", "knock", "preset", "assignments", "max_sim_seconds", "tolerance"),
+        *("plant_options", "mode", "friction", "knock", "preset", "assignments", "max_sim_seconds", "tolerance"),
     }
     assert (row["method"], row["assignments"]) == ("cloi", ["cost.w_d=3"])
 
@@ -181,6 +185,7 @@ def test_a_scene_beside_the_suite_is_found(tmp_path: Path, monkeypatch: pytest.M
         {"max_sim_seconds": 3.0},
         {"tolerance": (0.005, 0.02)},
         {"plant": "lab"},
+        {"plant_options": ("gain=2",)},
         {"mode": "realtime"},
     ],
 )
@@ -205,6 +210,9 @@ def test_the_command_says_everything_and_mode_and_plant_only_when_they_are_speci
         "--start 0.3,-0.45,0.0 --max-sim-seconds 2.5 --set cost.w_d=3 reference=time"
     )
     assert "--mode realtime --plant lab" in make_trial(mode="realtime", plant="lab").command
+    assert make_trial(plant_options=("gain=2", "name=a b")).command.endswith("--plant-options gain=2 'name=a b'")
+    itself = make_trial(plant="pusht", plant_options=("damping=0.1",)).command
+    assert itself.endswith("--seed 0 --plant pusht --plant-options damping=0.1") and "--start" not in itself
     disturbed = make_trial(friction=0.25, knock=(5.0, 3.0, 0.3))
     assert disturbed.command.endswith("--friction 0.25 --knock 5.0 3.0 0.3")
     assert disturbed.key != make_trial().key
@@ -235,6 +243,13 @@ BAD = {
     "trials beyond the last": (SMALL + "first = 999999", "first + trials up to 1000000"),
     "first before zero": (SMALL + "first = -1", "an integer from 0 to 999999"),
     "unknown plant": (SMALL + 'plant = "real"', '"ideal" or "lab"'),
+    "plant options that are none": (SMALL + 'plant_options = ["damping"]', 'like ["damping=0.1"]'),
+    "a note that is none": (SMALL + "note = 3", "note = 3"),
+    "a published figure without source": (SMALL + '[[published]]\nname = "a"', "name and source (text)"),
+    "a published figure that is none": (
+        SMALL + '[[published]]\nname = "a"\nsource = "b"\nscores = { reward = "high" }',
+        "scores (a table of numbers)",
+    ),
     "timed engine": (SMALL + 'engine = "auto"', '"quasistatic" or "newton"'),
     "unknown mode": (SMALL + 'mode = "fast"', '"lockstep" or "realtime"'),
     "unknown preset": (SMALL + 'preset = "bset"', '"best" or "paper"'),
@@ -271,7 +286,7 @@ def test_a_part_of_a_suite_can_be_run():
 
 
 def test_suites_are_package_data():
-    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 8
+    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 9
     import tomllib
 
     project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())

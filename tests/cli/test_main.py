@@ -176,6 +176,11 @@ BAD_INPUT = {
     ),
     "start that the scene has not": (["run", "t", "--start", "10"], "0 to 1"),
     "start off the table": (["run", "t", "--start", "2,0,0"], "off the table"),
+    "start for a plant that has its own": (
+        ["run", "t", "--plant", "pusht", "--start", "0"],
+        "choose a start with --seed",
+    ),
+    "plant option that is none": (["run", "t", "--plant-options", "fast"], "NAME=VALUE"),
     "no tolerance": (["run", "t", "--tolerance", "5mm,0.02"], "--tolerance 5mm,0.02: not a tolerance"),
     "tolerance of nothing": (["run", "t", "--tolerance", "0,0.02"], "e.g. 0.005,0.02"),
     "device that is not there": (["run", "t", "--device", "cuda:99"], "auto, cpu"),

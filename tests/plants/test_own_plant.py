@@ -18,7 +18,15 @@ from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.planner import Planner
 from oimppi_warp.plants.drive import Drive
-from oimppi_warp.plants.plant import ContactPlant, MovablePlant, SimulatedPlant, TruthfulPlant, ideal_plant
+from oimppi_warp.plants.plant import (
+    ContactPlant,
+    JudgingPlant,
+    MovablePlant,
+    SimulatedPlant,
+    TruthfulPlant,
+    Verdict,
+    ideal_plant,
+)
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.registries import PLANTS
 from oimppi_warp.runtime.control import lock_step
@@ -73,6 +81,46 @@ def test_a_plant_with_a_period_a_report_and_a_command_is_enough(device: str):
     assert away[-1] < begin - 0.05
 
 
+class Judging(Kinematic):
+    """Places its object itself, and says after how many control periods the task is done or the episode over."""
+
+    own_world = True
+
+    def __init__(self, scene: Scene, *, done: int = 99, over: int = 99) -> None:
+        super().__init__(scene.with_start((0.35, -0.4, 0.2)))
+        self.done, self.over = done, over
+
+    @property
+    def verdict(self) -> Verdict:
+        steps = round(self.time / self.control_period)
+        return Verdict(steps >= self.done, steps >= self.over, {"steps": float(steps), "half": 0.5 * steps})
+
+
+@pytest.mark.parametrize(
+    ("limits", "ended", "steps"),
+    [({"done": 5}, "success", 5), ({"over": 7}, "time limit", 7), ({"done": 4, "over": 4}, "success", 4)],
+)
+def test_a_plant_may_judge_the_task_itself(device: str, limits: dict, ended: str, steps: int):
+    scene = shipped("task01")
+    plant = Judging(scene, **limits)
+    assert isinstance(plant, JudgingPlant) and not isinstance(Kinematic(scene), JudgingPlant)
+    log = Episode(scene, small(), plant=plant, method="mppi", engine="quasistatic", device=device).run()
+    metrics = summarize(log)
+    assert (metrics.ended, metrics.success, len(log)) == (ended, ended == "success", steps)
+    assert metrics.best_scores == {"steps": steps, "half": 0.5 * steps}
+    assert np.isnan(metrics.success_time_s) or metrics.success_time_s == pytest.approx(0.1 * steps)
+    np.testing.assert_allclose(log["scores"], np.outer(np.arange(1, steps + 1), [1.0, 0.5]))
+    # It starts where the plant put it, and the record says so; others have no scores.
+    np.testing.assert_allclose(metrics.start, (0.35, -0.4, 0.2))
+    np.testing.assert_allclose(log["object_pose"], np.tile((0.35, -0.4, 0.2), (steps, 1)))
+
+
+def test_a_plant_that_does_not_judge_has_no_scores(device: str):
+    log = Episode(shipped("task01"), small(), plant=Kinematic(shipped("task01")), method="mppi", device=device).run()
+    assert log.header["scores"] == [] and summarize(log).best_scores == {}
+    assert np.isnan(log["done"]).all()
+
+
 def test_a_plant_is_registered_by_name_and_removed_again(device: str):
     def kinematic(scene: Scene, config: Config, *, seed: int) -> Kinematic:
         made.append(seed)
@@ -80,7 +128,7 @@ def test_a_plant_is_registered_by_name_and_removed_again(device: str):
 
     made: list[int] = []
     scene, config = shipped("point01"), small("cloi", "episode.max_sim_seconds=0.2")
-    with pytest.raises(ConfigError, match=r"plant 'kinematic' does not exist\n  allowed: ideal, lab"):
+    with pytest.raises(ConfigError, match=r"plant 'kinematic' does not exist\n  allowed: ideal, lab, pusht"):
         Episode(scene, config, plant="kinematic")
     PLANTS.register("kinematic", kinematic)
     try:
@@ -92,7 +140,7 @@ def test_a_plant_is_registered_by_name_and_removed_again(device: str):
             PLANTS.register("lab", kinematic)
     finally:
         PLANTS.unregister("kinematic")
-    assert list(PLANTS) == ["ideal", "lab"]
+    assert list(PLANTS) == ["ideal", "lab", "pusht"]
 
 
 def test_the_simulated_plant_takes_part_in_every_protocol():

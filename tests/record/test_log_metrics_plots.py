@@ -36,7 +36,7 @@ def test_a_record_of_an_earlier_version_is_read_with_what_it_knows_of_its_run(tm
     made = make_log(steps=3)
     assert not made.header.keys() & {"threads", "requested", "plant", "mode"}
     log = EpisodeLog.load(made.save(tmp_path))
-    assert log.run == RunSpec("cloi", "quasistatic", "cpu", None, 3, "ideal", "lockstep")
+    assert log.run == RunSpec("cloi", "quasistatic", "cpu", None, 3, "ideal", mode="lockstep")
     assert summarize(log).run == log.run
 
 

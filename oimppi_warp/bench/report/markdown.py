@@ -58,7 +58,10 @@ def facts(results: ResultSet) -> list[str]:
         )
     if drawn := dict.fromkeys(filter(None, map(_numbers, results.entries))):
         text.append(f"Trials {'; '.join(drawn)}.")
-    kinds = dict.fromkeys(f"{r.preset}, engine {r.run.engine}, mode {r.run.mode}, plant {r.run.plant}" for r in found)
+    kinds = dict.fromkeys(
+        f"{r.preset}, engine {r.run.engine}, mode {r.run.mode}, plant {' '.join((r.run.plant, *r.run.plant_options))}"
+        for r in found
+    )
     changed = dict.fromkeys(filter(None, map(_changed, results.entries)))
     if changed:
         text.append(f"Changed settings: {'; '.join(changed)}.")

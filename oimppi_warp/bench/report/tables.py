@@ -44,6 +44,7 @@ def every_table(results: ResultSet) -> list[Table]:
     """Builds the tables of a report, without empty ones."""
     tables = [
         success_table(results),
+        score_table(results),
         exact_table(results),
         *(paper_table(results, table) for table in TABLES),
         time_table(results),
@@ -85,6 +86,40 @@ def success_table(results: ResultSet) -> Table:
             *("task", "method", "success", "95 %", "tight", "95 %"),
             *("ε_d", "ε_d of successes", "error, whole episode", "error of successes, whole episode"),
         ),
+        tuple(rows),
+    )
+
+
+def score_table(results: ResultSet) -> Table:
+    """Builds the table of the scores that a plant gives, with those that others published below ours.
+
+    It has no rows if the plants of the suite give none.
+    """
+    groups = [group for group in _groups(results) if group[2].scores]
+    names = list(dict.fromkeys(name for _, _, stats in groups for name in stats.scores))
+    rows = []
+    for task, method, stats in groups:
+        cells = [f"{rate(stats.success)}", interval(stats.success)]
+        cells += [number(stats.scores.get(name, math.nan), 3) for name in names]
+        rows.append((task, method.upper(), *cells, number(stats.steps, 0), number(stats.plan_ms, 1)))
+    for other in results.published if rows else ():
+        share = f"{100 * other.success:.1f} %" if math.isfinite(other.success) else "-"
+        scores = [number(other.scores.get(name, math.nan), 3) for name in names]
+        rows.append((other.source, other.name, share, "-", *scores, "-", "-"))
+    return Table(
+        "Scores",
+        " ".join(
+            filter(
+                None,
+                (
+                    "Success as the plant itself judges it, with Wilson's 95 % intervals, and means over the trials of "
+                    "the largest score in each. Steps to success are medians over the successes, plan times medians.",
+                    "The rows below ours were published by others." if results.published else "",
+                    results.note,
+                ),
+            )
+        ),
+        ("task", "method", "success", "95 %", *(f"largest {name}, mean" for name in names), "steps", "plan [ms]"),
         tuple(rows),
     )
 
