@@ -131,7 +131,7 @@ class SuiteRun:
             machine=outcome.machine,
             reach=self.places[trial.task]["reach"],
         )
-        folder = self._folder(trial)
+        folder = self.record_of(trial)
         folder.mkdir(parents=True, exist_ok=True)
         if outcome.log is not None:
             outcome.log.save(folder)
@@ -154,7 +154,8 @@ class SuiteRun:
             published=self.suite.published,
         )
 
-    def _folder(self, trial: Trial) -> Path:
+    def record_of(self, trial: Trial) -> Path:
+        """Returns the folder of a trial's record."""
         return self.folder / "trials" / trial.name
 
     def _read_stored(self) -> None:
@@ -165,7 +166,7 @@ class SuiteRun:
     def _stored(self, trial: Trial) -> Result | None:
         """Returns the result of a finished trial; ``None`` if its file is missing or unreadable."""
         try:
-            result = result_from(json.loads((self._folder(trial) / _TRIAL).read_text(encoding="utf-8"))["result"])
+            result = result_from(json.loads((self.record_of(trial) / _TRIAL).read_text(encoding="utf-8"))["result"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
         return result if result.key == trial.key else None

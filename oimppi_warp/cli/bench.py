@@ -81,6 +81,9 @@ class Bench:
     no_report: FlagCreatePairsOff[bool] = False
     """Write the results without a report."""
 
+    films: FlagCreatePairsOff[bool] = False
+    """Write films from above, as GIFs: of the fastest success for each task and method, and of every failure."""
+
     def execute(self) -> int:
         """Runs the suite and returns the exit status."""
         if not self.suite:
@@ -127,6 +130,11 @@ class Bench:
                 from oimppi_warp.bench.report.write import write_report
 
                 write_report(results, folder)
+        if results.results and self.films:
+            from oimppi_warp.bench.films import write_films
+
+            with console.status("drawing films"):
+                write_films(run)
         _summary(results, folder)
         if stopped:
             console.print("stopped; run the same command again to resume", soft_wrap=True)

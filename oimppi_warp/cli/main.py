@@ -23,6 +23,7 @@ from tyro.conf import arg, subcommand
 
 from oimppi_warp.cli.bench import Bench, Compare, Report
 from oimppi_warp.cli.check import Check
+from oimppi_warp.cli.demos import Demos
 from oimppi_warp.cli.options import TaskOptions
 from oimppi_warp.cli.robot import AddRobot
 from oimppi_warp.cli.scene import Import, New
@@ -124,6 +125,7 @@ Command = (
     | Annotated[Bench, subcommand("bench", prefix_name=False)]
     | Annotated[Report, subcommand("report", prefix_name=False)]
     | Annotated[Compare, subcommand("compare", prefix_name=False)]
+    | Annotated[Demos, subcommand("demos", prefix_name=False)]
     | Annotated[View, subcommand("view", prefix_name=False)]
     | Annotated[Export, subcommand("export", prefix_name=False)]
     | Annotated[

@@ -50,7 +50,7 @@ def path_figure(log: EpisodeLog, scene: Scene) -> Figure:
     """Draws the object's path from above: its footprint at even intervals, coloured by time."""
     figure = Figure(layout="constrained")
     axes = figure.add_subplot()
-    width, height = draw_scene(axes, log, scene)
+    width, height = draw_scene(axes, scene, poses_of(log), float(log.header["tolerance"]["position"]))
     figure.set_size_inches(7.0, 1.2 + 5.6 * min(max(height / width, 0.5), 1.6))
     pieces = footprint(scene.object.colliders)
     start, goal = np.asarray(log.header["start"], float), np.asarray(log.header["goal"], float)
@@ -132,8 +132,23 @@ def _legend(axes: Axes) -> None:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(5, len(names)), borderaxespad=0.2)
 
 
-def draw_scene(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]:
-    """Draws table, robot base and obstacles, and sets the view; returns its width and height [m]."""
+def poses_of(log: EpisodeLog) -> np.ndarray:
+    """Returns all planar poses of the object in a log, with its start and its goal first, shape [n, 3]."""
+    return np.vstack([np.asarray([log.header["start"], log.header["goal"]], float), log["object_pose"].reshape(-1, 3)])
+
+
+def draw_scene(axes: Axes, scene: Scene, poses: np.ndarray, tolerance: float) -> tuple[float, float]:
+    """Draws table, robot base and obstacles, and sets the view.
+
+    Args:
+        axes: Axes to draw in.
+        scene: The task.
+        poses: Planar poses of the object that are to be in view, shape [n, 3] [m, m, rad].
+        tolerance: Radius of the circle around the goal [m].
+
+    Returns:
+        Width and height of the view [m].
+    """
     lower, upper = np.asarray(scene.table.lower), np.asarray(scene.table.upper)
     axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=FAINT, lw=1.0, zorder=0))
     base = footprint(scene.robot.base.colliders)
@@ -142,8 +157,7 @@ def draw_scene(axes: Axes, log: EpisodeLog, scene: Scene) -> tuple[float, float]
     for index, pieces in enumerate(obstacles):
         draw_shape(axes, pieces, np.zeros(3), fc=WALL, ec="none", label="obstacle" if index == 0 else None, zorder=3)
     corners = [shapely.bounds(outline(pieces)) for pieces in obstacles]
-    poses = np.vstack([np.asarray([log.header["start"], log.header["goal"]], float), log["object_pose"].reshape(-1, 3)])
-    reach = 0.05 + max(0.15, float(log.header["tolerance"]["position"]))
+    reach = 0.05 + max(0.15, tolerance)
     points = np.vstack([poses[:, :2] - reach, poses[:, :2] + reach, [[-0.12, -0.12]], *np.reshape(corners, (-1, 2, 2))])
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     axes.set_xlim(low[0], high[0])

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle
 from PIL import Image
 
 from oimppi_warp.geometry.footprint import footprint
-from oimppi_warp.plots.episode import draw_scene, draw_shape, title_of
+from oimppi_warp.plots.episode import draw_scene, draw_shape, poses_of, title_of
 from oimppi_warp.plots.style import GOAL, INK, START, STYLE
 from oimppi_warp.record.log import EpisodeLog, write_atomically
 from oimppi_warp.scene import Scene
@@ -49,31 +49,57 @@ def film(log: EpisodeLog, scene: Scene, file: str | Path, *, speed: float = 2.0)
 
 def frames(log: EpisodeLog, scene: Scene, rows: Iterable[int]) -> Iterator[Image.Image]:
     """Yields an image of the scene from above after each of the given control steps."""
+    tool, poses = log["tool_position"], poses_of(log)
+    for row in rows:
+        plans = [path for step, path in log.references if step <= row]
+        yield picture_from_above(
+            scene,
+            pose=log["object_pose"][row],
+            tips=tool[max(row - 20, 0) : row + 1],
+            goal=np.asarray(log.header["goal"], float),
+            tolerance=float(log.header["tolerance"]["position"]),
+            in_view=poses,
+            plan=plans[-1] if plans else np.zeros((0, 3)),
+            title=f"{title_of(log)}\n{log['time'][row]:.1f} s, tip height {1e3 * tool[row, 2]:.0f} mm",
+        )
+
+
+def picture_from_above(
+    scene: Scene,
+    *,
+    pose: np.ndarray,
+    tips: np.ndarray,
+    goal: np.ndarray,
+    tolerance: float,
+    in_view: np.ndarray,
+    plan: np.ndarray,
+    title: str,
+) -> Image.Image:
+    """Draws a state of a task from above.
+
+    Args:
+        scene: The task.
+        pose: Planar pose of the object, shape [3] [m, m, rad].
+        tips: Latest positions of the tip, of which the last is the present one, shape [n, 3] [m].
+        goal: Planar pose of the goal, shape [3] [m, m, rad].
+        tolerance: Radius of the circle around the goal [m].
+        in_view: Planar poses of the object that are to be in view, shape [n, 3] [m, m, rad].
+        plan: Planned poses of the object, shape [n, 3] [m, m, rad].
+        title: Text above the picture.
+    """
     with matplotlib.rc_context(STYLE):
-        for row in rows:
-            yield _frame(log, scene, row)
-
-
-def _frame(log: EpisodeLog, scene: Scene, row: int) -> Image.Image:
-    """Draws the scene at the end of one control step."""
-    figure = Figure(figsize=(3.6, 4.8), dpi=100, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    draw_scene(axes, log, scene)
-    pieces = footprint(scene.object.colliders)
-    goal = np.asarray(log.header["goal"], float)
-    draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.4, ls=(0, (4, 2)), zorder=6)
-    radius = log.header["tolerance"]["position"]
-    axes.add_patch(Circle((goal[0], goal[1]), radius, fill=False, ec=GOAL, lw=0.8, ls=":", zorder=2))
-    plans = [path for step, path in log.references if step <= row]
-    if plans:
-        axes.plot(plans[-1][:, 0], plans[-1][:, 1], color=INK, lw=0.8, ls=(0, (1, 1.5)), zorder=4)
-    draw_shape(axes, pieces, log["object_pose"][row], fc=(*to_rgb(START), 0.25), ec=START, zorder=5)
-    tool = log["tool_position"]
-    since = max(row - 20, 0)
-    axes.plot(tool[since : row + 1, 0], tool[since : row + 1, 1], color="#8b98a1", lw=1.0, zorder=7)
-    axes.add_patch(Circle((tool[row, 0], tool[row, 1]), scene.robot.tool_radius, fc=INK, ec="none", zorder=8))
-    axes.set(aspect="equal", title=f"{title_of(log)}\n{log['time'][row]:.1f} s, tip height {1e3 * tool[row, 2]:.0f} mm")
-    axes.title.set_fontsize(8)
-    canvas.draw()
-    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+        figure = Figure(figsize=(3.6, 4.8), dpi=100, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        axes = figure.add_subplot()
+        draw_scene(axes, scene, in_view, tolerance)
+        pieces = footprint(scene.object.colliders)
+        draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.4, ls=(0, (4, 2)), zorder=6)
+        axes.add_patch(Circle((goal[0], goal[1]), tolerance, fill=False, ec=GOAL, lw=0.8, ls=":", zorder=2))
+        axes.plot(plan[:, 0], plan[:, 1], color=INK, lw=0.8, ls=(0, (1, 1.5)), zorder=4)
+        draw_shape(axes, pieces, pose, fc=(*to_rgb(START), 0.25), ec=START, zorder=5)
+        axes.plot(tips[:, 0], tips[:, 1], color="#8b98a1", lw=1.0, zorder=7)
+        axes.add_patch(Circle((tips[-1, 0], tips[-1, 1]), scene.robot.tool_radius, fc=INK, ec="none", zorder=8))
+        axes.set(aspect="equal", title=title)
+        axes.title.set_fontsize(8)
+        canvas.draw()
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

@@ -141,7 +141,7 @@ def lock_step(
                 known = estimator.predict(known, drive.pending())
             timed_plan = timed_planner.plan(known)
             command = timed_plan.plan.command
-        filtered = _filtered(guard, drive, observation, command)
+        filtered = filtered_command(guard, drive, observation, command)
         command = drive.apply(filtered.joint_velocity)
         observation = _observed(plant, dof)
         known = _known(estimator, observation)
@@ -195,7 +195,7 @@ def real_time(
                 missed, age = True, age + 1
                 if age * period > expires + 1e-9:
                     command, stopped = still, True
-            filtered = _filtered(guard, drive, observation, command)
+            filtered = filtered_command(guard, drive, observation, command)
             if job is None and known is not None:
                 # Commands that are already decided are executed before those of the plan requested here.
                 pending = [*drive.pending(), (period, drive.allowed(filtered.joint_velocity))]
@@ -224,8 +224,17 @@ def _observed(plant: Plant, dof: int) -> Observation:
     return observation
 
 
-def _filtered(guard: SafetyFilter | None, drive: Drive, observation: Observation, command: np.ndarray) -> Filtered:
-    """Returns a command as the filter lets it pass, for where the arm will be when the command takes effect."""
+def filtered_command(
+    guard: SafetyFilter | None, drive: Drive, observation: Observation, command: np.ndarray
+) -> Filtered:
+    """Returns a command as the filter lets it pass, for where the arm will be when the command takes effect.
+
+    Args:
+        guard: The filter; ``None``: every command passes.
+        drive: The plant behind its limits, which will be sent the command.
+        observation: The plant's latest observation.
+        command: Joint velocities, shape [dof] [rad/s; m/s for a prismatic joint].
+    """
     if guard is None:
         return Filtered(command)
     joints = observation.joint_position + sum(duration * velocity for duration, velocity in drive.pending())

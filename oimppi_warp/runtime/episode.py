@@ -226,7 +226,7 @@ class Episode:
                 step = next(self._control_steps)
                 position_error, yaw_error = self._record(step)
                 yield step
-                if self._has_fallen():
+                if isinstance(self.plant, TruthfulPlant) and has_fallen(self.plant.truth()):
                     self.log.header["ended"] = "object fell"
                     break
                 if isinstance(self.plant, JudgingPlant):
@@ -273,13 +273,6 @@ class Episode:
             ahead = np.array(self.scene.goal[:2]) - state.object_pose[:2]
             self._sideways = np.array([-ahead[1], ahead[0], 0.0]) / max(float(np.hypot(*ahead)), 1e-9)
         self.plant.knock(force * share * self._sideways)
-
-    def _has_fallen(self) -> bool:
-        """Returns whether the object has tipped over or fallen off the table, as far as the plant knows."""
-        if not isinstance(self.plant, TruthfulPlant):
-            return False
-        transform = self.plant.truth().object_transform
-        return has_tipped(transform) or bool(transform[2] < -_FALLEN)
 
     def state_after(self, step: ControlStep) -> Observation:
         """Returns the state after a control step: the exact one or, if the plant does not know it, the estimate."""
@@ -349,6 +342,11 @@ class Episode:
             **row,
         )
         return position_error, yaw_error
+
+
+def has_fallen(state: Observation) -> bool:
+    """Returns whether the object has tipped over or fallen off the table."""
+    return has_tipped(state.object_transform) or bool(state.object_transform[2] < -_FALLEN)
 
 
 def problem_of(step: ControlStep) -> str:

@@ -17,6 +17,7 @@ import pytest
 from support.synthetic_episode import make_log
 
 from oimppi_warp.bench import worker
+from oimppi_warp.bench.films import write_films
 from oimppi_warp.bench.results import load_results
 from oimppi_warp.bench.runner import BenchError, SuiteRun, cluster_backend
 from oimppi_warp.bench.suite import Suite, load_suite
@@ -149,6 +150,23 @@ def test_every_trial_has_its_record_and_no_half_written_file(episodes: Episodes,
         assert facts["result"]["command"] == trial.command
         assert bool(result.cause) is (not result.success)
     assert [result.number for result in results.results if not result.success] == [0]
+
+
+def test_the_fastest_success_and_every_failure_are_filmed(episodes: Episodes, tmp_path: Path):
+    episodes.acts = {("mppi", 1): "fail", ("soi", 0): "fail", ("soi", 2): RuntimeError("no")}
+    run = SuiteRun(suite_of(tmp_path, FEW), tmp_path / "out")
+    run.execute(jobs=1)
+    files = write_films(run)
+    names = sorted("-".join(file.name.split("-")[:4]) for file in files)
+    assert names == [
+        "failed-task01-mppi-001",
+        "failed-task01-soi-000",
+        "fastest-task01-mppi-000",
+        "fastest-task01-soi-001",
+    ]
+    assert all(file.read_bytes()[:6] == b"GIF89a" for file in files)
+    files[0].write_bytes(b"kept")
+    assert write_films(run) == files and files[0].read_bytes() == b"kept"
 
 
 def test_trials_in_real_time_come_last_and_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
