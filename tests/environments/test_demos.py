@@ -57,7 +57,7 @@ def test_the_recorded_actions_lead_to_the_recorded_observations(actions):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demos")
-    assert main(["demos", *OPTIONS, "--episodes", "5", "--actions", "tool", "--out", str(folder)]) == 0
+    assert main(["demos", *OPTIONS, "--episodes", "30", "--actions", "tool", "--out", str(folder)]) == 0
     return folder
 
 
@@ -65,7 +65,7 @@ def test_minari_reads_what_was_recorded(folder: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder))
     assert list(minari.list_local_datasets()) == ["oimppi/point01/mppi-tool-v0"]
     data = minari.load_dataset("oimppi/point01/mppi-tool-v0")
-    assert data.total_episodes == 5
+    assert data.total_episodes == 30
     for seed, episode in enumerate(data.iterate_episodes()):
         assert episode.observations.shape == (len(episode.actions) + 1, 2 * 2 + 11)
         assert episode.terminations[-1] and not episode.terminations[:-1].any() and not episode.truncations.any()
@@ -106,15 +106,15 @@ def test_a_policy_learns_from_the_demonstrations(folder: Path, tmp_path: Path):
     run = subprocess.run(
         [sys.executable, "clone.py", "oimppi/point01/mppi-tool-v0"],
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(folder)},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(folder), "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         timeout=280,
     )
     assert run.returncode == 0, run.stderr
-    explained, closer = run.stdout.splitlines()[-2:]
-    assert int(re.findall(r"explains (\d+) %", explained)[0]) > 80
-    assert float(re.findall(r"by (-?[\d.]+) m", closer)[0]) > 0.1
+    explained, nearest = run.stdout.splitlines()[-2:]
+    assert int(re.findall(r"explains (\d+) %", explained)[0]) > 70
+    assert int(re.findall(r"nearest: (\d+) %", nearest)[0]) < 60  # of the way, after thirty demonstrations
 
 
 @pytest.mark.parametrize(
