@@ -101,7 +101,9 @@ class PushEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         self._servo = ToolServo(robot, limits=limits, period=control_period) if actions == "tool" else None
         self._yaw_length = limit_surface(loaded.object).radius if math.isfinite(loaded.tolerance.yaw) else 0.0
         speed = np.full(2, self.config.robot.tip_speed_limit) if self._servo is not None else limits
-        self.action_space = gymnasium.spaces.Box(-speed.astype(np.float32), speed.astype(np.float32))
+        most = speed.astype(np.float32)
+        self._most = most.astype(float)
+        self.action_space = gymnasium.spaces.Box(-most, most)
         count = 2 * robot.dof + 3 + 4 + 4
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (count,), np.float32)
         self._safety = self.config.safety
@@ -148,7 +150,7 @@ class PushEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
             FloatingPointError: The simulation diverged.
         """
         seen = self._plant.observe()
-        wanted = np.clip(np.asarray(action, dtype=float), self.action_space.low, self.action_space.high)
+        wanted = np.clip(np.asarray(action, dtype=float), -self._most, self._most)
         command = wanted if self._servo is None else self._followed(self._servo, seen, wanted)
         self._filtered = filtered_command(self._guard, self._drive, seen, command)
         self._drive.apply(self._filtered.joint_velocity)
