@@ -75,8 +75,8 @@ def _out_of_reach(log: EpisodeLog, reach: float) -> Cause | None:
 
 
 def _not_reached(log: EpisodeLog) -> Cause | None:
-    touched = np.nan_to_num(log["contact_tool_object"]) > CONTACT_FORCE
-    if touched.any():
+    forces = log["contact_tool_object"]
+    if np.isnan(forces).all() or (np.nan_to_num(forces) > CONTACT_FORCE).any():
         return None
     nearest = np.linalg.norm(log["tool_position"][:, :2] - log["object_pose"][:, :2], axis=1).min()
     return Cause("never touched the object", f"the tool's closest distance to the object's origin was {nearest:.2f} m")
