@@ -41,7 +41,7 @@ class Demos:
     """Method of the planner that demonstrates."""
 
     actions: Literal["joint", "tool"] = "joint"
-    """What an action is: joint velocities (joint), or the horizontal velocity of the tip (tool)."""
+    """Kind of action: joint velocities (joint), or the horizontal velocity of the tip (tool)."""
 
     first: Annotated[int, arg(metavar="N")] = 0
     """Seed of the first episode; each further episode has the next one."""

@@ -30,13 +30,13 @@ MOST_FAILURES = 20
 
 @dataclass(frozen=True)
 class Demonstrator:
-    """Who demonstrates what.
+    """Planner, task and settings of demonstrations.
 
     Attributes:
         scene: A USD file, or the name of a shipped scene.
         method: Name of the planner's method.
         config: All settings.
-        actions: What an action is: ``"joint"`` or ``"tool"`` velocities.
+        actions: Kind of action: ``"joint"`` or ``"tool"`` velocities.
         tolerance: Tolerance for success, position [m] and yaw [rad].
         steps: Time limit of an episode, in control steps.
     """
@@ -207,7 +207,12 @@ def write_dataset(who: Demonstrator, found: list[Demonstration], folder: Path, n
     import oimppi_warp.environments  # noqa: F401  # registers the tasks
 
     environment = gymnasium.make(
-        "oimppi/scene-v0", scene=who.scene, actions=who.actions, tolerance=who.tolerance, max_episode_steps=who.steps
+        "oimppi/scene-v0",
+        scene=who.scene,
+        actions=who.actions,
+        tolerance=who.tolerance,
+        control_period=who.config.control_period,
+        max_episode_steps=who.steps,
     )
     buffers = [
         EpisodeBuffer(

@@ -14,7 +14,7 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config
 from oimppi_warp.environments import CONTROL_PERIOD
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.geometry.feasibility import sample_start
+from oimppi_warp.geometry.feasibility import check_task, sample_start
 from oimppi_warp.geometry.footprint import limit_surface
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import Observation
@@ -60,7 +60,7 @@ class PushEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Args:
         scene: A USD file, or the name of a shipped scene.
-        actions: What an action is.
+        actions: Kind of action.
         tolerance: Tolerance for success, position [m] and yaw [rad]; ``None``: the scene's.
         control_period: Duration of a step [s].
         config: All settings, of which ``safety``, ``cost.height``, ``episode.hold_seconds`` and the velocity limits of
@@ -136,8 +136,6 @@ class PushEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         task = self._task if goal is None else self._task.with_goal(goal)
         task = task.with_start(sample_start(self._first, drawn) if start is None else start)
         if start is not None or goal is not None:
-            from oimppi_warp.geometry.feasibility import check_task
-
             check_task(task)
         self._begin(task)
         return self._observation(), self._info()
@@ -152,17 +150,15 @@ class PushEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         seen = self._plant.observe()
         wanted = np.clip(np.asarray(action, dtype=float), -self._most, self._most)
         command = wanted if self._servo is None else self._followed(self._servo, seen, wanted)
-        self._filtered = filtered_command(self._guard, self._drive, seen, command)
-        self._drive.apply(self._filtered.joint_velocity)
+        self._drive.apply(filtered_command(self._guard, self._drive, seen, command).joint_velocity)
         self._trail.append(self._tip())
         before, self._left = self._left, self._distance()
-        position_error, yaw_error = pose_error(self.state.object_pose, self._task.goal)
-        wanted_within = self._task.tolerance
-        inside = position_error <= wanted_within.position and yaw_error <= wanted_within.yaw
+        info, tolerance = self._info(), self._task.tolerance
+        inside = info["position_error"] <= tolerance.position and info["yaw_error"] <= tolerance.yaw
         self._held = self._held + 1 if inside else 0
         success = self._held >= self._needed
         reward = before - self._left + float(success)
-        info = self._info() | {"is_success": success}
+        info["is_success"] = success
         return self._observation(), reward, success or has_fallen(self.state), False, info
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]

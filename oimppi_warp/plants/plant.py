@@ -56,7 +56,7 @@ class Contacts:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a plant itself says about the task so far.
+    """A plant's own judgement of the task so far.
 
     Attributes:
         success: Whether the task is done.
