@@ -217,7 +217,12 @@ class RobotLevel:
         low=1e-3,
     )
     contact_steps: int = setting(
-        2, "Number of steps of the contact model per control step, in the quasi-static engine.", low=1, high=1_000
+        2,
+        "Number of steps of the contact model per control step, in the quasi-static engine. With "
+        "`robot.controls=tool`, it is raised if the tip could otherwise move by more than 1.35 times the tool's radius "
+        "in one of them.",
+        low=1,
+        high=1_000,
     )
     substeps: int = setting(4, "Number of physics steps per control step, in the Newton engine.", low=1, high=1_000)
     uncertainty: Uncertainty = group(
@@ -231,7 +236,10 @@ class RobotLevel:
 class ObjectLevel:
     """The object level, which plans a wrench that moves the object to its goal without the robot (equation 13)."""
 
-    optimizer: Sampling = group(Mppi(horizon=60, temperature=0.5, knots=5), "Optimizer of the object level.")
+    optimizer: Sampling = group(
+        Mppi(horizon=60, temperature=0.5, knots=5),
+        "Optimizer of the object level. With a plant that has a fixed control period, its horizon keeps its duration.",
+    )
     speed_limit: tuple[float, float, float] = setting(
         (0.2, 0.2, 5.0 / 3.0),
         "Largest velocity of the object (x, y, yaw) that the virtual wrench (the wrench with which the object level "

@@ -15,13 +15,21 @@ from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene
 
 
-def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **options: Any) -> Planner:
+def make_planner(
+    scene: Scene,
+    config: Config,
+    spec: RunSpec | None = None,
+    *,
+    control_period: float | None = None,
+    **options: Any,
+) -> Planner:
     """Makes a planner for a scene.
 
     Args:
         scene: The task.
         config: All settings.
         spec: Method, engine, device, threads and seed. With the engine ``"auto"``, a few plans are timed.
+        control_period: The plant's control period, if it is fixed [s]; else that of ``config`` is used.
         **options: Fields of ``spec`` to change, for example ``method="soi"``.
 
     Raises:
@@ -29,7 +37,7 @@ def make_planner(scene: Scene, config: Config, spec: RunSpec | None = None, **op
         DeviceError: There is no such device.
     """
     spec = (spec or RunSpec()).changed(**options)
-    config = resolve(validate(config), scene).config
+    config = resolve(validate(config), scene, control_period=control_period).config
     method = METHODS.get_checked(spec.method)
 
     def make(engine: str) -> Planner:

@@ -13,13 +13,17 @@ import warp as wp
 from oimppi_warp.compute.step import Compute, Slot, using_gpu
 from oimppi_warp.config.settings import Config
 from oimppi_warp.geometry.fields import Geometry
+from oimppi_warp.geometry.footprint import wrap_angle
 from oimppi_warp.kernels.fields import cost_to_go
 from oimppi_warp.kernels.geometry import PoseField
 from oimppi_warp.kernels.rollouts.object import follow_path
 from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
 
-_STRIDE = 3
-"""One in this many poses of the plan is kept to be followed."""
+_STRIDE = 3.0
+"""Number of steps of the plan, at most, between the poses of it that are followed."""
+_SPACING = 0.031
+"""Distance between these poses, at most, a radian counted as ``object.yaw_length`` [m]. With longer gaps, the path down
+the cost-to-go would turn back to the pose that it comes from."""
 
 
 class PlanFollower:
@@ -51,9 +55,10 @@ class PlanFollower:
         self._start = compute.input(1, wp.vec3)
         self._path = compute.output((1, len(reference.host)), wp.vec3)
         level = config.object
-        self._plan = wp.zeros(level.plan_steps // _STRIDE + 2, dtype=wp.vec3, device=self._device)
-        goal_array = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=self._device)
         step = level.speed_limit[0] * config.control_period
+        self._stride = min(_STRIDE, _SPACING / step)
+        self._plan = wp.zeros(int((level.plan_steps + 1) / self._stride) + 2, dtype=wp.vec3, device=self._device)
+        goal_array = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=self._device)
         inputs = [self._to_go, self._plan, self._start.array, goal_array, level.yaw_length, step]
         self.launches = [
             compute.launch(cost_to_go.descend, 1, inputs, [self._path.array]),
@@ -68,7 +73,7 @@ class PlanFollower:
             arrived: Whether it leads to the goal.
             bound: The cost-to-go to the goal alone, if known; it saves time.
         """
-        kept = path[::-_STRIDE][::-1] if arrived else self._goal[None]
+        kept = _spaced(path, self._stride) if arrived else self._goal[None]
         padded = kept[np.minimum(np.arange(len(self._plan)), len(kept) - 1)]
         with using_gpu:
             found = build_to_go(
@@ -97,3 +102,12 @@ class PlanFollower:
         A metre along the plan counts as half a metre, except close to the goal, where it is the straight distance.
         """
         return to_go_at(self._to_go, self._to_go_values, pose, self._goal, self._config.object.yaw_length)
+
+
+def _spaced(path: np.ndarray, stride: float) -> np.ndarray:
+    """Returns every ``stride``-th pose of a path, shape [n, 3], counted from its end; between poses, it is linear."""
+    at = np.arange(len(path) - 1.0, -1e-9, -stride)[::-1]
+    before = np.floor(at).astype(int)
+    way = path[np.minimum(before + 1, len(path) - 1)] - path[before]
+    way[:, 2] = wrap_angle(way[:, 2])
+    return path[before] + (at - before)[:, None] * way

@@ -27,6 +27,8 @@ _EVERYWHERE = 1e3
 """Outer radius of a ring that excludes nothing [m]."""
 _PUSHED_AT = 0.6
 """Height of a push, at most, as a share of that at which it tips the object over."""
+_STRIDE = 1.35
+"""Length of a step of the contact model, at most, per radius of the tool: a longer one leads through thin objects."""
 _THIN = 0.05
 """Tipping height below which it matters how low an object is pushed [m]."""
 
@@ -64,6 +66,9 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
     - If the goal's tolerance allows every yaw, costs of yaw are off.
     - Costs that keep an object from tipping over are off for an object that a push cannot tip.
     - An object that a push at the height ``cost.height`` could tip over is pushed lower.
+    - A plant with a fixed control period determines ``control_period``; ``object.optimizer.horizon`` is changed so that
+      the object level plans as far ahead in time.
+    - The contact model takes more steps if the tip could otherwise pass through an object between two of them.
     - The weights of cost terms from outside the package are filled in.
 
     Settings that are resolved already are returned as they are, with no changes, so that nothing is scaled twice.
@@ -105,9 +110,13 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
             effective = replace(effective, cost=replace(effective.cost, height=lower))
             reasons["cost.height"] = f"a push from {1000 * tips_from:.0f} mm above the table tips the object over"
         effective = replace(effective, cost=replace(effective.cost, extra=effective_weights(effective.cost)))
-    if control_period is not None:
-        effective = replace(effective, control_period=control_period)
+    if control_period is not None and control_period != config.control_period:
+        effective = _with_period(effective, control_period)
         reasons["control_period"] = "the plant has a fixed control period"
+        reasons["object.optimizer.horizon"] = f"the plant's control period is {control_period:g} s"
+    if not config.resolved_for or effective.control_period != config.control_period:
+        effective = _with_short_contact_steps(effective, scene.robot.tool_radius)
+        reasons["robot.contact_steps"] = f"the tool's radius is {1000 * scene.robot.tool_radius:.3g} mm"
     asked, used = options(config), options(effective)
     changes = {name: Change(asked[name], why) for name, why in reasons.items() if asked[name] != used[name]}
     return Resolved(effective, changes)
@@ -149,6 +158,25 @@ def _for_reach(config: Config, reach: Reach) -> Config:
         cost=replace(config.cost, push_ring=ring(config.cost.push_ring)),
         object_cost=replace(config.object_cost, push_ring=ring(config.object_cost.push_ring)),
     )
+
+
+def _with_period(config: Config, period: float) -> Config:
+    """Returns the settings with another control period [s], and an object level that plans as far ahead in time."""
+    level = config.object
+    least = max(level.optimizer.knots, 1)
+    horizon = max(round(level.optimizer.horizon * config.control_period / period), least)
+    optimizer = replace(level.optimizer, horizon=horizon)
+    return replace(config, control_period=period, object=replace(level, optimizer=optimizer))
+
+
+def _with_short_contact_steps(config: Config, tool_radius: float) -> Config:
+    """Returns the settings with as many steps of the contact model as the tip's largest speed requires."""
+    level = config.robot
+    if level.controls != "tool":
+        return config
+    way = math.hypot(level.tip_speed_limit, level.tip_speed_limit) * config.control_period
+    needed = math.ceil(way / (_STRIDE * tool_radius))
+    return replace(config, robot=replace(level, contact_steps=max(level.contact_steps, needed)))
 
 
 def _without_yaw(config: Config) -> Config:

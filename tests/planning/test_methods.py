@@ -305,6 +305,29 @@ def test_cloi_tracks_a_plan_that_starts_at_the_object_and_is_made_anew():
     np.testing.assert_allclose(planner.plan(moved).reference[0], [0.35, -0.3, 0.5], atol=1e-5)
 
 
+@pytest.mark.parametrize("period", [0.05, 0.1, 0.2])
+def test_the_reference_of_soi_gets_to_the_goal_from_every_pose_of_its_plan(period):
+    scene = shipped("pusht")
+    scene = scene.with_goal((scene.goal[0], scene.goal[1], 0.0))
+    config = replace(SMALL, control_period=period)
+    planner = make_planner(scene, config, method="soi", device=DEVICE, seed=0)
+    assert isinstance(planner, SequentialPlanner)
+    planner.start(observe(scene))
+    step = config.object.speed_limit[0] * period
+    # A half turn at the speed limit, on the spot.
+    count = int(np.ceil(np.pi * config.object.yaw_length / step))
+    path = np.tile(planner.goal, (count + 1, 1)) + np.outer(np.linspace(1.0, 0.0, count + 1), [0.0, 0.0, np.pi])
+    follower = planner._follower
+    assert follower is not None
+    follower.set_plan(path, arrived=True, bound=None)
+    for pose in path[:-1]:
+        for aside in (-0.01, 0.0, 0.01):
+            planner.set_reference(pose + [aside, aside, 0.0])
+            planner._step()
+            left = np.abs(planner.tracked()[:, 2] - planner.goal[2])
+            assert left[0] - left[10] > 0.7 * min(10 * step / config.object.yaw_length, left[0]), (pose, aside)
+
+
 @pytest.fixture(scope="module")
 def sequential() -> tuple[SequentialPlanner, np.ndarray]:
     """SOI on task 02, started, and its path of the friction centre."""

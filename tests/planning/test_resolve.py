@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -120,6 +121,26 @@ def test_a_plants_own_control_period_takes_the_place_of_the_setting():
     assert "plant" in resolved.changes["control_period"].reason
     assert "control_period" not in resolve(best("cloi"), scene, control_period=0.05).changes
     assert resolve(resolved.config, scene, control_period=0.04).changes == {}
+
+
+@pytest.mark.parametrize(("period", "horizon"), [(0.05, 60), (0.1, 30), (0.02, 150), (3.0, 5)])
+def test_the_object_level_plans_as_far_ahead_with_any_control_period(period, horizon):
+    resolved = resolve(best("cloi"), small_tasks.shipped("task01"), control_period=period)
+    assert resolved.config.object.optimizer.horizon == horizon  # 5: the number of knots
+    assert ("object.optimizer.horizon" in resolved.changes) == (horizon != 60)
+
+
+@pytest.mark.parametrize(
+    ("period", "speed", "radius", "steps"),
+    [(0.05, 0.3, 0.008, 2), (0.1, 0.3, 0.008, 4), (0.1, 0.3, 0.015, 3), (0.05, 0.3, 0.002, 8), (0.05, 0.01, 0.008, 2)],
+)
+def test_the_contact_model_does_not_lead_the_tool_through_thin_objects(period, speed, radius, steps):
+    scene = small_tasks.shipped("task01")
+    scene = replace(scene, robot=replace(scene.robot, tool_radius=radius))
+    config = set_option(best("cloi"), f"robot.tip_speed_limit={speed}")
+    resolved = resolve(config, scene, control_period=period)
+    assert resolved.config.robot.contact_steps == steps
+    assert math.hypot(speed, speed) * period / steps <= 1.35 * radius
 
 
 @pytest.mark.parametrize("thickness", [0.012, 0.03, 0.1])
