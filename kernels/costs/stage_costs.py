@@ -162,7 +162,7 @@ def align_term(w: RobotWeights, s: Stage) -> float:
     fading off. The cost is zero while repositioning.
     """
     cost = float(0.0)
-    if s.waypoint[3] <= 0.0:
+    if s.waypoint[3] <= 0.0 and w.w_align > 0.0:
         center = wp.vec2(s.pose[0], s.pose[1])
         target = wp.vec2(s.target[0], s.target[1])
         share = float(1.0)
@@ -175,7 +175,10 @@ def align_term(w: RobotWeights, s: Stage) -> float:
 @term("tilt")
 def tilt_term(w: RobotWeights, s: Stage) -> float:
     """Returns the cost of the tool's tilt: ``w_tilt psi_tilt`` (equation 19), the third term of l_r (equation 17)."""
-    return w.w_tilt * psi_tilt(s.up)
+    cost = float(0.0)
+    if s.up[0] != 0.0 or s.up[1] != 0.0 or s.up[2] >= 0.0:  # that of an upright tool is zero
+        cost = w.w_tilt * psi_tilt(s.up)
+    return cost
 
 
 # Terms that are not in the paper

@@ -8,12 +8,18 @@ wp.set_module_options({"enable_backward": False})
 
 
 @lru_cache
-def make_sample_controls(size: int) -> wp.Kernel:
-    """Returns the kernel that samples controls of ``size`` numbers around a nominal."""
+def make_sample_controls(size: int, knots: int) -> wp.Kernel:
+    """Returns the kernel that samples controls around a nominal.
+
+    Args:
+        size: Number of entries of a control.
+        knots: Number of knots of the noise; 0 draws the noise of every step independently.
+    """
     vec = wp.types.vector(length=size, dtype=float)
     mat = wp.types.matrix(shape=(size, size), dtype=float)
+    rows = wp.types.matrix(shape=(max(knots, 1), size), dtype=float)
 
-    @wp.kernel(module=f"oimppi_warp.kernels.sample_controls_{size}", enable_backward=False)
+    @wp.kernel(module=f"oimppi_warp.kernels.sample_controls_{size}_{knots}", enable_backward=False)
     def sample_controls(
         # in:
         first: int,
@@ -33,8 +39,8 @@ def make_sample_controls(size: int) -> wp.Kernel:
         ``eps = scale basis noise_map z`` with standard normal ``z`` for every knot, and ``u`` is clipped to ``bound``.
         The samples' ``scale`` falls from 1 to ``least_noise`` in geometric progression. If ``special`` is 1, the first
         two samples are the nominal and zero. Shapes: ``nominal`` [horizon], ``noise_map``
-        [1] (a square root of Sigma_u), ``basis`` [horizon, knot], ``bound`` [1], ``counter`` [1] (plans made so far:
-        each draws its own noise), ``controls`` [sample, horizon].
+        [1] (a square root of Sigma_u), ``basis`` [horizon, knot] (not read without knots), ``bound`` [1],
+        ``counter`` [1] (plans made so far: each draws its own noise), ``controls`` [sample, horizon].
         """
         k = first + wp.tid()
         horizon = controls.shape[1]
@@ -47,21 +53,27 @@ def make_sample_controls(size: int) -> wp.Kernel:
         else:
             state = wp.rand_init(seed + 7919 * counter[0], k)
             limit = bound[0]
+            root = noise_map[0]
             scale = wp.pow(least_noise, float(k) / float(controls.shape[0]))
-            for h in range(horizon):
-                controls[k, h] = nominal[h]
-            for j in range(basis.shape[1]):
+            shifts = rows()
+            for j in range(wp.static(knots)):
                 z = vec()
                 for i in range(size):
                     z[i] = wp.randn(state)
-                shift = scale * (noise_map[0] * z)
-                if basis.shape[1] == horizon:  # white noise: one knot per step
-                    controls[k, j] = controls[k, j] + shift
-                else:
-                    for h in range(horizon):
-                        controls[k, h] = controls[k, h] + basis[h, j] * shift
+                shift = scale * (root * z)
+                for i in range(size):
+                    shifts[j, i] = shift[i]
             for h in range(horizon):
-                u = controls[k, h]
+                u = nominal[h]
+                for j in range(wp.static(knots)):
+                    weight = basis[h, j]
+                    for i in range(size):
+                        u[i] = u[i] + weight * shifts[j, i]
+                if wp.static(knots == 0):
+                    z = vec()
+                    for i in range(size):
+                        z[i] = wp.randn(state)
+                    u = u + scale * (root * z)
                 for i in range(size):
                     u[i] = wp.clamp(u[i], -limit[i], limit[i])
                 controls[k, h] = u

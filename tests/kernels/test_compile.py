@@ -27,6 +27,7 @@ ARGUMENTS = {
     "make_robot_rollout": [(chain, ()) for chain in CHAINS],
     "make_upright_rollout": [((),)],
     "make_upright_clearance": [(chain,) for chain in CHAINS],
+    "make_sample_controls": [(3, 5), (3, 6), (2, 6), (6, 6), (7, 6), (6, 0)],
     "make_pick_trace": [(len(TERMS),)],
     "make_track_object": [(chain,) for chain in CHAINS],
     "make_stage_costs": [(chain, precision, ()) for chain in CHAINS for precision in (wp.float32, wp.float64)],

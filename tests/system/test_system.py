@@ -145,7 +145,7 @@ def test_after_a_warmup_a_run_compiles_nothing(tmp_path):
 
 def test_what_a_gpu_needs_of_ours_is_found():
     names = {each.module.name for each in needed_on_cuda(small_tasks.shipped("task01"), ["quasistatic"])}
-    kernels = ("upright_rollout", "rollouts.object", "sample_controls_3", "optimizers.update", "update_nominal_3")
+    kernels = ("upright_rollout", "rollouts.object", "sample_controls_3_6", "optimizers.update", "update_nominal_3")
     assert {f"oimppi_warp.kernels.{name}" for name in kernels} <= names
     assert "oimppi_warp.kernels.fields.cost_to_go" in names, "SOI follows its cost-to-go there"
     assert "oimppi_warp.kernels.fields.distance" not in names, "the CPU computes the fields there too"

@@ -129,7 +129,8 @@ class Optimizer(ABC):
         Args:
             seed: A signed 32-bit number.
         """
-        kernel = make_sample_controls(self.dynamics.size)
+        knots = self.settings.knots if self.settings.knots < self.settings.horizon else 0
+        kernel = make_sample_controls(self.dynamics.size, knots)
         inputs = [self.nominal, self.noise.array, self.basis, self.bound, self.counter, seed]
         inputs += [int(self.settings.special_samples), self.settings.least_noise]
         return [self.compute.launch_samples(kernel, self.settings.samples, inputs, [self.controls])]
