@@ -245,7 +245,8 @@ def make_result(
     }
     common |= {"preset": trial.settings.preset, "code": code, "machine": machine, "wall_s": round(wall_s, 2)}
     if log is None:
-        return Result(**common, cause=RAISED, evidence=error.strip().rpartition("\n")[2], error=error)
+        said = [line for line in error.splitlines() if line and not line[0].isspace()]  # the last is the exception's
+        return Result(**common, cause=RAISED, evidence=said[-1], error=error)
     metrics = summarize(log).row()
     if starts_itself(trial.run.plant):
         common["start"] = tuple(metrics["start"])

@@ -24,7 +24,9 @@ from oimppi_warp.bench.trial import Trial, make_trials
 from oimppi_warp.bench.worker import Outcome, run_trial
 from oimppi_warp.errors import OimppiError
 from oimppi_warp.planning.resolve import entries_used
+from oimppi_warp.plants.factory import make_plant, starts_itself
 from oimppi_warp.record.log import to_json, versions, write_atomically
+from oimppi_warp.runtime.request import prepare_scene
 
 SAVE_EVERY = 10.0
 """Minimum interval between updates of ``results.json`` while trials run [s]."""
@@ -94,12 +96,15 @@ class SuiteRun:
         Raises:
             BenchError: The back end is not available, a trial needs something that other processes lack, or a worker
                 process dies repeatedly.
+            ConfigError: A plant with a world of its own cannot be made, for example because a package is missing.
             KeyboardInterrupt: Ctrl-C was pressed; finished trials are stored.
         """
         if backend != "loky" and any(trial.real_time for trial in self.pending):
             raise BenchError("real-time trials need exclusive use of the machine\n  to do:   use --backend loky")
         if jobs != 1 or backend != "loky":
             _check_known_elsewhere(self.pending)
+        if not cluster:
+            _check_worlds(self.pending)
         self.folder.mkdir(parents=True, exist_ok=True)
         saved = 0.0
         try:
@@ -226,6 +231,13 @@ def _check_known_elsewhere(trials: Iterable[Trial]) -> None:
                     f"  to do:   use --jobs 1 (with --backend loky), or declare it in an installed package as an entry "
                     f"point of the group {registry.group}"
                 )
+
+
+def _check_worlds(trials: Iterable[Trial]) -> None:
+    """Makes one plant of each kind with a world of its own, so that a missing package is reported before all trials."""
+    placed = [trial for trial in trials if starts_itself(trial.run.plant)]
+    for trial in {(trial.run.plant, trial.run.plant_options, trial.scene): trial for trial in placed}.values():
+        make_plant(prepare_scene(trial.scene, start=trial.start), trial.config, trial.run)
 
 
 def _outcomes(trials: list[Trial], *, jobs: int, backend: Backend) -> Iterator[Outcome]:

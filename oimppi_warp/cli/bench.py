@@ -240,7 +240,7 @@ def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], No
             here += 1
             progress.update(bar, completed=len(run.finished), state=state())
             if result.error:
-                progress.console.print(f"{result.command}\n  raised {result.evidence}", soft_wrap=True)
+                progress.console.print(f"{result.command}\n  raised {result.evidence}", soft_wrap=True, markup=False)
 
         yield on_result
 

@@ -8,7 +8,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import gymnasium
+try:
+    import gymnasium
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        f"the environments need {error.name}, which is not installed\n  to do:   pip install oimppi-warp[gym]",
+        name=error.name,
+    ) from None
 
 _SCENES = Path(__file__).parents[1] / "scenes"
 _ENTRY = "oimppi_warp.environments.push:PushEnvironment"

@@ -102,7 +102,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_next_run_does_the_rest(episodes: 
 
 def test_a_trial_that_raises_is_recorded_and_does_not_end_the_suite(episodes: Episodes, tmp_path: Path):
     suite = suite_of(tmp_path, FEW)
-    episodes.acts["mppi", 1] = RuntimeError(f"something in {ROOT} broke")
+    episodes.acts["mppi", 1] = RuntimeError(f"something in {ROOT} broke\n  to do:   mend it")
     results = SuiteRun(suite, tmp_path / "out").execute(jobs=1)
     (failed,) = [result for result in results.results if result.error]
     assert (failed.run.method, failed.number, failed.success) == ("mppi", 1, False)
@@ -324,6 +324,16 @@ def test_bad_options_are_status_2_and_nothing_is_written(
     assert said in captured.err
     assert "Traceback" not in captured.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plant_whose_package_is_missing_is_reported_before_any_trial(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setitem(sys.modules, "gym_pusht", None)  # importing it raises ModuleNotFoundError
+    assert main(["bench", "pusht", "--trials", "1", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "needs gym_pusht" in said and "pip install oimppi-warp[pusht]" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_a_suite_the_shipped_ones_are_listed(capsys: pytest.CaptureFixture[str]):

@@ -49,6 +49,13 @@ def test_registering_imports_nothing_heavy():
     assert said.strip() == "[]"
 
 
+def test_without_gymnasium_the_import_says_what_to_install():
+    code = "import sys; sys.modules['gymnasium'] = None; import oimppi_warp.environments"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 1
+    assert "need gymnasium, which is not installed\n  to do:   pip install oimppi-warp[gym]" in run.stderr
+
+
 @pytest.mark.parametrize(("name", "actions"), [("task02", "joint"), ("pusht", "tool"), ("lab01", "tool")])
 def test_gymnasium_finds_nothing_wrong(name, actions):
     with warnings.catch_warnings(record=True) as found:
