@@ -15,7 +15,8 @@ from oimppi_warp.kernels.kinematics import ArmPlacement, make_place_arm
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.kernels.rollouts.uncertainty import Draw
 from oimppi_warp.kernels.task import RobotTask, Stage, above_penalty, stage_at
-from oimppi_warp.kernels.upright import place_upright, step_upright
+from oimppi_warp.kernels.upright import place_upright
+from oimppi_warp.kernels.upright_step import step_upright
 
 wp.set_module_options({"enable_backward": False})
 

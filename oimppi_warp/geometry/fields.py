@@ -34,7 +34,7 @@ from oimppi_warp.geometry.footprint import (
 from oimppi_warp.geometry.reach import object_bounds, stretched_length
 from oimppi_warp.kernels.fields import distance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
-from oimppi_warp.kernels.upright import ASIDE
+from oimppi_warp.kernels.upright_step import ASIDE
 from oimppi_warp.scene import Collider, Scene
 
 STEP = 0.01

@@ -18,7 +18,7 @@ from oimppi_warp.errors import ObservationError
 from oimppi_warp.geometry.fields import build_geometry, from_center, to_center
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.geometry.reach import can_lift
-from oimppi_warp.kernels.upright import allowed_velocity
+from oimppi_warp.kernels.upright_step import allowed_velocity
 from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
 from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
 from oimppi_warp.planning.engines.dynamics import RobotDynamics, RolloutTask

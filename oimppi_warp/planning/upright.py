@@ -1,9 +1,9 @@
 """The arm with its tool upright: its fields for the kernels, and the servo that follows velocities of the tip.
 
 Controls are velocities of the tip in two dimensions (in three while the tool is lifted over the object). The rollouts
-predict how far the tip follows them (:func:`step_upright` in ``kernels/upright.py``): it keeps its height, slides along
-obstacles and does not press. What is predicted of the first control is the velocity that the arm is given, which
-:class:`ToolServo` converts to joint velocities by resolved-rate control.
+predict how far the tip follows them (``kernels/upright_step.py``): it keeps its height, slides along obstacles and does
+not press. What is predicted of the first control is the velocity that the arm is given, which :class:`ToolServo`
+converts to joint velocities by resolved-rate control.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from oimppi_warp.geometry.postures import STEP, Postures, halved, postures_of
 from oimppi_warp.geometry.reach import can_lift, tip_rates
 from oimppi_warp.geometry.tipping import tipping_height
 from oimppi_warp.kernels.geometry import SpaceField
+from oimppi_warp.kernels.joint_controls import SEAM
 from oimppi_warp.kernels.kinematics import Environment
-from oimppi_warp.kernels.upright import SEAM, UprightArm, make_upright_clearance
+from oimppi_warp.kernels.upright import UprightArm, make_upright_clearance
 from oimppi_warp.planning.engines.packing import no_field, table_within
 from oimppi_warp.scene import Robot, Scene
 

@@ -17,7 +17,7 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.fields import build_geometry, to_center
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.geometry.reach import tip_rates
-from oimppi_warp.kernels.upright import allowed_velocity
+from oimppi_warp.kernels.upright_step import allowed_velocity
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.engines.packing import environment, object_model, velocity_bound
 from oimppi_warp.planning.engines.quasistatic import QuasistaticDynamics

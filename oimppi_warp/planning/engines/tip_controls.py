@@ -8,7 +8,7 @@ import warp as wp
 from oimppi_warp.compute.step import Launch
 from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.geometry.kinematics import pack_arm, tip_frame
-from oimppi_warp.kernels.upright import make_joint_controls
+from oimppi_warp.kernels.joint_controls import make_joint_controls
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.engines.dynamics import RobotDynamics, control_type
 from oimppi_warp.planning.engines.packing import environment, object_model, tip_bound, velocity_bound
