@@ -56,7 +56,8 @@ def needed_on_cuda(scene: Scene, engines: Iterable[str], settings: Callable[[str
         for engine in engines:
             for method in METHODS:
                 config = settings(method)
-                short = replace(config.robot.optimizer, horizon=2, knots=0, iterations=1)
+                knots = config.robot.optimizer.knots  # the noise has kernels of its own for each number of them
+                short = replace(config.robot.optimizer, horizon=knots + 2, iterations=1)
                 config = replace(config, robot=replace(config.robot, optimizer=short, substeps=1))
                 make_planner(scene, config, method=method, engine=engine, device=EMULATED_GPU).warm_up()
     return [variant for variant in found if variant.module.name != _ON_HOST]

@@ -173,12 +173,15 @@ def test_results_of_earlier_versions_are_read_and_have_device_and_threads(result
 @pytest.mark.parametrize("name", sorted(path.name for path in RESULTS.glob("*.json") if '"suite"' in path.read_text()))
 def test_the_committed_results_are_read_and_reported(name: str):
     results = load_results(RESULTS / name)
-    assert len(results.results) == results.planned
+    if (found := len(results.results)) < results.planned:
+        page = " ".join((RESULTS.parent / "results.md").read_text().split())
+        assert f"{found} of the suite's {results.planned} trials" in page
     (success, *_) = every_table(results)
     assert len(success.rows) == len(results.tasks) * len(results.methods)
     assert all(result.run.device == "cpu" and result.run.threads == 1 for result in results.results)
-    times = {row[1]: row[4] for row in time_table(results).rows if row[4] != "-"}
-    assert all(("(" in text) is (method == "SOI") for method, text in times.items())
+    ahead = {method for _, method, _, _, total, *_ in time_table(results).rows if "(" in total}
+    plans_ahead = "soi" in results.methods and not name.startswith("pusht")  # there for less than PLANNED_AHEAD
+    assert ("SOI" in ahead) is plans_ahead and "MPPI" not in ahead
 
 
 def test_scores_of_the_plant_stand_above_those_that_others_published(tmp_path: Path):
