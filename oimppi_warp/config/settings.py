@@ -238,7 +238,8 @@ class ObjectLevel:
 
     optimizer: Sampling = group(
         Mppi(horizon=60, temperature=0.5, knots=5),
-        "Optimizer of the object level. With a plant that has a fixed control period, its horizon keeps its duration.",
+        "Optimizer of the object level. With a plant that has a fixed control period, the number of steps of the "
+        "horizon is changed so that the horizon covers the same time.",
     )
     speed_limit: tuple[float, float, float] = setting(
         (0.2, 0.2, 5.0 / 3.0),
