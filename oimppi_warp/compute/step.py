@@ -116,7 +116,8 @@ class Compute:
         """Prepares a launch over samples; on the CPU, slices of them are distributed among threads.
 
         Args:
-            kernel: Kernel whose first argument is the index of the slice's first sample; samples must be independent.
+            kernel: Kernel whose first argument is the index of the slice's first sample. Samples must be independent:
+                of what another launch over samples has just written, one may read its own entry only.
             count: Number of samples.
             inputs: The kernel's other inputs.
             outputs: The kernel's outputs.
@@ -127,27 +128,34 @@ class Compute:
             _Prepared(kernel, (end - begin,), [begin, *inputs], outputs, self.device, self._block)
             for begin, end in pairwise(edges.tolist())
         ]
-        return launches[0] if slices == 1 else _Shares(launches, self.threads)
+        return launches[0] if slices == 1 else _Shares(edges, launches, self.threads)
 
     def step(self, launches: Sequence[Launch], *, one_graph: bool = True) -> Launch:
         """Returns a launch that runs a whole step.
 
-        It uploads the inputs, runs ``launches`` in order, downloads the outputs and waits until all are done.
+        It uploads the inputs, runs ``launches`` in order, downloads the outputs and waits until all are done. On the
+        CPU, a thread runs consecutive launches over the same number of samples one after another for its samples.
 
         Args:
             launches: Launches of the step.
             one_graph: Whether the step can be captured as one CUDA graph; if not, its launches run one by one.
         """
 
+        everything = in_order(_joined(launches))
+
         def enqueue() -> None:
             self._inputs.upload()
-            for launch in launches:
-                launch()
+            everything()
             self._outputs.download()
 
         if not self.on_gpu:
             return enqueue
         return _Graph(enqueue, self.device) if one_graph else _Eager(enqueue, self.device)
+
+
+def in_order(launches: Sequence[Launch]) -> Launch:
+    """Returns a launch that runs launches one after another."""
+    return launches[0] if len(launches) == 1 else _InOrder(launches)
 
 
 class Stopwatch:
@@ -204,20 +212,46 @@ class _Prepared:
             self._command.launch()
 
 
-class _Shares:
-    """Launches in any order, distributed among threads: each thread takes the next when it is done."""
+class _InOrder:
+    """Launches that run one after another."""
 
-    def __init__(self, launches: Sequence[_Prepared], threads: int) -> None:
+    def __init__(self, launches: Sequence[Launch]) -> None:
+        self.launches = launches
+
+    def __call__(self) -> None:
+        for launch in self.launches:
+            launch()
+
+
+class _Shares:
+    """Launches over slices of the samples, distributed among threads: each thread takes the next when it is done.
+
+    Args:
+        edges: First sample of each slice, and the number of samples.
+        launches: The launch over each slice.
+        threads: Number of threads.
+    """
+
+    def __init__(self, edges: np.ndarray, launches: Sequence[Launch], threads: int) -> None:
+        self._edges = edges
         self._launches = launches
-        self._helpers = threads - 1
+        self._threads = threads
+
+    def then(self, other: Launch) -> _Shares | None:
+        """Returns these launches, each followed by that over the same samples; ``None`` if the slices differ."""
+        if not isinstance(other, _Shares) or not np.array_equal(self._edges, other._edges):
+            return None
+        both = [in_order(pair) for pair in zip(self._launches, other._launches, strict=True)]
+        return _Shares(self._edges, both, self._threads)
 
     def __call__(self) -> None:
         if wp.get_device("cpu").is_capturing:
             for launch in self._launches:
                 launch()
             return
+        helpers = self._threads - 1
         left = iter(range(len(self._launches)))  # stepping it is atomic under the interpreter's lock
-        waiting = [_pool(self._helpers).submit(self._work, left) for _ in range(self._helpers)]
+        waiting = [_pool(helpers).submit(self._work, left) for _ in range(helpers)]
         self._work(left)
         for helper in waiting:
             if not helper.cancel():  # a helper that has not started yet has nothing left to do
@@ -226,6 +260,19 @@ class _Shares:
     def _work(self, left: Any) -> None:
         for index in left:
             self._launches[index]()
+
+
+def _joined(launches: Sequence[Launch]) -> list[Launch]:
+    """Returns the launches of a step, with neighbours over the same slices of the samples joined."""
+    joined: list[Launch] = []
+    for launch in launches:
+        for part in launch.launches if isinstance(launch, _InOrder) else [launch]:
+            both = joined[-1].then(part) if joined and isinstance(joined[-1], _Shares) else None
+            if both is None:
+                joined.append(part)
+            else:
+                joined[-1] = both
+    return joined
 
 
 @lru_cache(maxsize=1)

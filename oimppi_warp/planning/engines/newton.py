@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.step import Launch
+from oimppi_warp.compute.step import Launch, in_order
 from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.kernels.rollouts.scoring import PhysicsOutcome, make_pick_trace, make_stage_costs
 from oimppi_warp.kernels.rollouts.uncertainty import combine_costs
@@ -126,12 +126,7 @@ class NewtonDynamics(ScoredDynamics):
         if draws.per_sample > 1:
             inputs = [rolled, draws.per_sample, draws.worst]
             launches.append(self.compute.launch_samples(combine_costs, controls.shape[0], inputs, [costs]))
-
-        def roll() -> None:
-            for launch in launches:
-                launch()
-
-        return roll
+        return in_order(launches)
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
         """Prepares the trace of the cheapest sample; ``nominal`` is not used.

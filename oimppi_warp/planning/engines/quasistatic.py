@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.step import Launch
+from oimppi_warp.compute.step import Launch, in_order
 from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.kernels.rollouts.quasistatic import make_robot_rollout, make_upright_rollout
 from oimppi_warp.kernels.rollouts.uncertainty import Draw, combine_costs
@@ -63,13 +63,7 @@ class QuasistaticDynamics(ScoredDynamics):
         rolled = wp.zeros(controls.shape[0] * self._draws.per_sample, dtype=float, device=self.compute.device)
         roll = self.launch(controls, rolled, self._no_terms, self._no_poses, self._no_poses, self._worlds)
         inputs = [rolled, self._draws.per_sample, self._draws.worst]
-        combine = self.compute.launch_samples(combine_costs, controls.shape[0], inputs, [costs])
-
-        def roll_and_combine() -> None:
-            roll()
-            combine()
-
-        return roll_and_combine
+        return in_order([roll, self.compute.launch_samples(combine_costs, controls.shape[0], inputs, [costs])])
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
         """Prepares the rollout of the nominal in the nominal world."""

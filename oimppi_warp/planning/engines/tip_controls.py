@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.step import Launch
+from oimppi_warp.compute.step import Launch, in_order
 from oimppi_warp.geometry.fields import to_center
 from oimppi_warp.geometry.kinematics import pack_arm, tip_frame
 from oimppi_warp.kernels.joint_controls import make_joint_controls
@@ -57,13 +57,13 @@ class TipControls:
 
     def rollout(self, controls: wp.array, costs: wp.array) -> Launch:
         """Returns a launch that writes the cost of each sequence of tip velocities, [sample, horizon] of vectors."""
-        return _both(self._convert(controls, self._joints), self._engine.rollout(self._joints, costs))
+        return in_order([self._convert(controls, self._joints), self._engine.rollout(self._joints, costs)])
 
     def trace(self, nominal: wp.array, costs: wp.array) -> Launch:
         """Returns a launch that writes the engine's trace; see :meth:`RobotDynamics.trace`."""
         joints = wp.zeros((1, nominal.shape[0]), dtype=self._joints.dtype, device=self.compute.device)
         convert = self._convert(nominal.reshape((1, nominal.shape[0])), joints)
-        return _both(convert, self._engine.trace(joints.reshape(nominal.shape[0]), costs))
+        return in_order([convert, self._engine.trace(joints.reshape(nominal.shape[0]), costs)])
 
     def paths(self, controls: wp.array, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns the traces of some samples of the latest rollout; see :meth:`RobotDynamics.paths`."""
@@ -75,13 +75,3 @@ class TipControls:
         starts = [self._start_joints.array, self._start.array]
         inputs = [*self._world, self._postures, *starts, self._engine.waypoint.array, controls, task.dt]
         return self.compute.launch_samples(self._kernel, controls.shape[0], inputs, [joints])
-
-
-def _both(first: Launch, second: Launch) -> Launch:
-    """Returns a launch that runs two launches."""
-
-    def run() -> None:
-        first()
-        second()
-
-    return run

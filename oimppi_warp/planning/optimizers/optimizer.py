@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.step import Launch, using_gpu
+from oimppi_warp.compute.step import Launch, in_order, using_gpu
 from oimppi_warp.config.settings import Sampling
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.kernels.optimizers.sampling import make_sample_controls
@@ -111,15 +111,7 @@ class Optimizer(ABC):
 
         This is ``u <- u_nominal`` and ``U <- shift(U)``: Algorithm 2, line 7, and Algorithm 3, lines 6 and 13.
         """
-        launches = self.advance()
-        if len(launches) == 1:
-            return launches[0]
-
-        def in_order() -> None:
-            for launch in launches:
-                launch()
-
-        return in_order
+        return in_order(self.advance())
 
     def sample(self, seed: int) -> Sequence[Launch]:
         """Prepares drawing ``controls`` around the nominal: ``u = u_nominal + eps``, ``eps ~ N(0, Sigma_u)``.
