@@ -175,26 +175,28 @@ def keep_off(
         short = SHORT
     straight = pose_field(upright.object_clearance, pushed)[0]
     left = straight
-    for _ in range(PROJECTIONS):
-        if left < least - short:
-            beside = moved + wp.vec3(PROBE, 0.0, 0.0)
-            along_x = pushed_clearance(upright, body, pose, start, beside, radius, contact_steps) - left
-            beside = moved + wp.vec3(0.0, PROBE, 0.0)
-            along_y = pushed_clearance(upright, body, pose, start, beside, radius, contact_steps) - left
-            slope = wp.vec2(along_x, along_y) / PROBE
-            step = (least - left) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
-            moved = within(start, moved + wp.vec3(step * slope[0], step * slope[1], 0.0), longest)
-            left = pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
+    projections = int(0)
+    while left < least - short and projections < PROJECTIONS:
+        beside = moved + wp.vec3(PROBE, 0.0, 0.0)
+        along_x = pushed_clearance(upright, body, pose, start, beside, radius, contact_steps) - left
+        beside = moved + wp.vec3(0.0, PROBE, 0.0)
+        along_y = pushed_clearance(upright, body, pose, start, beside, radius, contact_steps) - left
+        slope = wp.vec2(along_x, along_y) / PROBE
+        step = (least - left) / wp.max(wp.length_sq(slope), LEAST_SLOPE * LEAST_SLOPE)
+        moved = within(start, moved + wp.vec3(step * slope[0], step * slope[1], 0.0), longest)
+        left = pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
+        projections += 1
     if left < least - short:
         # Slowly, down to contact, or not at all.
         scale = float(1.0)
         moved = within(start, tip, longest)
         left = straight
-        for _ in range(HALVINGS):
-            if left < wp.min(before, 0.0):
-                scale = 0.5 * scale
-                moved = within(start, tip, scale * longest)
-                left = pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
+        halvings = int(0)
+        while left < wp.min(before, 0.0) and halvings < HALVINGS:
+            scale = 0.5 * scale
+            moved = within(start, tip, scale * longest)
+            left = pushed_clearance(upright, body, pose, start, moved, radius, contact_steps)
+            halvings += 1
         if left < wp.min(before, 0.0):
             moved = slide_along(body, pose, start, within(start, tip, longest), radius)
             if (

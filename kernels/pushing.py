@@ -54,6 +54,9 @@ LEAST_YIELD = wp.constant(0.05)
 would hardly move the contact inwards, or would even pull it back, and removing the remaining depth would take a huge
 force."""
 
+CORRECTIONS = wp.constant(2)
+"""Largest number of projections out of obstacles."""
+
 LONGEST_CORRECTION = wp.constant(0.02)
 """Largest correction of phi_2 in one projection [m]; beyond it the linearization does not hold."""
 
@@ -156,11 +159,12 @@ def settle(model: ObjectModel, pose: wp.vec3, dt: float) -> Settled:
     field = pose_field(model.clearance, pose)
     out.clearance = field[0]
     d = mobility(model)
-    for _ in range(2):
-        if field[0] < model.slack:
-            gradient = field[1] * field[1] + field[2] * field[2] + d[2] * field[3] * field[3]
-            step = wp.min(model.slack - field[0], LONGEST_CORRECTION) / wp.max(gradient, LEAST_GRADIENT)
-            out.pose = out.pose + step * wp.vec3(field[1], field[2], d[2] * field[3])
-            out.force = out.force + model.force * step / dt
-            field = pose_field(model.clearance, out.pose)
+    corrections = int(0)
+    while field[0] < model.slack and corrections < CORRECTIONS:
+        gradient = field[1] * field[1] + field[2] * field[2] + d[2] * field[3] * field[3]
+        step = wp.min(model.slack - field[0], LONGEST_CORRECTION) / wp.max(gradient, LEAST_GRADIENT)
+        out.pose = out.pose + step * wp.vec3(field[1], field[2], d[2] * field[3])
+        out.force = out.force + model.force * step / dt
+        field = pose_field(model.clearance, out.pose)
+        corrections += 1
     return out

@@ -4,6 +4,7 @@ A term is a function of the weights and of the :class:`Stage`, the result of one
 ones are in ``kernels/costs/stage_costs.py``; those from outside the package are :class:`oimppi_warp.CostTerm`.
 """
 
+import re
 from collections.abc import Sequence
 from typing import Any, get_type_hints
 
@@ -18,6 +19,9 @@ NOT_PUSHED = wp.constant(1.0)
 
 CROSSING = wp.constant(0.01)
 """Height above the object's top from which a tip may cross it while it is repositioned [m]."""
+
+INLINE_THRESHOLD = 60000
+"""Cost up to which LLVM inlines a function into a rollout kernel: more than that of any of them."""
 
 ExtraTerms = tuple[tuple[str, wp.Function], ...]
 """Cost terms from outside the package: names, and functions ``(s: Stage) -> float`` of the unweighted cost."""
@@ -103,14 +107,20 @@ class Stage:
     waypoint: wp.vec4
 
 
-def module_of(name: str, extra: ExtraTerms) -> dict[str, str]:
-    """Returns arguments for ``wp.kernel`` that give a kernel with extra terms its own name and module.
+def module_of(name: str, extra: ExtraTerms) -> dict[str, Any]:
+    """Returns arguments for ``wp.kernel`` that give a rollout kernel its module, and one with extra terms its own name.
 
-    The module's name contains the names of the terms and ends with a hash of everything that is compiled.
+    With extra terms, the module's name contains their names and ends with a hash of everything that is compiled. On the
+    CPU, every function is inlined into the kernel: a call copies its structs through memory, which took a seventh of a
+    rollout.
     """
-    if not extra:
-        return {"module": f"oimppi_warp.kernels.{name}"}
-    return {"name": "_".join((name, *(key for key, _ in extra))), "module": "unique"}
+    inlined = re.sub(r"-mllvm=-inline-threshold=\d+", "", wp.config.cpu_compiler_flags or "")
+    options = {"cpu_compiler_flags": f"{inlined} -mllvm=-inline-threshold={INLINE_THRESHOLD}"}
+    if extra:
+        return {"name": "_".join((name, *(key for key, _ in extra))), "module": "unique", "module_options": options}
+    module = f"oimppi_warp.kernels.{name}"
+    wp.set_module_options(options, module)
+    return {"module": module}
 
 
 def compose(terms: Sequence[wp.Function], extra: ExtraTerms) -> wp.Function:
