@@ -89,9 +89,28 @@ def planar_field(field: PlanarField, p: wp.vec2) -> wp.vec3:
     return wp.vec3(low + ax * (high - low), (high - low) * field.inv_step, dy * field.inv_step)
 
 
+@wp.struct
+class PoseCell:
+    """A planar pose in the grid of a :class:`PoseField`: the cell, and where in it the pose is.
+
+    Attributes:
+        i, j: Lower nodes in x and y.
+        t0, t1: Nodes in yaw before and after.
+        ax, ay, at: Shares of the way to the next node in x, y and yaw, from 0 to 1.
+    """
+
+    i: int
+    j: int
+    t0: int
+    t1: int
+    ax: float
+    ay: float
+    at: float
+
+
 @wp.func
-def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
-    """Returns value and gradient (value, d/dx, d/dy, d/dyaw) of the field at a planar pose."""
+def pose_cell(field: PoseField, pose: wp.vec3) -> PoseCell:
+    """Returns where a planar pose is in the grid of a field, and of every other field with the same grid."""
     nyaw = field.values.shape[0]
     nx = field.values.shape[1]
     ny = field.values.shape[2]
@@ -99,16 +118,29 @@ def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
     fy = wp.clamp((pose[1] - field.origin[1]) * field.inv_step, 0.0, float(ny - 1) - 1.0e-3)
     turns = pose[2] / (2.0 * PI)
     ft = (turns - wp.floor(turns)) * float(nyaw)
-    i = int(fx)
-    j = int(fy)
-    t0 = wp.clamp(int(ft), 0, nyaw - 1)  # also if the yaw is NaN
-    t1 = t0 + 1
-    if t1 == nyaw:
-        t1 = 0
-    ax = fx - float(i)
-    ay = fy - float(j)
-    at = ft - float(t0)
+    cell = PoseCell()
+    cell.i = int(fx)
+    cell.j = int(fy)
+    cell.t0 = wp.clamp(int(ft), 0, nyaw - 1)  # also if the yaw is NaN
+    cell.t1 = cell.t0 + 1
+    if cell.t1 == nyaw:
+        cell.t1 = 0
+    cell.ax = fx - float(cell.i)
+    cell.ay = fy - float(cell.j)
+    cell.at = ft - float(cell.t0)
+    return cell
 
+
+@wp.func
+def field_in_cell(field: PoseField, cell: PoseCell) -> wp.vec4:
+    """Returns value and gradient (value, d/dx, d/dy, d/dyaw) of the field at a pose given by its cell."""
+    i = cell.i
+    j = cell.j
+    t0 = cell.t0
+    t1 = cell.t1
+    ax = cell.ax
+    ay = cell.ay
+    at = cell.at
     a00 = field.values[t0, i, j]
     a01 = field.values[t0, i, j + 1]
     a10 = field.values[t0, i + 1, j]
@@ -129,6 +161,12 @@ def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
         (1.0 - ax) * ((1.0 - ay) * (b00 - a00) + ay * (b01 - a01)) + ax * ((1.0 - ay) * (b10 - a10) + ay * (b11 - a11))
     ) * field.inv_yaw_step
     return wp.vec4(low + ax * (high - low), d_x, d_y, d_t)
+
+
+@wp.func
+def pose_field(field: PoseField, pose: wp.vec3) -> wp.vec4:
+    """Returns value and gradient (value, d/dx, d/dy, d/dyaw) of the field at a planar pose."""
+    return field_in_cell(field, pose_cell(field, pose))
 
 
 @wp.func

@@ -2,7 +2,15 @@
 
 import warp as wp
 
-from oimppi_warp.kernels.geometry import PlanarField, PoseField, planar_field, pose_field, rotate
+from oimppi_warp.kernels.geometry import (
+    PlanarField,
+    PoseCell,
+    PoseField,
+    field_in_cell,
+    planar_field,
+    pose_cell,
+    rotate,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -42,11 +50,13 @@ class Settled:
         pose: Pose of the friction centre.
         force: Contact force lambda_2 that pushed it there [N].
         clearance: phi_2 before it was pushed out [m].
+        cell: Where the pose is in the grid of phi_2.
     """
 
     pose: wp.vec3
     force: float
     clearance: float
+    cell: PoseCell
 
 
 LEAST_YIELD = wp.constant(0.05)
@@ -156,7 +166,8 @@ def settle(model: ObjectModel, pose: wp.vec3, dt: float) -> Settled:
     out = Settled()
     out.pose = pose
     out.force = 0.0
-    field = pose_field(model.clearance, pose)
+    out.cell = pose_cell(model.clearance, pose)
+    field = field_in_cell(model.clearance, out.cell)
     out.clearance = field[0]
     d = mobility(model)
     corrections = int(0)
@@ -165,6 +176,7 @@ def settle(model: ObjectModel, pose: wp.vec3, dt: float) -> Settled:
         step = wp.min(model.slack - field[0], LONGEST_CORRECTION) / wp.max(gradient, LEAST_GRADIENT)
         out.pose = out.pose + step * wp.vec3(field[1], field[2], d[2] * field[3])
         out.force = out.force + model.force * step / dt
-        field = pose_field(model.clearance, out.pose)
+        out.cell = pose_cell(model.clearance, out.pose)
+        field = field_in_cell(model.clearance, out.cell)
         corrections += 1
     return out

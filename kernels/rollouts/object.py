@@ -32,13 +32,14 @@ def object_rollout(
     ``h_o = dt D``), then out of obstacles by :func:`settle`. The cost is ``S_o = sum_h l_o``, equation 10 for the
     objective of equation 13; there is no terminal cost l_f.
 
-    Lengths: ``yaw_length`` [m] is what a radian of yaw counts as in the cost-to-go ``to_go``.
+    The grid of ``to_go`` is that of phi_2. Lengths: ``yaw_length`` [m] is what a radian of yaw counts as in the cost-to-go ``to_go``.
     Shapes: ``start`` [1], ``goal`` [1], ``wrenches`` [sample, horizon] (N, N, N m), ``costs`` [sample],
     ``poses`` [sample, horizon + 1] or empty.
     """
     k = first + wp.tid()
     travel = mobility(model) * (dt / model.force)  # D dt
     pose = start[0]
+    target = goal[0]
     keep = k < poses.shape[0]
     if keep:
         poses[k, 0] = pose
@@ -48,8 +49,8 @@ def object_rollout(
         pose = settled.pose
         way = float(0.0)
         if weights.w_to_go > 0.0:
-            way = distance_to_go(to_go, pose, goal[0], yaw_length)
-        cost += object_cost(weights, pose, goal[0], settled.force, settled.clearance, way)
+            way = distance_to_go(to_go, settled.cell, pose, target, yaw_length)
+        cost += object_cost(weights, pose, target, settled.force, settled.clearance, way)
         if keep:
             poses[k, h + 1] = pose
     costs[k] = cost

@@ -140,7 +140,6 @@ class Compute:
             launches: Launches of the step.
             one_graph: Whether the step can be captured as one CUDA graph; if not, its launches run one by one.
         """
-
         everything = in_order(_joined(launches))
 
         def enqueue() -> None:

@@ -13,6 +13,8 @@ from oimppi_warp.scene import Collider, Robot
 
 SPHERE_SPACING = 0.03
 """Smallest spacing of the spheres that approximate a link [m]."""
+_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
+"""Cyclic successors of the axes x, y and z, and theirs."""
 
 
 def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -23,8 +25,24 @@ def link_frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarra
         joints: Joint positions, shape [..., dof] [rad; m for a prismatic joint].
 
     Returns:
-        Rotations [..., dof, 3, 3] and positions [..., dof, 3] in the world frame [m].
+        Rotations [..., dof, 3, 3] and positions [..., dof, 3] in the world frame [m]; read-only for a single posture.
     """
+    if np.ndim(joints) == 1:
+        return _frames_at(robot, np.asarray(joints, dtype=float).tobytes())
+    return _frames(robot, joints)
+
+
+@lru_cache(maxsize=8)
+def _frames_at(robot: Robot, joints: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the frames at a posture; a control step asks for those of its posture several times."""
+    frames = _frames(robot, np.frombuffer(joints))
+    for part in frames:
+        part.flags.writeable = False
+    return frames
+
+
+def _frames(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Computes the frames of all links; see :func:`link_frames`."""
     rest, step, revolute = _rest_transforms(robot), np.zeros((*np.shape(joints), 4, 4)), revolute_joints(robot)
     angles = np.where(revolute, joints, 0.0)
     c, s = np.cos(angles), np.sin(angles)
@@ -61,7 +79,18 @@ def tip_frame(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
     """
     rotations, positions = link_frames(robot, joints)
-    return rotations[-1] @ rotation_matrix(robot.tip[3:]), positions[-1] + rotations[-1] @ robot.tip[:3]
+    return rotations[-1] @ _tip_rotation(robot), positions[-1] + rotations[-1] @ robot.tip[:3]
+
+
+@lru_cache(maxsize=8)
+def _tip_rotation(robot: Robot) -> np.ndarray:
+    """Returns the rotation of the tip in the last link's frame, shape [3, 3]."""
+    return rotation_matrix(robot.tip[3:])
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Returns the cross products of vectors, shape [..., 3]: ``np.cross`` at a fraction of its overhead."""
+    return a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT]
 
 
 def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
@@ -74,7 +103,7 @@ def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
     rotations, positions = link_frames(robot, joints)
     tip = positions[-1] + rotations[-1] @ robot.tip[:3]
     axes, revolute = rotations[:, :, 2], revolute_joints(robot)[:, None]
-    linear = np.where(revolute, np.cross(axes, tip - positions), axes)
+    linear = np.where(revolute, cross(axes, tip - positions), axes)
     return np.concatenate([linear, np.where(revolute, axes, 0.0)], axis=1).T
 
 

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 import shapely
 
-from oimppi_warp.geometry.kinematics import link_frames, revolute_joints, tip_frame, tip_jacobian
+from oimppi_warp.geometry.kinematics import cross, link_frames, revolute_joints, tip_frame, tip_jacobian
 from oimppi_warp.scene import Robot, Scene
 
 _SIDES = 32
@@ -156,7 +156,7 @@ def tip_rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Returns the Jacobians of the tip's position, shape [3, dof], and of its z axis in x and y, shape [2, dof]."""
     axis = tip_frame(robot, joints)[0][:, 2]
     linear, angular = np.split(tip_jacobian(robot, joints), 2)
-    return linear, np.cross(angular.T, axis).T[:2]
+    return linear, cross(angular.T, axis).T[:2]
 
 
 def _solve_ik(
