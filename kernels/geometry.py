@@ -63,6 +63,29 @@ def wrap_angle(a: float) -> float:
 
 
 @wp.func
+def angle_of(y: float, x: float) -> float:
+    """Returns the angle of (x, y) from the x axis, from -pi to pi [rad]: ``wp.atan2`` to 3e-7, without branches.
+
+    The library function took a seventh of a rollout on the CPU. The polynomial is a minimax fit to ``atan(t) / t`` over
+    [0, 1], in powers of ``t^2``.
+    """
+    least = wp.min(wp.abs(x), wp.abs(y))
+    most = wp.max(wp.abs(x), wp.abs(y))
+    t = least / wp.max(most, 1.0e-30)
+    s = t * t
+    p = 0.021863258 - 0.004054634 * s
+    p = -0.05591287 + s * p
+    p = 0.096422486 + s * p
+    p = -0.13908656 + s * p
+    p = 0.19946574 + s * p
+    p = -0.33329862 + s * p
+    a = t * (0.99999934 + s * p)
+    a = wp.where(wp.abs(y) > wp.abs(x), 0.5 * PI - a, a)
+    a = wp.where(x < 0.0, PI - a, a)
+    return wp.where(y < 0.0, -a, a)
+
+
+@wp.func
 def rotate(c: float, s: float, v: wp.vec2) -> wp.vec2:
     """Rotates ``v`` by the angle with cosine ``c`` and sine ``s``."""
     return wp.vec2(c * v[0] - s * v[1], s * v[0] + c * v[1])

@@ -8,7 +8,7 @@ worse place counts as a longer way.
 
 import warp as wp
 
-from oimppi_warp.kernels.geometry import PI, PlanarField, planar_field
+from oimppi_warp.kernels.geometry import PI, PlanarField, angle_of, planar_field
 
 wp.set_module_options({"enable_backward": False})
 
@@ -124,14 +124,16 @@ def stance_field(field: StanceField, tool: wp.vec2, motion: wp.vec3) -> float:
     y = (tool[1] - field.origin[1]) * field.inv_step
     fx = wp.clamp(x, 0.0, float(nx - 1) - 1.0e-3)
     fy = wp.clamp(y, 0.0, float(ny - 1) - 1.0e-3)
-    outside = wp.length(wp.vec2(x - fx, y - fy)) / field.inv_step
+    outside = float(0.0)
+    if x != fx or y != fy:
+        outside = wp.length(wp.vec2(x - fx, y - fy)) / field.inv_step
     i = int(fx)
     j = int(fy)
     ax = fx - float(i)
     ay = fy - float(j)
 
-    turns = wp.atan2(motion[1], motion[0]) / (2.0 * PI)
-    fa = (turns - wp.floor(turns)) * float(field.azimuths)
+    turns = angle_of(motion[1], motion[0]) * (0.5 / PI)
+    fa = wp.where(turns < 0.0, turns + 1.0, turns) * float(field.azimuths)
     a0 = wp.clamp(int(fa), 0, field.azimuths - 1)
     a1 = a0 + 1
     if a1 == field.azimuths:
@@ -139,7 +141,7 @@ def stance_field(field: StanceField, tool: wp.vec2, motion: wp.vec3) -> float:
     aa = fa - float(a0)
     across = wp.sqrt(motion[0] * motion[0] + motion[1] * motion[1])
     last = float(field.elevations - 1)
-    fe = wp.clamp((wp.atan2(field.yaw_length * motion[2], across) / PI + 0.5) * last, 0.0, last - 1.0e-3)
+    fe = wp.clamp((angle_of(field.yaw_length * motion[2], across) * (1.0 / PI) + 0.5) * last, 0.0, last - 1.0e-3)
     e0 = int(fe)
     ae = fe - float(e0)
 
