@@ -4,13 +4,13 @@ A term is a function of the weights and of the :class:`Stage`, the result of one
 ones are in ``kernels/costs/stage_costs.py``; those from outside the package are :class:`oimppi_warp.CostTerm`.
 """
 
-import re
 from collections.abc import Sequence
 from typing import Any, get_type_hints
 
 import warp as wp
 
 from oimppi_warp.config.settings import RobotCost
+from oimppi_warp.kernels.options import fast, fast_module
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,9 +19,6 @@ NOT_PUSHED = wp.constant(1.0)
 
 CROSSING = wp.constant(0.01)
 """Height above the object's top from which a tip may cross it while it is repositioned [m]."""
-
-INLINE_THRESHOLD = 60000
-"""Cost up to which LLVM inlines a function into a rollout kernel: more than that of any of them."""
 
 ExtraTerms = tuple[tuple[str, wp.Function], ...]
 """Cost terms from outside the package: names, and functions ``(s: Stage) -> float`` of the unweighted cost."""
@@ -110,17 +107,12 @@ class Stage:
 def module_of(name: str, extra: ExtraTerms) -> dict[str, Any]:
     """Returns arguments for ``wp.kernel`` that give a rollout kernel its module, and one with extra terms its own name.
 
-    With extra terms, the module's name contains their names and ends with a hash of everything that is compiled. On the
-    CPU, every function is inlined into the kernel: a call copies its structs through memory, which took a seventh of a
-    rollout.
+    With extra terms, the module's name contains their names and ends with a hash of everything that is compiled.
     """
-    inlined = re.sub(r"-mllvm=-inline-threshold=\d+", "", wp.config.cpu_compiler_flags or "")
-    options = {"cpu_compiler_flags": f"{inlined} -mllvm=-inline-threshold={INLINE_THRESHOLD}"}
-    if extra:
-        return {"name": "_".join((name, *(key for key, _ in extra))), "module": "unique", "module_options": options}
-    module = f"oimppi_warp.kernels.{name}"
-    wp.set_module_options(options, module)
-    return {"module": module}
+    if not extra:
+        return {"module": fast_module(name, inlined=True)}
+    name = "_".join((name, *(key for key, _ in extra)))
+    return {"name": name, "module": "unique", "module_options": fast(inlined=True)}
 
 
 def compose(terms: Sequence[wp.Function], extra: ExtraTerms) -> wp.Function:

@@ -4,6 +4,8 @@ from functools import lru_cache
 
 import warp as wp
 
+from oimppi_warp.kernels.options import fast_module
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -19,7 +21,7 @@ def make_sample_controls(size: int, knots: int) -> wp.Kernel:
     mat = wp.types.matrix(shape=(size, size), dtype=float)
     rows = wp.types.matrix(shape=(max(knots, 1), size), dtype=float)
 
-    @wp.kernel(module=f"oimppi_warp.kernels.sample_controls_{size}_{knots}", enable_backward=False)
+    @wp.kernel(module=fast_module(f"sample_controls_{size}_{knots}"), enable_backward=False)
     def sample_controls(
         # in:
         first: int,

@@ -5,9 +5,10 @@ import warp as wp
 from oimppi_warp.kernels.costs.stage_costs import ObjectWeights, object_cost
 from oimppi_warp.kernels.fields.cost_to_go import HOME, distance_to_go, turned_distance
 from oimppi_warp.kernels.geometry import PoseField, wrap_angle
+from oimppi_warp.kernels.options import fast
 from oimppi_warp.kernels.pushing import ObjectModel, mobility, settle
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(fast())
 
 
 @wp.kernel
@@ -32,7 +33,8 @@ def object_rollout(
     ``h_o = dt D``), then out of obstacles by :func:`settle`. The cost is ``S_o = sum_h l_o``, equation 10 for the
     objective of equation 13; there is no terminal cost l_f.
 
-    The grid of ``to_go`` is that of phi_2. Lengths: ``yaw_length`` [m] is what a radian of yaw counts as in the cost-to-go ``to_go``.
+    Lengths: ``yaw_length`` [m] is what a radian of yaw counts as in the cost-to-go ``to_go``, whose grid is that of
+    phi_2.
     Shapes: ``start`` [1], ``goal`` [1], ``wrenches`` [sample, horizon] (N, N, N m), ``costs`` [sample],
     ``poses`` [sample, horizon + 1] or empty.
     """
