@@ -33,6 +33,18 @@ def test_importing_stays_light(code: str):
     assert not modules_after(code) & HEAVY
 
 
+def test_a_run_whose_fields_are_cached_starts_without_the_packages_that_made_them():
+    code = """
+from oimppi_warp.cli.main import main
+arguments = ["run", "task02", "--engine", "quasistatic", "--max-sim-seconds", "0.05", "--device", "cpu"]
+assert main([*arguments, "--set", "robot.optimizer.samples=64"]) == 1
+print()
+"""
+    modules_after(code)
+    needless = {"newton", "mujoco_warp", "trimesh", "scipy", "networkx", "matplotlib", "viser"}
+    assert not modules_after(code) & needless
+
+
 def test_an_episode_imports_nothing_that_the_hash_of_its_code_leaves_out():
     script = """
 import sys

@@ -17,7 +17,6 @@ from typing import cast
 
 import numpy as np
 import shapely
-import trimesh
 import warp as wp
 
 from oimppi_warp.compute.cache import cached, content_of
@@ -26,6 +25,7 @@ from oimppi_warp.geometry.footprint import (
     LimitSurface,
     Piece,
     collider_mesh,
+    core_points,
     footprint,
     height_range,
     limit_surface,
@@ -285,13 +285,18 @@ def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[
         field.origin = wp.vec3(1e3, 1e3, 1e3)
         return field, -1.0
 
-    mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([collider_mesh(collider) for collider in obstacles]))
+    cores = [core_points(collider) for collider in obstacles]
+    lowest = np.min([points.min(axis=0) - radius for points, radius in cores], axis=0)
+    highest = np.max([points.max(axis=0) + radius for points, radius in cores], axis=0)
     reach = stretched_length(scene.robot)
-    lower = np.maximum(mesh.bounds[0] - FURTHEST, [-reach, -reach, 0.0])
-    upper = np.minimum(mesh.bounds[1] + FURTHEST, [reach, reach, 2.0])
+    lower = np.maximum(lowest - FURTHEST, [-reach, -reach, 0.0])
+    upper = np.minimum(highest + FURTHEST, [reach, reach, 2.0])
     count = np.maximum(np.ceil((upper - lower) / SPACE_STEP).astype(int) + 1, 2)
 
     def compute() -> np.ndarray:
+        import trimesh
+
+        mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([collider_mesh(collider) for collider in obstacles]))
         values = wp.zeros(tuple(count), dtype=float, device="cpu")
         closed = wp.Mesh(
             points=wp.array(mesh.vertices, dtype=wp.vec3, device="cpu"),
@@ -302,7 +307,7 @@ def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[
         wp.launch(kernels.space_distance, dim=values.shape, inputs=inputs, outputs=[values], device="cpu")
         return values.numpy()
 
-    content = content_of(mesh.vertices, mesh.faces, lower, count, SPACE_STEP, FURTHEST)
+    content = content_of(*(part for core in cores for part in core), lower, count, SPACE_STEP, FURTHEST)
     field.values = wp.array(cached("space", content, compute), dtype=float, device=device)
     field.origin = wp.vec3(*lower)
-    return field, float(mesh.bounds[1, 2]) + NEAR
+    return field, float(highest[2]) + NEAR

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 import shapely
-import trimesh
 from shapely.geometry import MultiPoint, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from oimppi_warp.scene import Collider, PlanarPose, PushedObject
+
+if TYPE_CHECKING:
+    import trimesh
 
 GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]."""
@@ -133,6 +135,8 @@ def core_points(collider: Collider) -> tuple[np.ndarray, float]:
 
 def collider_mesh(collider: Collider) -> trimesh.Trimesh:
     """Returns the collider as a closed convex mesh in its body's frame [m]; cylinders have 32 sides."""
+    import trimesh  # takes half a second, and scenes whose fields are in the cache do without
+
     points, radius = core_points(collider)
     if radius > 0.0:
         ball = trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices

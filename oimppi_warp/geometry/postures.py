@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from oimppi_warp.compute.cache import cached, content_of_data, source_content
 from oimppi_warp.geometry.footprint import rotation_matrix
@@ -71,6 +70,8 @@ def postures_of(robot: Robot, top: float) -> Postures:
     nodes = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), axis=-1)
 
     def compute() -> np.ndarray:
+        from scipy.ndimage import distance_transform_edt
+
         joints, reached = _continued(robot, nodes)
         if reached.any() and not reached.all():
             nearest = np.asarray(distance_transform_edt(~reached, return_distances=False, return_indices=True))

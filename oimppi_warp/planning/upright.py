@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-from scipy.ndimage import distance_transform_edt
 
+from oimppi_warp.compute.cache import cached, content_of_data, source_content
 from oimppi_warp.config.settings import RobotLevel
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.fields import Geometry
@@ -123,7 +123,26 @@ def no_upright(device: str) -> UprightArm:
 def _clearance(
     scene: Scene, postures: Postures, environment: Environment, limits: np.ndarray, device: str
 ) -> SpaceField:
-    """Returns the clearance of arm and tool over tip positions [m].
+    """Returns the clearance of arm and tool over tip positions [m], from the cache if it is stored there."""
+    around = environment.obstacles
+    numbers = (*around.origin, around.inv_step, around.outside)
+    numbers += (environment.top, environment.near, environment.tool_radius, environment.table)
+    content = content_of_data(
+        source_content("kernels", "geometry", "planning/upright.py"),
+        scene.robot,
+        postures.origin,
+        postures.reached,
+        around.values.numpy(),
+        tuple(float(number) for number in numbers),
+    )
+    values = cached("clearance", content, lambda: _compute_clearance(scene, postures, environment, limits, device))
+    return _field(values, postures, 0.5 * STEP, outside=_OUTSIDE, device=device)
+
+
+def _compute_clearance(
+    scene: Scene, postures: Postures, environment: Environment, limits: np.ndarray, device: str
+) -> np.ndarray:
+    """Computes the clearance of arm and tool over tip positions, twice as fine as the postures [m].
 
     The tool's own distance to the table does not count: the servo keeps its height, and it would hide obstacles that
     are not yet as near. The clearance is at most the distance to the border of the reach, where the arm is singular;
@@ -154,12 +173,14 @@ def _clearance(
         # The border lies beyond the last node that is reached, one does not know how far.
         inside = np.minimum(clearance[..., layer], inside - 0.5 * STEP)
         clearance[..., layer] = np.where(reached[..., layer], inside, -outside)
-    return _field(clearance, postures, 0.5 * STEP, outside=_OUTSIDE, device=device)
+    return clearance.astype(np.float32)
 
 
 def _distances(where: np.ndarray) -> np.ndarray:
     """Returns the distance of each marked node, shape [nx, ny], to the nearest that is not, in grid steps."""
     # What lies around the grid is not marked either.
+    from scipy.ndimage import distance_transform_edt
+
     return np.asarray(distance_transform_edt(np.pad(where, 1)))[1:-1, 1:-1]
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from oimppi_warp.geometry.footprint import collider_mesh, transform_points
@@ -14,6 +14,9 @@ from oimppi_warp.scene import Collider
 from oimppi_warp.usd.frames import is_orthogonal, scales, transform
 from oimppi_warp.usd.meshes import approximation, triangles
 from oimppi_warp.usd.stage import MAX_LENGTH, SceneStage
+
+if TYPE_CHECKING:
+    import trimesh
 
 ALLOWED = "Cube, Sphere, Cylinder, Capsule, or a Mesh that is convex or has a convex physics:approximation"
 
@@ -156,6 +159,8 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
 
 def _faces_outwards(prim: Usd.Prim, points: np.ndarray) -> np.ndarray | None:
     """Returns the triangles of a mesh with these points [n, 3], oriented outwards, shape [m, 3]."""
+    import trimesh
+
     faces = triangles(prim)
     if faces is not None and trimesh.Trimesh(points, faces, process=False).volume < 0.0:
         faces = faces[:, ::-1]
@@ -182,6 +187,8 @@ def solid(collider: Collider) -> trimesh.Trimesh:
 
     For a mesh, it is what the mesh's own faces enclose, not its convex hull.
     """
+    import trimesh
+
     if collider.vertices is None or collider.faces is None:
         return collider_mesh(collider)
     points = transform_points(collider.transform, collider.vertices)

@@ -8,7 +8,6 @@ shapes.
 from __future__ import annotations
 
 import numpy as np
-import trimesh
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from oimppi_warp.usd.conversion.units import editable_prims
@@ -69,6 +68,8 @@ def _is_convex(points: np.ndarray, faces: np.ndarray) -> bool:
     """Returns whether a closed surface fills its convex hull."""
     if not np.isfinite(points).all() or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3:
         return False
+    import trimesh
+
     surface = trimesh.Trimesh(points, faces)
     hull = surface.convex_hull
     return surface.is_watertight and abs(abs(surface.volume) - hull.volume) < CONVEX * hull.volume
@@ -86,6 +87,8 @@ def _replace(stage: Usd.Stage, prim: Usd.Prim, points: np.ndarray) -> None:
         shape.AddTranslateOp().Set(Gf.Vec3d(*((lower + upper) / 2.0).tolist()))
         shape.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*(upper - lower).tolist()))
     else:
+        import trimesh
+
         center, radius = trimesh.nsphere.minimum_nsphere(points)
         shape = UsdGeom.Sphere.Define(stage, path)
         shape.CreateRadiusAttr(float(radius))

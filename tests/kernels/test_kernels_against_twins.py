@@ -61,6 +61,16 @@ def random_poses(count: int, *, lower: tuple[float, float], upper: tuple[float, 
 # Look-ups
 
 
+def test_the_angle_of_a_vector_is_that_of_the_library():
+    around = RANDOM.uniform(-np.pi, np.pi, 20000)
+    scales = 10.0 ** RANDOM.uniform(-6.0, 3.0, len(around))
+    points = scales[:, None] * np.column_stack([np.cos(around), np.sin(around)])
+    special = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)]
+    points = np.concatenate([points, special]).astype(np.float32)
+    (angles,) = launch(probes.angle_of_probe, [on_device(points, wp.vec2)], len(points), float)
+    np.testing.assert_allclose(angles, np.arctan2(points[:, 1].astype(float), points[:, 0]), rtol=0.0, atol=3e-7)
+
+
 def test_angles_are_wrapped_into_one_turn():
     angles = np.array([0.0, 3.0, -3.0, 3.2, -3.2, 7.0, -40.0, 40.0])
     (wrapped,) = launch(probes.wrap_angle_probe, [on_device(angles, float)], len(angles), float)

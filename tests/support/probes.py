@@ -13,6 +13,7 @@ from oimppi_warp.kernels.geometry import (
     PlanarField,
     PoseField,
     SpaceField,
+    angle_of,
     planar_field,
     pose_field,
     space_field,
@@ -37,6 +38,12 @@ class ObjectCase:
     force: float
     clearance: float
     to_go: float
+
+
+@wp.kernel
+def angle_of_probe(points: wp.array[wp.vec2], out: wp.array[float]):
+    i = wp.tid()
+    out[i] = angle_of(points[i][1], points[i][0])
 
 
 @wp.kernel
