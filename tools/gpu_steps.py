@@ -37,7 +37,7 @@ POSE_TOLERANCE = (0.0005, 0.005)
 PUSH = 0.005
 """Distance that an object is pushed in a control period, about [m]."""
 BLOCKS = (32, 64, 128, 256)
-"""Numbers of threads per block to compare."""
+"""Numbers of threads per block of samples to compare."""
 TESTS = re.compile(r"\bdevice\b[,)]|support\.(device|engines)")
 """Found in test files that compute on the device under test."""
 
@@ -203,12 +203,12 @@ def times(check: Check) -> None:
         check.note(f"{engine}, {method}", timing.figures())
         for problem in timing.problems[:3]:
             check.problem(f"{engine}, {method}: {problem}")
-    usual = step.BLOCK
+    usual = step.SAMPLES_BLOCK
     for block in BLOCKS[:2] if check.small else BLOCKS:
-        step.BLOCK = block
+        step.SAMPLES_BLOCK = block
         figures = race({"plan": loop("cloi", "quasistatic")}, repeats)["plan"].figures()
         check.note(f"blocks of {block}, quasistatic, cloi", figures)
-    step.BLOCK = usual
+    step.SAMPLES_BLOCK = usual
     for samples in (64,) if check.small else (128, 256, 512, 1024, 2048, 4096, 8192, 16384):
         timing = race({"plan": loop("mppi", "quasistatic", samples=samples)}, max(repeats // 3, 2))["plan"]
         check.note(f"quasistatic, mppi, K {samples}", timing.figures())
@@ -377,13 +377,13 @@ def kernels(check: Check, arch: int | None = None) -> None:
     from oimppi_warp.usd import load_scene
 
     folder = check.out.parent / "kernels" / wp.config.version
-    usual = step.BLOCK
+    usual = step.SAMPLES_BLOCK
     if arch is None:
         with precompile.record_modules() as variants:
             for block in BLOCKS[:2]:
-                step.BLOCK = block
+                step.SAMPLES_BLOCK = block
                 check.planner("cloi", "quasistatic", "emulated-gpu").warm_up()
-            step.BLOCK = usual
+            step.SAMPLES_BLOCK = usual
             for method in METHODS:
                 _two_plans(check.planner(method, "quasistatic", "emulated-gpu"))
             check.planner("mppi", "newton", "emulated-gpu").warm_up()

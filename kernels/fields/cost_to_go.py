@@ -228,28 +228,36 @@ def descend(
     # out:
     way: wp.array2d[wp.vec3],
 ):
-    """Computes the path from a pose to the goal, at constant speed: onto a plan and along it (one thread).
+    """Computes the path from a pose to the goal, at constant speed: onto a plan and along it.
 
     Off the plan it descends the cost-to-go. On the plan, which is within ``ON_PLAN`` of one of its poses, it continues
-    from the last of those. Within ``HOME`` of the goal, the path is straight. Shapes: ``plan`` [m] or empty,
-    ``start`` and ``goal`` [1], ``way`` [1, n].
+    from the last of those. Within ``HOME`` of the goal, the path is straight. Launched with one block (on the CPU: one
+    thread), which divides the poses of the plan among its threads; all of them follow the path. Shapes: ``plan`` [m] or
+    empty, ``start`` and ``goal`` [1], ``way`` [1, n].
     """
+    i = wp.tid()
     pose = start[0]
-    way[0, 0] = pose
-    for i in range(1, way.shape[1]):
+    if i == 0:
+        way[0, 0] = pose
+    for h in range(1, way.shape[1]):
         target = goal[0]
         straight = bool(turned_distance(pose, target, yaw_length) < HOME)
+        last = int(-1)
         if not straight:
-            for k in range(plan.shape[0]):
+            for k in range(i, plan.shape[0], wp.block_dim()):
                 m = plan.shape[0] - 1 - k
                 if turned_distance(pose, plan[m], yaw_length) < ON_PLAN:
-                    target = plan[wp.min(m + 1, plan.shape[0] - 1)]
-                    straight = True
+                    last = m
                     break
+        last = wp.tile_max(wp.tile(last))[0]
+        if last >= 0:
+            target = plan[wp.min(last + 1, plan.shape[0] - 1)]
+            straight = True
         if straight:
             left = target - pose
             left[2] = wrap_angle(left[2])
             pose = pose + wp.min(1.0, step / wp.max(turned_distance(pose, target, yaw_length), 1.0e-6)) * left
         else:
             pose = downhill(to_go, pose, yaw_length, step)
-        way[0, i] = pose
+        if i == 0:
+            way[0, h] = pose

@@ -29,7 +29,9 @@ Launch = Callable[[], None]
 _SLICES_PER_THREAD = 4
 """Number of slices of the samples per thread, large enough that no thread waits long for the others."""
 BLOCK = 256
-"""Threads per block on a GPU."""
+"""Threads per block on a GPU that cooperate."""
+SAMPLES_BLOCK = 32
+"""Threads per block on a GPU where each has a sample of its own: small blocks spread over more multiprocessors."""
 _CHUNK = 1 << 20
 """Size of a planner's buffer of inputs, and of its buffer of outputs, on CUDA [B]."""
 _ALIGNMENT = 64
@@ -84,7 +86,7 @@ class Compute:
         self.threads = core_count() if threads is None else threads
         if self.name == EMULATED_GPU:
             wp.config.enable_cpu_blocks = True
-        self._block = BLOCK if self.on_gpu else 1
+        self._block, self._samples_block = (BLOCK, SAMPLES_BLOCK) if self.on_gpu else (1, 1)
         self._inputs = _Shared(self.device, separate=self.on_gpu)
         self._outputs = _Shared(self.device, separate=self.on_gpu)
 
@@ -125,7 +127,7 @@ class Compute:
         slices = 1 if self.on_gpu or self.threads == 1 else min(self.threads * _SLICES_PER_THREAD, count)
         edges = np.linspace(0, count, slices + 1).astype(int)
         launches = [
-            _Prepared(kernel, (end - begin,), [begin, *inputs], outputs, self.device, self._block)
+            _Prepared(kernel, (end - begin,), [begin, *inputs], outputs, self.device, self._samples_block)
             for begin, end in pairwise(edges.tolist())
         ]
         return launches[0] if slices == 1 else _Shares(edges, launches, self.threads)

@@ -61,7 +61,7 @@ class PlanFollower:
         goal_array = wp.array(goal[None].astype(np.float32), dtype=wp.vec3, device=self._device)
         inputs = [self._to_go, self._plan, self._start.array, goal_array, level.yaw_length, step]
         self.launches = [
-            compute.launch(cost_to_go.descend, 1, inputs, [self._path.array]),
+            compute.launch_blocks(cost_to_go.descend, None, inputs, [self._path.array]),
             compute.launch(follow_path, len(reference.host), [self._path.array], [reference.array]),
         ]
 

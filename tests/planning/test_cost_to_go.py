@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from support import reference
-from support.device import DEVICE
+from support.device import BLOCK, DEVICE
 from support.reference import pose_grid
 from support.small_tasks import block, box, task
 
@@ -138,10 +138,11 @@ def followed(to_go: PoseField, pose: np.ndarray, goal: np.ndarray, *, step: floa
     way = wp.zeros((1, steps + 1), dtype=wp.vec3, device=DEVICE)
     wp.launch(
         kernels.descend,
-        dim=1,
+        dim=BLOCK,
         inputs=[to_go, no_plan(), start, end, YAW_LENGTH, step],
         outputs=[way],
         device=DEVICE,
+        block_dim=BLOCK,
     )
     return way.numpy()[0].astype(float)
 
@@ -186,7 +187,8 @@ def test_a_way_down_leads_through_a_gap_as_narrow_as_the_grid(device: str):
     to_go = build_to_go(field, goal, yaw_length=0.01, device=device)
     start, end = (wp.array(p[None].astype(np.float32), dtype=wp.vec3, device=device) for p in (pose, goal))
     way = wp.zeros((1, 121), dtype=wp.vec3, device=device)
-    wp.launch(kernels.descend, dim=1, inputs=[to_go, no_plan(), start, end, 0.01, 0.006], outputs=[way], device=device)
+    inputs = [to_go, no_plan(), start, end, 0.01, 0.006]
+    wp.launch(kernels.descend, dim=BLOCK, inputs=inputs, outputs=[way], device=device, block_dim=BLOCK)
     np.testing.assert_allclose(way.numpy()[0, -1], goal, atol=1e-3)
     left = np.linalg.norm(way.numpy()[0, :, :2] - goal[:2], axis=1)
     assert (left[5:] < left[:-5] + 1e-6).all(), "it does not turn around"
@@ -203,7 +205,7 @@ def test_a_way_leads_along_a_plan_past_a_shorter_one(device: str):
     packed = wp.array(plan.astype(np.float32), dtype=wp.vec3, device=device)
     found = wp.zeros((1, 200), dtype=wp.vec3, device=device)
     inputs = [to_go, packed, start, end, YAW_LENGTH, 0.006]
-    wp.launch(kernels.descend, dim=1, inputs=inputs, outputs=[found], device=device)
+    wp.launch(kernels.descend, dim=BLOCK, inputs=inputs, outputs=[found], device=device, block_dim=BLOCK)
     way = found.numpy()[0].astype(float)
     np.testing.assert_allclose(way[-1], goal, atol=1e-3)
     off = [np.linalg.norm(plan[:, :2] - p[:2], axis=1).min() for p in way]
