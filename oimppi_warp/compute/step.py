@@ -268,7 +268,8 @@ def _joined(launches: Sequence[Launch]) -> list[Launch]:
     joined: list[Launch] = []
     for launch in launches:
         for part in launch.launches if isinstance(launch, _InOrder) else [launch]:
-            both = joined[-1].then(part) if joined and isinstance(joined[-1], _Shares) else None
+            before = joined[-1] if joined else None
+            both = before.then(part) if isinstance(before, _Shares) else None
             if both is None:
                 joined.append(part)
             else:
