@@ -163,7 +163,7 @@ class Benchmark:
         """Compare the fused kernel's operation rate with the peak of a core."""
         from bench_peak import kernel_peak, operations_per_step, vector_peak
 
-        parts = operations_per_step(self.scene.robot.dof)
+        parts = operations_per_step()
         rate = sum(parts.values()) * self.samples * 25 / (1e-3 * rollout_ms)
         kernel, vector = kernel_peak(), vector_peak()
         return {

@@ -19,11 +19,11 @@ COLUMNS = {"samples": "K", "horizon": "H", "substeps": "substeps", "median_ms": 
 """Heading of each column of a sweep, by its name in the record."""
 
 ARITHMETIC = {
-    "integration": "joint integration",
-    "kinematics": "forward kinematics",
-    "room of whole links": "clearance of whole links",
-    "tip and tilt": "tip and tilt of the tool",
+    "tip": "motion of the tip, within its bounds",
+    "clearance": "clearance of the arm",
+    "approach": "approach of the object",
     "contact, looked for": "search for contact",
+    "stance": "stance of the tool",
     "costs": "cost terms",
     "gflops": "rate of the kernel [GFLOP/s]",
     "kernel_peak_gflops": "kernel peak [GFLOP/s]",

@@ -18,6 +18,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from oimppi_warp.compute.cache import cache_folder, content_of_data, source_content
+from oimppi_warp.compute.device import quick_compilation
 from oimppi_warp.physics.newton_model import ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.scene import Scene
 
@@ -73,7 +74,8 @@ def translate_scene(scene: Scene, *, sensing: bool) -> MujocoModel:
         return _load(file)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         pass  # missing or truncated: make it again
-    made = _translate(build_model(_at_zero(scene)), sensing=sensing)
+    with quick_compilation():  # Newton's kernels run once here
+        made = _translate(build_model(_at_zero(scene)), sensing=sensing)
     with suppress(OSError):  # an unwritable cache costs time, but not the run
         _save(made, file)
     return made
