@@ -1,6 +1,6 @@
 """Compiler options of the kernels that take most of a control step.
 
-They matter on the CPU only, where they took a quarter off the time of a rollout.
+They matter on the CPU only, where they took a fifth off the time of a rollout.
 """
 
 import re
