@@ -6,11 +6,13 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 import warp as wp
+from warp._src.context import user_modules
 
 from oimppi_warp.errors import DeviceError
 
@@ -20,6 +22,10 @@ EMULATED_GPU = "emulated-gpu"
 Host and device memory are separate, a control step is captured as one graph and replayed, and launches use blocks of
 the size that a GPU would use; see :class:`oimppi_warp.compute.step.Compute`.
 """
+
+
+_OWN = "oimppi_warp."
+"""Beginning of the names of this package's modules."""
 
 
 @cache
@@ -138,13 +144,33 @@ class CompileNotice:
 
 @contextmanager
 def quick_compilation() -> Iterator[None]:
-    """Compiles without optimization all kernels that are loaded meanwhile, in any thread.
+    """Compiles without optimization those kernels of other packages that are loaded meanwhile.
 
-    It takes less than half of the time, and suits kernels that run once.
+    It takes less than half of the time, and suits kernels that run once. The packages must have been imported.
     """
-    usual = wp.config.optimization_level
-    wp.config.optimization_level = 0
+    others = [
+        module
+        for name, module in user_modules.items()
+        if not name.startswith(_OWN) and module.options["optimization_level"] is None
+    ]
+    for module in others:
+        module.options["optimization_level"] = 0
     try:
         yield
     finally:
-        wp.config.optimization_level = usual
+        for module in others:
+            module.options["optimization_level"] = None
+
+
+@contextmanager
+def loading(*modules: str) -> Iterator[None]:
+    """Loads modules of kernels for the CPU in the background, and waits for them at the end.
+
+    Args:
+        modules: Python modules that define kernels.
+    """
+    start_warp()
+    with ThreadPoolExecutor(1) as background:
+        loaded = background.submit(wp.force_load, "cpu", [wp.get_module(name) for name in modules])
+        yield
+        loaded.result()

@@ -74,6 +74,8 @@ def translate_scene(scene: Scene, *, sensing: bool) -> MujocoModel:
         return _load(file)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         pass  # missing or truncated: make it again
+    from newton.solvers import SolverMuJoCo  # noqa: F401  (its kernels must be known)
+
     with quick_compilation():  # Newton's kernels run once here
         made = _translate(build_model(_at_zero(scene)), sensing=sensing)
     with suppress(OSError):  # an unwritable cache costs time, but not the run

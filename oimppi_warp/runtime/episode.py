@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from oimppi_warp.compute.device import loading
 from oimppi_warp.compute.step import core_count
 from oimppi_warp.config.overrides import validate
 from oimppi_warp.config.run_spec import RunSpec
@@ -19,7 +20,7 @@ from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.geometry.fields import ExactClearance
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planning.factory import make_planner
+from oimppi_warp.planning.factory import FIELDS, make_planner
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.planning.resolve import entries_used, resolve
 from oimppi_warp.plants.drive import Drive
@@ -118,7 +119,8 @@ class Episode:
         if spec.threads is None and spec.mode == "realtime":
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
-        self.plant: Plant = make_plant(scene, config, spec) if plant is None else plant
+        with loading(*FIELDS):  # in a first run, they are compiled while Newton's are compiled for the plant
+            self.plant: Plant = make_plant(scene, config, spec) if plant is None else plant
         if has_own_world(self.plant):
             x, y, yaw = map(float, self.plant.observe().object_pose)
             self.scene = scene = scene.with_start((x, y, yaw))
