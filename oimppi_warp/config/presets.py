@@ -32,7 +32,11 @@ def best(method: str = "cloi") -> Config:
     if method == "mppi":  # tracks only the goal, along the shortest free path
         return replace(base, cost=replace(base.cost, w_to_go=200.0, w_track=0.0))
     if method == "soi":
-        return replace(base, object=replace(base.object, optimizer=replace(base.object.optimizer, horizon=90)))
+        return replace(
+            base,
+            object=replace(base.object, optimizer=replace(base.object.optimizer, horizon=90)),
+            object_cost=replace(base.object_cost, w_margin=5000.0, margin=0.02),
+        )
     return base
 
 
@@ -77,6 +81,7 @@ def paper(method: str = "cloi") -> Config:
             speed_limit=(0.12, 0.12, 1.0),
             noise_range=0.0,
             ends_at_goal=False,
+            plans=1,
         ),
         cost=RobotCost(
             w_d=100.0,

@@ -31,6 +31,8 @@ SETTINGS: Mapping[str, str] = {
 ADDED: Mapping[str, Any] = {
     "robot.controls": "joint",
     "robot.optimizer.least_noise": 1.0,
+    "object.optimizer.least_noise": 1.0,
+    "object.plans": 1,
     "object.ends_at_goal": False,
     "cost.w_track": 0.0,
     "cost.w_stance": 0.0,

@@ -237,7 +237,7 @@ class ObjectLevel:
     """The object level, which plans a wrench that moves the object to its goal without the robot (equation 13)."""
 
     optimizer: Sampling = group(
-        Mppi(horizon=60, temperature=0.5, knots=5),
+        Mppi(horizon=60, temperature=0.5, knots=5, least_noise=0.1),
         "Optimizer of the object level. With a plant that has a fixed control period, the number of steps of the "
         "horizon is changed so that the horizon covers the same time.",
     )
@@ -269,6 +269,13 @@ class ObjectLevel:
         "Number of control steps after which SOI stops extending an object plan that has not reached the goal.",
         low=1,
         high=100_000,
+    )
+    plans: int = setting(
+        4,
+        "Number of object plans that SOI makes at the start, each with different noise; it follows the one with the "
+        "smallest sum of the cost-to-go of its poses. The paper makes one.",
+        low=1,
+        high=1_000,
     )
     turn: bool = setting(
         True, "Take the object's yaw into account; set to false for tasks whose tolerance allows every yaw."

@@ -71,6 +71,8 @@ class SequentialPlanner(Planner):
     def start(self, observation: Observation) -> float:
         """Plans the object's motion from its observed pose to the goal: part (A) of Algorithm 3.
 
+        It makes ``object.plans`` plans, and takes the best of them.
+
         Returns:
             Wall time of planning and of computing or reading the cost-to-go [s].
         """
@@ -78,17 +80,20 @@ class SequentialPlanner(Planner):
         began = time.perf_counter()
         self._object.optimizer.reset()
         self._time = 0
-        self._path, arrived = self.plan_object(to_center(self.geometry.surface, observation.object_pose))
+        pose = to_center(self.geometry.surface, observation.object_pose)
+        plans = [self.plan_object(pose) for _ in range(self.config.object.plans)]
+        self._path, arrived = min(plans, key=lambda plan: sum(map(self._object.to_go_from, plan[0])))
         if self._follower is not None:
             self._follower.set_plan(self._path, arrived=arrived, bound=self._object.to_go)
         return time.perf_counter() - began + self._object.setup_seconds
 
     def plan_object(self, pose: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Returns an object plan from a pose to the goal, shape [n, 3], and whether it converged.
+        """Returns a new object plan from a pose to the goal, shape [n, 3], and whether it converged.
 
         All poses are planar poses of the friction centre [m, m, rad]. These are lines 3 to 7 of Algorithm 3. The last
         pose is the goal itself in either case.
         """
+        self._object.optimizer.forget()
         path, converged = [pose], False
         while not converged and len(path) <= self.config.object.plan_steps:
             path.append(self._improve(path[-1])[1])

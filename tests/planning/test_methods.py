@@ -22,10 +22,13 @@ from support.small_tasks import (
     turned,
 )
 
+from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config, ObjectLevel, RobotLevel
 from oimppi_warp.config.settings import Mppi as MppiSettings
 from oimppi_warp.errors import ConfigError, DeviceError
-from oimppi_warp.geometry.fields import from_center, pose_field_at, to_center
+from oimppi_warp.geometry.feasibility import sample_start
+from oimppi_warp.geometry.fields import ExactClearance, from_center, pose_field_at, to_center
+from oimppi_warp.geometry.footprint import wrap_angle
 from oimppi_warp.geometry.kinematics import tip_jacobian
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.cloi import ClosedLoopPlanner
@@ -349,6 +352,42 @@ def test_soi_plans_a_way_from_start_to_goal_around_the_obstacle(sequential):
     steps = np.abs(np.diff(path[:-1], axis=0)).max(axis=0)
     limit = DT * np.array(planner.config.object.speed_limit)
     assert (steps <= limit * 1.01 + 0.02).all(), "faster than the speed limit, more than an obstacle pushes back"
+
+
+def test_soi_follows_the_plan_that_is_shortest_of_those_it_makes(monkeypatch):
+    scene = shipped("task02")
+    planner = make(scene, "soi", replace(SMALL, object=replace(SMALL.object, plans=3)))
+    assert isinstance(planner, SequentialPlanner)
+    made: list[np.ndarray] = []
+    plan_object = planner.plan_object
+
+    def record(pose: np.ndarray) -> tuple[np.ndarray, bool]:
+        path, arrived = plan_object(pose)
+        made.append(path)
+        return path, arrived
+
+    monkeypatch.setattr(planner, "plan_object", record)
+    planner.start(observe(scene))
+    assert len(made) == 3
+    to_go = [sum(planner._object.to_go_from(pose) for pose in path) for path in made]
+    assert len(set(to_go)) == 3, "each plan is drawn anew"
+    assert planner._path is made[int(np.argmin(to_go))]
+    first = made[0].copy()
+    planner.start(observe(scene))
+    np.testing.assert_array_equal(made[3], first, "an episode does not depend on those before")
+
+
+@pytest.mark.parametrize("seed", [100, 101, 102])
+def test_soi_plans_through_a_gap_without_touching_its_sides_and_without_needless_turns(seed):
+    scene = shipped("task03")
+    scene = scene.with_start(sample_start(scene, seed))
+    planner = make(scene, "soi", best("soi"), seed=seed)
+    assert isinstance(planner, SequentialPlanner)
+    planner.start(observe(scene))
+    exact = ExactClearance(scene)
+    assert min(exact.at(pose) for pose in planner.object_plan) > 0.004
+    turned = np.abs(wrap_angle(np.diff(planner.object_plan[:, 2]))).sum()
+    assert turned < 4.8, "half a turn is needed"
 
 
 def test_soi_reads_its_plan_by_time_as_the_paper_does():

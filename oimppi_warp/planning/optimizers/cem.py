@@ -59,9 +59,9 @@ class Cem(Optimizer):
         deviation = self.compute.launch(kernel, 1, [self._settings.recovery], [self.deviation])
         return [*super().advance(), deviation]
 
-    def reset(self) -> None:
-        """Sets the nominal to zero and the deviations to one, and restarts the sequence of the noise."""
-        super().reset()
+    def forget(self) -> None:
+        """Sets the nominal to zero and the deviations to one."""
+        super().forget()
         self._restart()
 
     def _restart(self) -> None:

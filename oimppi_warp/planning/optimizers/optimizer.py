@@ -153,10 +153,15 @@ class Optimizer(ABC):
 
     def reset(self) -> None:
         """Sets the nominal to zero and restarts the sequence of the noise."""
+        self.forget()
+        with using_gpu:
+            self.counter.zero_()
+
+    def forget(self) -> None:
+        """Sets the nominal to zero; the noise goes on, so that the next plan is another one."""
         with using_gpu:
             self.nominal.zero_()
             self.stats.array.zero_()
-            self.counter.zero_()
 
 
 def make_optimizer(dynamics: Dynamics, settings: Sampling, *, seed: int) -> Optimizer:
