@@ -1,0 +1,129 @@
+"""Searches the figures that the paper does not print, by successive halving.
+
+Candidates are drawn at random from :data:`SPACE`; everything else is as in the preset ``paper``. Each round runs the
+tasks with SOI and CLOI on more trials (numbers from 100 up, which no table uses), and keeps the candidates with the
+highest success rate, of both methods and all tasks together. Plain MPPI takes no part in the choice. Run the command
+again to resume::
+
+    python tools/search_paper.py --out runs/search --methods soi cloi
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tyro
+
+from oimppi_warp.bench.results import Result
+from oimppi_warp.bench.runner import SuiteRun
+from oimppi_warp.bench.suite import Entry, Suite, load_suite
+
+TASKS = ("task01", "task02", "task03", "task04", "task05")
+FIRST = 100
+"""Number of the first trial."""
+ROUNDS = ((32, 1), (12, 2), (6, 4), (3, 8))
+"""Candidates of each round, and trials per task and method that each has then run."""
+
+SPACE: dict[str, Sequence[str]] = {
+    # Noise
+    "robot.optimizer.knots": ("0", "6", "12"),
+    "robot.optimizer.special_samples": ("false", "true"),
+    "robot.noise_space": ("joint", "tool"),
+    "robot.joint_noise": ("0.15", "0.316", "0.6"),
+    "robot.joint_velocity_limit": ("0.2", "0.5", "1.0"),
+    "robot.optimizer.effective_samples": ("0.004,0.008", "0.01,0.03", "0.03,0.1"),
+    "object.optimizer.knots": ("0", "4", "6"),
+    "object.optimizer.special_samples": ("false", "true"),
+    "object.optimizer.effective_samples": ("0.004,0.008", "0.01,0.03", "0.03,0.1"),
+    "object.noise": ("0.3", "0.6", "1.0"),
+    # The object's speed, which is the reference's pace; with the horizon, it is how far the object level looks ahead
+    "object.speed_limit": ("0.12,0.12,1", "0.2,0.2,1.67", "0.3,0.3,2.5"),
+    # Weights of equations 15 to 19
+    "cost.w_d": ("5", "25", "100"),
+    "cost.w_theta": ("0.02", "0.08", "0.3"),
+    "cost.w_reference": ("50", "100", "400"),
+    "cost.w_ee": ("1", "5", "20"),
+    "cost.r_0": ("0.08", "0.12"),
+    "cost.w_align": ("0.5", "2", "10", "45"),
+    "cost.w_height": ("20", "200", "1000"),
+    "object_cost.w_theta": ("0.02", "0.08", "0.3"),
+    "object_cost.w_f": ("0.05", "1"),
+}
+"""Values tried of each figure that the paper does not print."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """Search the figures that the paper does not print, by successive halving."""
+
+    out: Path = Path("runs/search")
+    """Folder for the trials and for search.json."""
+
+    methods: tuple[Literal["mppi", "cloi", "soi"], ...] = ("soi", "cloi")
+    """Methods whose success rate is the criterion."""
+
+    seed: int = 0
+    """Seed of the candidates."""
+
+    jobs: int = 2
+    """Number of concurrent trials."""
+
+
+def candidates(count: int, seed: int) -> list[tuple[str, ...]]:
+    """Draws candidates, each as assignments ``NAME=VALUE``."""
+    rng = np.random.default_rng(seed)
+    return [tuple(f"{name}={rng.choice(list(values))}" for name, values in SPACE.items()) for _ in range(count)]
+
+
+def suite_of(chosen: dict[str, tuple[str, ...]], trials: int, methods: tuple[str, ...]) -> Suite:
+    """Returns the suite of a round: every candidate, by its label, on all tasks."""
+    plain = load_suite("paper-sim")
+    base = replace(plain.entries[0], tasks=TASKS, methods=methods, first=FIRST, trials=trials)
+    entries = [entry_of(base, label, assignments) for label, assignments in chosen.items()]
+    return replace(plain, name="search-paper", title="Search of the preset paper", entries=tuple(entries))
+
+
+def entry_of(base: Entry, label: str, assignments: tuple[str, ...]) -> Entry:
+    """Returns the entry of a candidate."""
+    return base.changed({"label": label, "set": assignments})
+
+
+def rates(results: Sequence[Result], label: str, methods: tuple[str, ...]) -> dict[str, float]:
+    """Returns the success rate of a candidate with each method; a trial that raised counts as a failure."""
+    found = {}
+    for method in methods:
+        own = [r for r in results if r.task.endswith(label) and r.run.method == method]
+        found[method] = float(np.mean([bool(r.metrics.get("success", False)) for r in own])) if own else 0.0
+    return found
+
+
+def main(search: Search) -> None:
+    """Runs all rounds, and writes what each found."""
+    drawn = candidates(ROUNDS[0][0], search.seed)
+    chosen = {f"c{number:02d}": assignments for number, assignments in enumerate(drawn)}
+    log = []
+    for keep, trials in ROUNDS:
+        chosen = dict(list(chosen.items())[:keep])
+        run = SuiteRun(suite_of(chosen, trials, search.methods), search.out)
+        print(
+            f"{len(chosen)} candidates, {trials} trials a task and method: {len(run.pending)} trials to run", flush=True
+        )
+        results = run.execute(jobs=search.jobs).results
+        scored = {label: rates(results, label, search.methods) for label in chosen}
+        order = sorted(chosen, key=lambda label: -float(np.mean(list(scored[label].values()))))
+        for label in order:
+            print(f"  {label} {scored[label]}", flush=True)
+            log.append({"trials": trials, "label": label, "success": scored[label], "set": chosen[label]})
+        chosen = {label: chosen[label] for label in order}
+        (search.out / "search.json").write_text(json.dumps(log, indent=1) + "\n")
+    best = next(iter(chosen))
+    print(f"best: {best}", *chosen[best], sep="\n  ")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Search, description=__doc__))
