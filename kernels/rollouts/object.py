@@ -62,12 +62,22 @@ def object_rollout(
 def follow_path(
     # in:
     path: wp.array2d[wp.vec3],
+    pace: wp.array[float],
     # out:
     reference: wp.array[wp.vec3],
 ):
-    """Copies a path, shape [1, horizon + 1], to the reference, shape [n], and holds its end (Algorithm 2, line 4)."""
+    """Copies a path to the reference and holds its end (Algorithm 2, line 4).
+
+    ``pace`` is the number of the path's steps that the reference makes per control step; 1 in the paper.
+    Shapes: ``path`` [1, horizon + 1], ``pace`` [1], ``reference`` [n].
+    """
     i = wp.tid()
-    reference[i] = path[0, wp.min(i, path.shape[1] - 1)]
+    at = pace[0] * float(i)
+    before = wp.min(int(at), path.shape[1] - 1)
+    pose = path[0, before]
+    way = path[0, wp.min(before + 1, path.shape[1] - 1)] - pose
+    way[2] = wrap_angle(way[2])
+    reference[i] = pose + (at - wp.floor(at)) * way
 
 
 @wp.kernel

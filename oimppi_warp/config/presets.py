@@ -116,7 +116,8 @@ def lab(method: str = "cloi") -> Config:
     make headway before the tool is repositioned. Between two detections the object drifts 2 to 3 cm from where it is
     estimated, so plans keep it 45 mm from obstacles, and it is not pushed closer than 30 mm. Both levels have K = 512,
     so that a plan takes a fraction of the control period on one core. An episode does not go on to the exact tolerance.
-    The object level draws all samples with the same noise, and SOI makes one plan: the lab tasks were measured so.
+    The lab tasks were measured with the same noise for all samples of the object level, with a single plan of SOI, and
+    with a reference that keeps its pace.
 
     Args:
         method: Name of the method; see :func:`best`.
@@ -132,7 +133,7 @@ def lab(method: str = "cloi") -> Config:
             joint_velocity_limit=0.8,
             object_margin=0.03,
         ),
-        reposition=replace(base.reposition, stall_seconds=7.5, longest_seconds=8.0),
+        reposition=replace(base.reposition, stall_seconds=7.5, least_pace=1.0, longest_seconds=8.0),
         episode=replace(base.episode, exact=False),
         object=replace(
             base.object,

@@ -36,6 +36,7 @@ ADDED: Mapping[str, Any] = {
     "object.ends_at_goal": False,
     "cost.w_track": 0.0,
     "cost.w_stance": 0.0,
+    "reposition.least_pace": 1.0,
     "episode.exact": False,
 }
 """Value that has the effect of an earlier version without the setting, where that is not the present default. Records

@@ -542,6 +542,12 @@ class Reposition:
         "that is less. It is measured from the last headway, at first from the start of pushing.",
         unit="m",
     )
+    least_pace: float = setting(
+        0.2,
+        "Fraction of the object plan's pace to which the reference slows down after 1 s without headway; 1 keeps it.",
+        low=0.01,
+        high=1.0,
+    )
     w_waypoint: float = setting(
         1000.0, "Weight of the tip's squared distance to its current waypoint during repositioning.", unit="1/m^2"
     )

@@ -34,7 +34,9 @@ class ClosedLoopPlanner(Planner):
         super().__init__(scene, config, engine=engine, compute=compute, seed=seed)
         self._object = ObjectLevel(self.geometry, self.goal, self.config, compute=self.compute, seed=2 * seed + 2)
         reference = self.dynamics.reference
-        extract = self.compute.launch(follow_path, len(reference.host), [self._object.path.array], [reference.array])
+        extract = self.compute.launch(
+            follow_path, len(reference.host), [self._object.path.array, self.pace.array], [reference.array]
+        )
         self._watch = Stopwatch(self.compute.device)
         self.object_launches = [*self._object.launches, extract, self._watch]
         self.object_one_graph = self._object.optimizer.one_graph

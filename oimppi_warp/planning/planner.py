@@ -68,6 +68,8 @@ class Planner:
         goal: The scene's goal, of the friction centre.
         dynamics: The engine.
         optimizer: The robot level's optimizer.
+        pace: Number of steps along the object plan per control step, an input [1], for a method that plans the object's
+            motion; less than 1 while the object makes no headway.
         object_launches: Launches of a step before the robot level; complete before the first plan.
         object_one_graph: Whether these can be captured in a CUDA graph.
         object_plan: The object plan made at the start, poses [n, 3] of the object's frame; ``None`` if the method makes
@@ -143,6 +145,8 @@ class Planner:
             self._rollouts.trace(self.optimizer.nominal, self.optimizer.costs),
             self.optimizer.shift,
         ]
+        self.pace = compute.input(1, float)
+        self.pace.host[0] = 1.0
         self._start = compute.input(3, wp.vec3)  # the tip's position, the object's pose, the tip's velocity
         self._rates = compute.input(scene.robot.dof, wp.vec3)  # joint velocities per velocity of the tip
         self._allowed = compute.output(1, wp.vec3)
@@ -220,6 +224,7 @@ class Planner:
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
         waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
         self.dynamics.waypoint.host[0] = waypoint
+        self.pace.host[0] = self._repositioner.pace
         rates = None
         if self._servo is not None:
             rates = self._servo.rates(observation.joint_position)

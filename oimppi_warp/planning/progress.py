@@ -34,6 +34,7 @@ class PlanFollower:
         config: All settings.
         goal: Goal of the friction centre, shape [3] [m, m, rad].
         reference: The robot level's reference, which the launches write: planar poses [m, m, rad], shape [n].
+        pace: Number of steps along the path per control step, an input of shape [1].
         compute: Device, and number of CPU threads.
 
     Attributes:
@@ -41,7 +42,14 @@ class PlanFollower:
     """
 
     def __init__(
-        self, geometry: Geometry, config: Config, *, goal: np.ndarray, reference: Slot, compute: Compute
+        self,
+        geometry: Geometry,
+        config: Config,
+        *,
+        goal: np.ndarray,
+        reference: Slot,
+        pace: Slot,
+        compute: Compute,
     ) -> None:
         self._clearance = geometry.clearance
         self._config = config
@@ -62,7 +70,7 @@ class PlanFollower:
         inputs = [self._to_go, self._plan, self._start.array, goal_array, level.yaw_length, step]
         self.launches = [
             compute.launch_blocks(cost_to_go.descend, None, inputs, [self._path.array]),
-            compute.launch(follow_path, len(reference.host), [self._path.array], [reference.array]),
+            compute.launch(follow_path, len(reference.host), [self._path.array, pace.array], [reference.array]),
         ]
 
     def set_plan(self, path: np.ndarray, *, arrived: bool, bound: PoseField | None) -> None:

@@ -5,6 +5,9 @@ object wedged between an obstacle and the tool may have to be pushed from its ot
 therefore monitors the object's headway. When there is none, it chooses the point of the outline where a push comes
 closest to the motion of the reference, and leads the tip there along waypoints: over the object, or around it if the
 robot cannot lift its tool.
+
+Before that, the reference slows down. It moves faster than a wedged object can, and a reference that is far ahead cuts
+corners: it asks for a push around the corner, where the object first has to be turned, or pushed aside by a centimetre.
 """
 
 from __future__ import annotations
@@ -46,12 +49,16 @@ _BLOCKED = 10.0
 """Subtracted from the score of a blocked side, which puts it below every other; scores are cosines."""
 _SHARE = 0.1
 """Share of the remaining distance that is headway where it is less than the setting."""
+_PATIENCE = 1.0
+"""Time without headway after which the reference slows down [s]."""
+_RECOVERY = 2.0
+"""Factor by which headway speeds the reference up again."""
 _REMEMBERED = 8
 """Number of tried sides at which all but the latest two are forgotten, so that they may be tried again."""
 
 
 class Repositioner:
-    """Monitors the object's progress, and leads the tip to another side of the object when there is none.
+    """Monitors the object's progress; without it, slows the reference, and leads the tip to another side of the object.
 
     Args:
         scene: The task.
@@ -60,6 +67,9 @@ class Repositioner:
         w_theta: Square of the length that a radian of yaw counts as [m^2/rad^2]; 0 if the yaw does not matter.
         height: Height of the tip while it pushes [m].
         period: Control period [s].
+
+    Attributes:
+        pace: Number of steps along the object plan that the reference should make per control step, 1 or less.
     """
 
     def __init__(
@@ -80,6 +90,8 @@ class Repositioner:
 
     def reset(self) -> None:
         """Forgets the progress made, the waypoints and the sides tried before."""
+        self.pace = 1.0
+        self._pushed = False
         self._least = math.inf
         self._stalled = 0.0
         self._time_left = 0.0
@@ -105,13 +117,23 @@ class Repositioner:
             return self._next_waypoint(tip, to_go)
         if to_go < self._least - min(self._settings.headway, _SHARE * self._least):
             if math.isfinite(self._least):
+                self._pushed = True
                 self._tried.clear()
             self._least, self._stalled = to_go, 0.0
+            self.pace = min(1.0, _RECOVERY * self.pace)
         self._stalled += self._period
+        if self._pushed:
+            self._slow_down()
         if self._stalled >= self._settings.stall_seconds:
+            self._pushed = True
             self._choose(tip, pose, reference)
             self._least, self._stalled = to_go, 0.0
         return NO_WAYPOINT
+
+    def _slow_down(self) -> None:
+        """Lowers the pace after a time without headway, at a rate that would stop the reference at repositioning."""
+        waited = (self._stalled - _PATIENCE) / max(self._settings.stall_seconds - _PATIENCE, self._period)
+        self.pace = min(self.pace, max(1.0 - waited, self._settings.least_pace))
 
     def _next_waypoint(self, tip: np.ndarray, to_go: float) -> np.ndarray:
         """Advances to the next waypoint when one is reached; gives up on timeout."""
@@ -126,7 +148,7 @@ class Repositioner:
     def _choose(self, tip: np.ndarray, pose: np.ndarray, reference: np.ndarray) -> None:
         """Chooses a side, and the waypoints that lead there."""
         c, s = math.cos(pose[2]), math.sin(pose[2])
-        move = reference[min(_AHEAD, len(reference) - 1)] - pose
+        move = reference[min(max(round(_AHEAD * self.pace), 1), len(reference) - 1)] - pose
         wanted = np.array([c * move[0] + s * move[1], c * move[1] - s * move[0], self._turn * wrap_angle(move[2])])
         positions = planar_points(pose, self._sides)
         score = self._outline.alignment(wanted) - _BLOCKED * self._blocked(positions)

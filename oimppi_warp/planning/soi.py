@@ -53,7 +53,12 @@ class SequentialPlanner(Planner):
         self._follower: PlanFollower | None = None
         if config.reference == "progress":
             self._follower = PlanFollower(
-                self.geometry, config, goal=self.goal, reference=self.dynamics.reference, compute=compute
+                self.geometry,
+                config,
+                goal=self.goal,
+                reference=self.dynamics.reference,
+                pace=self.pace,
+                compute=compute,
             )
             self.object_launches = self._follower.launches
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 from support import reference
 from support.device import DEVICE, to_the_bit
 from support.small_tasks import (
@@ -30,6 +31,7 @@ from oimppi_warp.geometry.feasibility import sample_start
 from oimppi_warp.geometry.fields import ExactClearance, from_center, pose_field_at, to_center
 from oimppi_warp.geometry.footprint import wrap_angle
 from oimppi_warp.geometry.kinematics import tip_jacobian
+from oimppi_warp.kernels.rollouts.object import follow_path
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.cloi import ClosedLoopPlanner
 from oimppi_warp.planning.cost_to_go import build_to_go
@@ -352,6 +354,19 @@ def test_soi_plans_a_way_from_start_to_goal_around_the_obstacle(sequential):
     steps = np.abs(np.diff(path[:-1], axis=0)).max(axis=0)
     limit = DT * np.array(planner.config.object.speed_limit)
     assert (steps <= limit * 1.01 + 0.02).all(), "faster than the speed limit, more than an obstacle pushes back"
+
+
+@pytest.mark.parametrize("pace", [1.0, 0.3])
+def test_the_reference_advances_along_the_plan_at_the_pace_that_is_set(pace):
+    path = np.array([[0.1 * i, 0.2, 3.0 + 0.1 * i] for i in range(5)])
+    path[:, 2] = wrap_angle(path[:, 2])
+    found = wp.zeros(8, dtype=wp.vec3, device=DEVICE)
+    steps = wp.array([pace], dtype=float, device=DEVICE)
+    wp.launch(follow_path, 8, inputs=[wp.array(path[None], dtype=wp.vec3, device=DEVICE), steps, found], device=DEVICE)
+    at = np.minimum(pace * np.arange(8), 4.0)
+    poses = found.numpy()
+    np.testing.assert_allclose(poses[:, :2], np.column_stack([0.1 * at, 0.2 + 0.0 * at]), atol=1e-6)
+    np.testing.assert_allclose(wrap_angle(poses[:, 2] - 3.0 - 0.1 * at), 0.0, atol=1e-6)
 
 
 def test_soi_follows_the_plan_that_is_shortest_of_those_it_makes(monkeypatch):

@@ -58,6 +58,34 @@ def test_an_object_that_stands_still_is_let_go_after_the_time_set():
     assert max(weights) == SETTINGS.w_waypoint
 
 
+def test_the_reference_slows_down_for_an_object_that_stands_still_and_headway_speeds_it_up():
+    watching = watch(task(pushed=block()), replace(SETTINGS, stall_seconds=3.0, least_pace=0.2))
+    tip, reference = np.array([0.4, -0.1, 0.012]), led(0.0, 0.05, 0.0)
+
+    def paces(to_go: float, steps: int) -> np.ndarray:
+        found = []
+        for _ in range(steps):
+            watching.waypoint(tip, POSE, reference, to_go)
+            found.append(watching.pace)
+        return np.array(found)
+
+    assert (paces(0.5, 50) == 1.0).all(), "the arm is still on its way to the object"
+    assert paces(0.48, 1) == 1.0
+    waiting = paces(0.48, 58)
+    assert (waiting[: round(0.9 / DT)] == 1.0).all(), "a change of sides takes a moment"
+    assert (np.diff(waiting[round(1.1 / DT) : round(2.5 / DT)]) < 0.0).all()
+    assert waiting[-1] == pytest.approx(0.2)
+    assert paces(0.46, 1) == pytest.approx(0.4)
+    assert [paces(0.46 - 0.02 * i, 1)[0] for i in range(1, 4)][-1] == 1.0
+
+
+def test_a_least_pace_of_one_keeps_the_pace():
+    watching = watch(task(pushed=block()), replace(SETTINGS, least_pace=1.0))
+    for _ in range(100):
+        watching.waypoint(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 0.5)
+        assert watching.pace == 1.0
+
+
 def test_a_stall_time_of_zero_turns_it_off():
     watching = watch(task(pushed=block()), replace(SETTINGS, stall_seconds=0.0))
     for _ in range(200):
