@@ -1,8 +1,9 @@
 """Measures success against difficulty, with and without an object level.
 
-Four planners run tasks that differ in one number from a middle one: the gap between the boxes of task03, the number of
-cubes on the way of task01, the robot level's horizon and the number of samples on task02. All have the settings of the
-preset ``best``, apart from that number and from what plain MPPI is given as its goal. Run the command again to resume::
+Four planners run four series of tasks, each of which changes one number: the gap between the boxes of task03, the
+number of cubes on the way of task01, the robot level's horizon and the number of samples on task02. All have the
+settings of the preset ``best``, apart from that number and from what plain MPPI is given as its goal. Run the command
+again to resume::
 
     python tools/bench_difficulty.py --out runs/difficulty
 """
@@ -75,7 +76,7 @@ class Point:
     @property
     def label(self) -> str:
         """Returns a name for the point."""
-        return f"{self.series}-{self.value:g}"
+        return f"{self.series}-{self.value:g}".replace(".", "_")
 
 
 @dataclass(frozen=True)
@@ -112,11 +113,9 @@ def points(scenes: Path) -> Iterator[Point]:
 
 def scene(folder: Path, name: str, obstacles: tuple[Block, ...]) -> str:
     """Writes a scene with the T, its start and its goal of task01 to task04; returns the file's path."""
-    file = folder / f"{name}.usda"
-    if not file.exists():
-        start, goal = (0.30, -0.45, 0.0), (0.50, 0.30, math.pi)
-        write_task(Task(name, f"Difficulty: {name}", T_BLOCK, start, goal, obstacles), folder)
-    return str(file.resolve())
+    start, goal = (0.30, -0.45, 0.0), (0.50, 0.30, math.pi)
+    write_task(Task(name, f"Difficulty: {name}", T_BLOCK, start, goal, obstacles), folder, force=True)
+    return str((folder / f"{name}.usda").resolve())
 
 
 def suite_of(found: list[Point], trials: int) -> Suite:

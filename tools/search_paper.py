@@ -1,4 +1,4 @@
-"""Searches the figures that the paper does not print, by successive halving.
+"""Searches the values that the paper does not print, by successive halving.
 
 Candidates are drawn at random from :data:`SPACE`; everything else is as in the preset ``paper``. Each round runs the
 tasks with SOI and CLOI on more trials (numbers from 100 up, which no table uses), and keeps the candidates with the
@@ -27,7 +27,7 @@ TASKS = ("task01", "task02", "task03", "task04", "task05")
 FIRST = 100
 """Number of the first trial."""
 ROUNDS = ((32, 1), (12, 2), (6, 4), (3, 8))
-"""Candidates of each round, and trials per task and method that each has then run."""
+"""Number of candidates in each round, and of trials per task and method that each has run by its end."""
 
 SPACE: dict[str, Sequence[str]] = {
     # Noise
@@ -54,12 +54,12 @@ SPACE: dict[str, Sequence[str]] = {
     "object_cost.w_theta": ("0.02", "0.08", "0.3"),
     "object_cost.w_f": ("0.05", "1"),
 }
-"""Values tried of each figure that the paper does not print."""
+"""Values that are tried for each setting."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Search the figures that the paper does not print, by successive halving."""
+    """Search the values that the paper does not print, by successive halving."""
 
     out: Path = Path("runs/search")
     """Folder for the trials and for search.json."""
@@ -75,9 +75,10 @@ class Search:
 
 
 def candidates(count: int, seed: int) -> list[tuple[str, ...]]:
-    """Draws candidates, each as assignments ``NAME=VALUE``."""
+    """Draws candidates, each as assignments ``NAME=VALUE``; the first is the preset as it is."""
     rng = np.random.default_rng(seed)
-    return [tuple(f"{name}={rng.choice(list(values))}" for name, values in SPACE.items()) for _ in range(count)]
+    drawn = [[f"{name}={rng.choice(list(values))}" for name, values in SPACE.items()] for _ in range(count - 1)]
+    return [(), *map(tuple, drawn)]
 
 
 def suite_of(chosen: dict[str, tuple[str, ...]], trials: int, methods: tuple[str, ...]) -> Suite:

@@ -12,7 +12,6 @@ from functools import cache
 from pathlib import Path
 
 import warp as wp
-from warp._src.context import user_modules
 
 from oimppi_warp.errors import DeviceError
 
@@ -142,15 +141,23 @@ class CompileNotice:
         self._say(f"Warp: {message}")
 
 
+def known_modules() -> dict[str, wp.Module]:
+    """Returns every module known to Warp by its name, including those of kernels made at run time."""
+    from warp._src.context import user_modules  # Warp lists them nowhere else
+
+    return dict(user_modules)
+
+
 @contextmanager
 def quick_compilation() -> Iterator[None]:
     """Compiles without optimization those kernels of other packages that are loaded meanwhile.
 
-    It takes less than half of the time, and suits kernels that run once. The packages must have been imported.
+    It takes less than half of the time, and suits kernels that run once. The packages must have been imported. Modules
+    that were loaded so stay as they are for the rest of the process.
     """
     others = [
         module
-        for name, module in user_modules.items()
+        for name, module in known_modules().items()
         if not name.startswith(_OWN) and module.options["optimization_level"] is None
     ]
     for module in others:
@@ -164,13 +171,13 @@ def quick_compilation() -> Iterator[None]:
 
 @contextmanager
 def loading(*modules: str) -> Iterator[None]:
-    """Loads modules of kernels for the CPU in the background, and waits for them at the end.
+    """Loads modules of kernels for the CPU in the background, and waits for them at the end, also after an error.
 
     Args:
-        modules: Python modules that define kernels.
+        modules: Names of Python modules that define kernels.
     """
     start_warp()
     with ThreadPoolExecutor(1) as background:
-        loaded = background.submit(wp.force_load, "cpu", [wp.get_module(name) for name in modules])
+        loaded = background.submit(wp.force_load, "cpu", [known_modules()[name] for name in modules])
         yield
         loaded.result()

@@ -72,7 +72,7 @@ def paper(method: str = "cloi") -> Config:
     return Config(
         preset="paper",
         reference="time",
-        reposition=Reposition(stall_seconds=0.0),
+        reposition=Reposition(stall_seconds=0.0, least_pace=1.0),
         robot=RobotLevel(
             optimizer=mppi, controls="joint", noise_space="joint", joint_noise=0.316, joint_velocity_limit=0.2
         ),
@@ -116,8 +116,8 @@ def lab(method: str = "cloi") -> Config:
     make headway before the tool is repositioned. Between two detections the object drifts 2 to 3 cm from where it is
     estimated, so plans keep it 45 mm from obstacles, and it is not pushed closer than 30 mm. Both levels have K = 512,
     so that a plan takes a fraction of the control period on one core. An episode does not go on to the exact tolerance.
-    The lab tasks were measured with the same noise for all samples of the object level, with a single plan of SOI, and
-    with a reference that keeps its pace.
+    The object level, its margins included, and the reference's pace are those with which the lab tasks were measured:
+    the same noise for all samples, a single plan of SOI, and no slowing down.
 
     Args:
         method: Name of the method; see :func:`best`.

@@ -273,7 +273,7 @@ class ObjectLevel:
     plans: int = setting(
         4,
         "Number of object plans that SOI makes at the start, each with different noise; it follows the one with the "
-        "smallest sum of the cost-to-go of its poses. The paper makes one.",
+        "smallest sum of the cost-to-go of its poses. Each takes about half a second. The paper makes one.",
         low=1,
         high=1_000,
     )
@@ -533,7 +533,7 @@ class Reposition:
     stall_seconds: float = setting(
         3.0,
         "Time without headway (see `reposition.headway`) after which the tool is repositioned; 0 disables "
-        "repositioning.",
+        "repositioning, and keeps the reference's pace.",
         unit="s",
     )
     headway: float = setting(
@@ -544,7 +544,8 @@ class Reposition:
     )
     least_pace: float = setting(
         0.2,
-        "Fraction of the object plan's pace to which the reference slows down after 1 s without headway; 1 keeps it.",
+        "Least pace of the reference, as a fraction of the object plan's. Without headway, the reference slows down "
+        "from 1 s on, so that it would stop after `reposition.stall_seconds`; 1 keeps the pace.",
         low=0.01,
         high=1.0,
     )

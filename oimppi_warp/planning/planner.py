@@ -29,6 +29,7 @@ from oimppi_warp.planning.engines.uncertainty import draw
 from oimppi_warp.planning.object_level import distance
 from oimppi_warp.planning.optimizers.optimizer import Update, make_optimizer
 from oimppi_warp.planning.plan import Plan, Samples
+from oimppi_warp.planning.progress import poses_at
 from oimppi_warp.planning.reposition import Repositioner
 from oimppi_warp.planning.upright import TipRates, ToolServo, build_upright
 from oimppi_warp.scene import Scene
@@ -68,8 +69,8 @@ class Planner:
         goal: The scene's goal, of the friction centre.
         dynamics: The engine.
         optimizer: The robot level's optimizer.
-        pace: Number of steps along the object plan per control step, an input [1], for a method that plans the object's
-            motion; less than 1 while the object makes no headway.
+        pace: Number of steps along the reference per control step, an input [1]; less than 1 while the object makes no
+            headway.
         object_launches: Launches of a step before the robot level; complete before the first plan.
         object_one_graph: Whether these can be captured in a CUDA graph.
         object_plan: The object plan made at the start, poses [n, 3] of the object's frame; ``None`` if the method makes
@@ -287,17 +288,20 @@ class Planner:
         self.track(self.goal[None])
 
     def track(self, reference: np.ndarray) -> None:
-        """Sets the reference of the robot level; beyond its end, the last pose is held.
+        """Sets the reference of the robot level, at the present pace; beyond its end, the last pose is held.
 
         Args:
-            reference: Planar poses of the object's friction centre, shape [n, 3] [m, m, rad].
+            reference: Planar poses of the object's friction centre, one per control step, shape [n, 3] [m, m, rad].
         """
         host = self.dynamics.reference.host
         self._tracked = reference
-        host[:] = reference[np.minimum(np.arange(len(host)), len(reference) - 1)]
+        host[:] = poses_at(reference, np.minimum(self.pace.host[0] * np.arange(len(host)), len(reference) - 1.0))
 
     def tracked(self) -> np.ndarray:
-        """Returns the reference of the latest step: planar poses of the friction centre, shape [n, 3] [m, m, rad]."""
+        """Returns the reference of the latest step, before it was slowed down to the present pace.
+
+        It consists of planar poses of the friction centre, shape [n, 3] [m, m, rad].
+        """
         return self._tracked
 
     def to_go_from(self, pose: np.ndarray) -> float:

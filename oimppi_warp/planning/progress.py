@@ -114,7 +114,11 @@ class PlanFollower:
 
 def _spaced(path: np.ndarray, stride: float) -> np.ndarray:
     """Returns every ``stride``-th pose of a path, shape [n, 3], counted from its end; between poses, it is linear."""
-    at = np.arange(len(path) - 1.0, -1e-9, -stride)[::-1]
+    return poses_at(path, np.arange(len(path) - 1.0, -1e-9, -stride)[::-1])
+
+
+def poses_at(path: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Returns the poses of a path [n, 3] at fractional indices [m], shape [m, 3]; between poses, it is linear."""
     before = np.floor(at).astype(int)
     way = path[np.minimum(before + 1, len(path) - 1)] - path[before]
     way[:, 2] = wrap_angle(way[:, 2])

@@ -7,7 +7,7 @@ closest to the motion of the reference, and leads the tip there along waypoints:
 robot cannot lift its tool.
 
 Before that, the reference slows down. It moves faster than a wedged object can, and a reference that is far ahead cuts
-corners: it asks for a push around the corner, where the object first has to be turned, or pushed aside by a centimetre.
+corners: it asks for a push around the corner, where the object first has to be turned, or pushed aside.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Repositioner:
         period: Control period [s].
 
     Attributes:
-        pace: Number of steps along the object plan that the reference should make per control step, 1 or less.
+        pace: Number of steps along the reference that should be made per control step, 1 or less.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Repositioner:
     def reset(self) -> None:
         """Forgets the progress made, the waypoints and the sides tried before."""
         self.pace = 1.0
-        self._pushed = False
+        self._pushed = False  # the arm is still on its way to the object
         self._least = math.inf
         self._stalled = 0.0
         self._time_left = 0.0
@@ -104,7 +104,7 @@ class Repositioner:
         Args:
             tip: Position, shape [3] [m].
             pose: Pose of the object's friction centre, shape [3].
-            reference: Reference poses from now on, shape [n, 3].
+            reference: Reference poses from now on, at full pace, shape [n, 3].
             to_go: Distance that the object still has to go [m].
 
         Returns:

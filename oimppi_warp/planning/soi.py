@@ -87,7 +87,7 @@ class SequentialPlanner(Planner):
         self._time = 0
         pose = to_center(self.geometry.surface, observation.object_pose)
         plans = [self.plan_object(pose) for _ in range(self.config.object.plans)]
-        self._path, arrived = min(plans, key=lambda plan: sum(map(self._object.to_go_from, plan[0])))
+        self._path, arrived = min(plans, key=lambda plan: (not plan[1], sum(map(self._object.to_go_from, plan[0]))))
         if self._follower is not None:
             self._follower.set_plan(self._path, arrived=arrived, bound=self._object.to_go)
         return time.perf_counter() - began + self._object.setup_seconds

@@ -8,9 +8,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import warp as wp
-from warp._src.context import user_modules
 
-from oimppi_warp.compute.device import EMULATED_GPU, start_warp
+from oimppi_warp.compute.device import EMULATED_GPU, known_modules, start_warp
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config
 from oimppi_warp.planning.factory import make_planner
@@ -125,7 +124,7 @@ def record_modules() -> Iterator[list[Variant]]:
             generic[Variant(self, _on_gpu(block_dim or self.options["block_dim"]), overloads)] = None
         return usual[2](self, device, block_dim, *files, **options)
 
-    for module in _modules():
+    for module in known_modules().values():
         module.unload()
     wp.config.enable_cpu_blocks, wp.get_suggested_block_size, wp.Module.load = True, suggest, load
     try:
@@ -134,7 +133,7 @@ def record_modules() -> Iterator[list[Variant]]:
         wp.config.enable_cpu_blocks, wp.get_suggested_block_size, wp.Module.load = usual
     found = {
         Variant(module, _on_gpu(block)): None
-        for module in _modules()
+        for module in known_modules().values()
         for context, block in module.execs
         if context is None  # modules for the CPU
     }
@@ -145,11 +144,3 @@ def record_modules() -> Iterator[list[Variant]]:
 def _on_gpu(block: int) -> int:
     """Returns the number of threads per block on a GPU of a launch that has ``block`` of them on the CPU."""
     return block if block > 1 else _USUAL_BLOCK
-
-
-def _modules() -> list[wp.Module]:
-    """Returns every module known to Warp, including kernels made at run time.
-
-    Warp has no public list of them. The tests fail if either of these names is removed.
-    """
-    return list(user_modules.values())

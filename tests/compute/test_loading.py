@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import pytest
 import warp as wp
-from warp._src.context import user_modules
 
-from oimppi_warp.compute.device import loading, quick_compilation
+from oimppi_warp.compute.device import known_modules, loading, quick_compilation
 from oimppi_warp.kernels.fields import cost_to_go
 
 
 def levels() -> dict[str, int | None]:
     """The optimization level of each module that is known, ``None`` for the default."""
-    return {name: module.options["optimization_level"] for name, module in user_modules.items()}
+    return {name: module.options["optimization_level"] for name, module in known_modules().items()}
 
 
 def test_only_kernels_of_other_packages_are_compiled_without_optimization():
@@ -33,3 +33,14 @@ def test_modules_are_loaded_by_the_end_of_the_block():
     with loading(cost_to_go.__name__):
         pass
     assert module.execs
+
+
+def test_an_error_in_the_block_is_the_one_that_is_raised(monkeypatch):
+    def fail(*arguments: object) -> None:
+        raise RuntimeError("the compiler")
+
+    monkeypatch.setattr(wp, "force_load", fail)
+    with pytest.raises(ValueError, match="the block"), loading(cost_to_go.__name__):
+        raise ValueError("the block")
+    with pytest.raises(RuntimeError, match="the compiler"), loading(cost_to_go.__name__):
+        pass

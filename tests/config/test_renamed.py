@@ -115,3 +115,6 @@ def test_a_record_without_a_setting_is_read_with_what_its_version_did():
     found = from_record(record)
     assert (found.robot.controls, found.robot.optimizer.least_noise, found.cost.w_stance) == ("joint", 1.0, 0.0)
     assert found.cost.w_track == best("cloi").cost.w_track, "as the record has it"
+    del record["object"]["plans"], record["object"]["optimizer"]["least_noise"], record["reposition"]["least_pace"]
+    found = from_record(record)
+    assert (found.object.plans, found.object.optimizer.least_noise, found.reposition.least_pace) == (1, 1.0, 1.0)

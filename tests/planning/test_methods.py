@@ -369,10 +369,16 @@ def test_the_reference_advances_along_the_plan_at_the_pace_that_is_set(pace):
     np.testing.assert_allclose(wrap_angle(poses[:, 2] - 3.0 - 0.1 * at), 0.0, atol=1e-6)
 
 
-def test_soi_follows_the_plan_that_is_shortest_of_those_it_makes(monkeypatch):
+def with_plans(count: int) -> tuple[SequentialPlanner, Scene]:
+    """SOI on task02, with so many object plans."""
     scene = shipped("task02")
-    planner = make(scene, "soi", replace(SMALL, object=replace(SMALL.object, plans=3)))
+    planner = make(scene, "soi", replace(SMALL, object=replace(SMALL.object, plans=count)))
     assert isinstance(planner, SequentialPlanner)
+    return planner, scene
+
+
+def test_soi_follows_the_plan_with_the_least_sum_of_the_cost_to_go(monkeypatch):
+    planner, scene = with_plans(3)
     made: list[np.ndarray] = []
     plan_object = planner.plan_object
 
@@ -387,16 +393,31 @@ def test_soi_follows_the_plan_that_is_shortest_of_those_it_makes(monkeypatch):
     to_go = [sum(planner._object.to_go_from(pose) for pose in path) for path in made]
     assert len(set(to_go)) == 3, "each plan is drawn anew"
     assert planner._path is made[int(np.argmin(to_go))]
-    first = made[0].copy()
+
+
+@to_the_bit
+def test_soi_s_plans_do_not_depend_on_the_episodes_before():
+    planner, scene = with_plans(2)
     planner.start(observe(scene))
-    np.testing.assert_array_equal(made[3], first, "an episode does not depend on those before")
+    first = planner._path.copy()
+    planner.start(observe(scene))
+    np.testing.assert_array_equal(planner._path, first)
+
+
+def test_soi_prefers_a_plan_that_arrives(monkeypatch):
+    planner, scene = with_plans(2)
+    near, far = np.array([planner.goal] * 3), np.array([to_center(planner.geometry.surface, np.array(scene.start))] * 3)
+    plans = iter([(near, False), (far, True)])
+    monkeypatch.setattr(planner, "plan_object", lambda pose: next(plans))
+    planner.start(observe(scene))
+    assert planner._path is far
 
 
 @pytest.mark.parametrize("seed", [100, 101, 102])
 def test_soi_plans_through_a_gap_without_touching_its_sides_and_without_needless_turns(seed):
     scene = shipped("task03")
     scene = scene.with_start(sample_start(scene, seed))
-    planner = make(scene, "soi", best("soi"), seed=seed)
+    planner = make_planner(scene, best("soi"), method="soi", device="cpu", seed=seed)
     assert isinstance(planner, SequentialPlanner)
     planner.start(observe(scene))
     exact = ExactClearance(scene)
@@ -485,6 +506,15 @@ def test_an_object_that_does_not_get_on_is_let_go_and_the_tip_called_elsewhere()
     planner.start(seen)
     planner.plan(seen)
     assert planner.dynamics.waypoint.host[0][3] == 0.0, "another episode begins anew"
+
+
+def test_a_reference_that_is_set_by_a_method_advances_at_the_pace():
+    planner = make(shipped("task01"), "mppi")
+    path = np.array([[0.1 * i, 0.0, 0.0] for i in range(5)])
+    planner.pace.host[0] = 0.5
+    planner.track(path)
+    np.testing.assert_allclose(planner.dynamics.reference.host[:4, 0], [0.0, 0.05, 0.1, 0.15], atol=1e-6)
+    np.testing.assert_array_equal(planner.tracked(), path)
 
 
 def test_a_reference_is_held_at_its_end():

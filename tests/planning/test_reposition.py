@@ -80,10 +80,11 @@ def test_the_reference_slows_down_for_an_object_that_stands_still_and_headway_sp
 
 
 def test_a_least_pace_of_one_keeps_the_pace():
-    watching = watch(task(pushed=block()), replace(SETTINGS, least_pace=1.0))
-    for _ in range(100):
-        watching.waypoint(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), 0.5)
-        assert watching.pace == 1.0
+    for least in (1.0, 0.5):
+        watching = watch(task(pushed=block()), replace(SETTINGS, stall_seconds=3.0, least_pace=least))
+        for to_go in (0.6, *[0.5] * 58):
+            watching.waypoint(np.array([0.4, -0.1, 0.012]), POSE, led(0.0, 0.05, 0.0), to_go)
+        assert watching.pace == least
 
 
 def test_a_stall_time_of_zero_turns_it_off():

@@ -158,7 +158,10 @@ class Optimizer(ABC):
             self.counter.zero_()
 
     def forget(self) -> None:
-        """Sets the nominal to zero; the noise goes on, so that the next plan is another one."""
+        """Sets the nominal to zero; the noise goes on, so that the next plan is another one.
+
+        An optimizer that keeps more than the nominal from plan to plan resets that as well.
+        """
         with using_gpu:
             self.nominal.zero_()
             self.stats.array.zero_()
