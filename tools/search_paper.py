@@ -1,7 +1,7 @@
 """Searches the values that the paper does not print, by successive halving.
 
-Candidates are drawn at random from :data:`SPACE`; everything else is as in the preset ``paper``. Each round runs the
-tasks with SOI and CLOI on more trials (numbers from 100 up, which no table uses), and keeps the candidates with the
+Candidates differ at random from values found by hand; everything else is as in the preset ``paper``. Each round runs
+the tasks with SOI and CLOI on more trials (numbers from 100 up, which no table uses), and keeps the candidates with the
 highest success rate, of both methods and all tasks together. Plain MPPI takes no part in the choice. Run the command
 again to resume::
 
@@ -29,32 +29,52 @@ FIRST = 100
 ROUNDS = ((32, 1), (12, 2), (6, 4), (3, 8))
 """Number of candidates in each round, and of trials per task and method that each has run by its end."""
 
+START = {
+    "robot.optimizer.knots": "6",
+    "robot.optimizer.special_samples": "true",
+    "robot.optimizer.effective_samples": "0,0",
+    "robot.optimizer.temperature": "0.5",
+    "robot.noise_space": "tool",
+    "robot.joint_velocity_limit": "1",
+    "object.optimizer.knots": "5",
+    "object.optimizer.special_samples": "true",
+    "object.speed_limit": "0.12,0.12,1",
+    "object_cost.w_d": "10",
+    "object_cost.w_theta": "0.03",
+    "cost.w_d": "5",
+    "cost.w_theta": "0.03",
+    "cost.w_reference": "200",
+    "cost.w_align": "2",
+    "cost.w_height": "1000",
+}
+"""Values found by hand (``docs/results/paper-probe.toml``), around which the search begins."""
+
 SPACE: dict[str, Sequence[str]] = {
-    # Noise
-    "robot.optimizer.knots": ("0", "6", "12"),
-    "robot.optimizer.special_samples": ("false", "true"),
-    "robot.noise_space": ("joint", "tool"),
-    "robot.joint_noise": ("0.15", "0.316", "0.6"),
-    "robot.joint_velocity_limit": ("0.2", "0.5", "1.0"),
-    "robot.optimizer.effective_samples": ("0.004,0.008", "0.01,0.03", "0.03,0.1"),
-    "object.optimizer.knots": ("0", "4", "6"),
-    "object.optimizer.special_samples": ("false", "true"),
+    # Noise and temperature
+    "robot.optimizer.knots": ("0", "4", "6", "12"),
+    "robot.optimizer.temperature": ("0.2", "0.5", "1", "2"),
+    "robot.joint_velocity_limit": ("0.5", "0.7", "1", "1.5"),
+    "robot.tool_noise": ("0.1,0.1,0.06,0.2,0.2,0.5", "0.2,0.2,0.06,0.2,0.2,0.5", "0.35,0.35,0.06,0.2,0.2,0.5"),
+    "object.optimizer.knots": ("0", "4", "5", "8"),
     "object.optimizer.effective_samples": ("0.004,0.008", "0.01,0.03", "0.03,0.1"),
     "object.noise": ("0.3", "0.6", "1.0"),
     # The object's speed, which is the reference's pace; with the horizon, it is how far the object level looks ahead
-    "object.speed_limit": ("0.12,0.12,1", "0.2,0.2,1.67", "0.3,0.3,2.5"),
+    "object.speed_limit": ("0.1,0.1,0.83", "0.12,0.12,1", "0.14,0.14,1.17", "0.17,0.17,1.42"),
     # Weights of equations 15 to 19
-    "cost.w_d": ("5", "25", "100"),
-    "cost.w_theta": ("0.02", "0.08", "0.3"),
-    "cost.w_reference": ("50", "100", "400"),
+    "cost.w_d": ("1", "5", "15"),
+    "cost.w_theta": ("0.015", "0.03", "0.06"),
+    "cost.w_reference": ("100", "200", "400"),
     "cost.w_ee": ("1", "5", "20"),
     "cost.r_0": ("0.08", "0.12"),
-    "cost.w_align": ("0.5", "2", "10", "45"),
-    "cost.w_height": ("20", "200", "1000"),
-    "object_cost.w_theta": ("0.02", "0.08", "0.3"),
+    "cost.w_align": ("0.5", "2", "6", "15"),
+    "cost.w_height": ("200", "1000"),
+    "object_cost.w_d": ("3", "10", "30"),
+    "object_cost.w_theta": ("0.015", "0.03", "0.06"),
     "object_cost.w_f": ("0.05", "1"),
 }
 """Values that are tried for each setting."""
+CHANGES = 4
+"""Number of settings in which a candidate differs from :data:`START`, at most."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +95,13 @@ class Search:
 
 
 def candidates(count: int, seed: int) -> list[tuple[str, ...]]:
-    """Draws candidates, each as assignments ``NAME=VALUE``; the first is the preset as it is."""
+    """Draws candidates, each as assignments ``NAME=VALUE``; the first two are the preset as it is and ``START``."""
     rng = np.random.default_rng(seed)
-    drawn = [[f"{name}={rng.choice(list(values))}" for name, values in SPACE.items()] for _ in range(count - 1)]
-    return [(), *map(tuple, drawn)]
+    found: list[dict[str, str]] = [{}, START]
+    for _ in range(count - 2):
+        changed = rng.choice(list(SPACE), CHANGES, replace=False)
+        found.append(START | {str(name): str(rng.choice(SPACE[name])) for name in changed})
+    return [tuple(f"{name}={value}" for name, value in each.items()) for each in found]
 
 
 def suite_of(chosen: dict[str, tuple[str, ...]], trials: int, methods: tuple[str, ...]) -> Suite:
