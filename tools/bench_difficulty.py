@@ -81,7 +81,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Row:
-    """How many trials of a planner succeeded at a point, at the paper's tolerance and exactly."""
+    """Number of trials of a planner at a point, and of those that succeed at the paper's and the exact tolerance."""
 
     series: str
     value: float

@@ -21,7 +21,7 @@ import tyro
 
 from oimppi_warp.bench.results import Result
 from oimppi_warp.bench.runner import SuiteRun
-from oimppi_warp.bench.suite import Entry, Suite, load_suite
+from oimppi_warp.bench.suite import Suite, load_suite
 
 TASKS = ("task01", "task02", "task03", "task04", "task05")
 FIRST = 100
@@ -29,25 +29,8 @@ FIRST = 100
 ROUNDS = ((32, 1), (12, 2), (6, 4), (3, 8))
 """Number of candidates in each round, and of trials per task and method that each has run by its end."""
 
-START = {
-    "robot.optimizer.knots": "6",
-    "robot.optimizer.special_samples": "true",
-    "robot.optimizer.effective_samples": "0,0",
-    "robot.optimizer.temperature": "0.5",
-    "robot.noise_space": "tool",
-    "robot.joint_velocity_limit": "1",
-    "object.optimizer.knots": "5",
-    "object.optimizer.special_samples": "true",
-    "object.speed_limit": "0.12,0.12,1",
-    "object_cost.w_d": "10",
-    "object_cost.w_theta": "0.03",
-    "cost.w_d": "5",
-    "cost.w_theta": "0.03",
-    "cost.w_reference": "200",
-    "cost.w_align": "2",
-    "cost.w_height": "1000",
-}
-"""Values found by hand (``docs/results/paper-probe.toml``), around which the search begins."""
+PROBE = Path(__file__).resolve().parent.parent / "docs" / "results" / "paper-probe.toml"
+"""Suite with the values found by hand, around which the search begins."""
 
 SPACE: dict[str, Sequence[str]] = {
     # Noise and temperature
@@ -74,7 +57,7 @@ SPACE: dict[str, Sequence[str]] = {
 }
 """Values that are tried for each setting."""
 CHANGES = 4
-"""Number of settings in which a candidate differs from :data:`START`, at most."""
+"""Number of settings in which a candidate differs from the values found by hand, at most."""
 
 
 @dataclass(frozen=True)
@@ -95,12 +78,13 @@ class Search:
 
 
 def candidates(count: int, seed: int) -> list[tuple[str, ...]]:
-    """Draws candidates, each as assignments ``NAME=VALUE``; the first two are the preset as it is and ``START``."""
+    """Draws candidates, each as assignments ``NAME=VALUE``; the first two are the preset as it is and ``PROBE``."""
     rng = np.random.default_rng(seed)
-    found: list[dict[str, str]] = [{}, START]
+    start = dict(assignment.split("=", 1) for assignment in load_suite(PROBE).entries[0].settings.assignments)
+    found: list[dict[str, str]] = [{}, start]
     for _ in range(count - 2):
         changed = rng.choice(list(SPACE), CHANGES, replace=False)
-        found.append(START | {str(name): str(rng.choice(SPACE[name])) for name in changed})
+        found.append(start | {str(name): str(rng.choice(SPACE[name])) for name in changed})
     return [tuple(f"{name}={value}" for name, value in each.items()) for each in found]
 
 
@@ -108,13 +92,8 @@ def suite_of(chosen: dict[str, tuple[str, ...]], trials: int, methods: tuple[str
     """Returns the suite of a round: every candidate, by its label, on all tasks."""
     plain = load_suite("paper-sim")
     base = replace(plain.entries[0], tasks=TASKS, methods=methods, first=FIRST, trials=trials)
-    entries = [entry_of(base, label, assignments) for label, assignments in chosen.items()]
+    entries = [base.changed({"label": label, "set": assignments}) for label, assignments in chosen.items()]
     return replace(plain, name="search-paper", title="Search of the preset paper", entries=tuple(entries))
-
-
-def entry_of(base: Entry, label: str, assignments: tuple[str, ...]) -> Entry:
-    """Returns the entry of a candidate."""
-    return base.changed({"label": label, "set": assignments})
 
 
 def rates(results: Sequence[Result], label: str, methods: tuple[str, ...]) -> dict[str, float]:

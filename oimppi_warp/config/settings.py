@@ -273,7 +273,7 @@ class ObjectLevel:
     plans: int = setting(
         4,
         "Number of object plans that SOI makes at the start, each with different noise; it follows the one with the "
-        "smallest sum of the cost-to-go of its poses. Each takes about half a second. The paper makes one.",
+        "smallest sum of the cost-to-go of its poses. Each takes up to half a second. The paper makes one.",
         low=1,
         high=1_000,
     )

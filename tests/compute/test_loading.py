@@ -1,4 +1,4 @@
-"""How modules of kernels are compiled and loaded."""
+"""Modules of kernels: the optimization they are compiled with, and loading them in the background."""
 
 from __future__ import annotations
 
