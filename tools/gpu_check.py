@@ -30,10 +30,10 @@ STEPS = {
     "plans": 60,
     "newton": 90,
     "times": 120,
+    "profile": 120,
     "newton_times": 90,
     "episodes": 90,
     "tests": 150,
-    "profile": 90,
 }
 """Steps in order of worth, with the most time that each may take [s]; ``tools/gpu_steps.py`` explains them."""
 _RESERVE = 4.0
@@ -114,6 +114,7 @@ def check(arguments: argparse.Namespace) -> dict[str, Any]:
                 log.flush()
                 command = [sys.executable, str(ROOT / "tools" / "gpu_steps.py"), name, "--out", str(file)]
                 command += ["--device", arguments.device, "--reference", str(work / "reference.json")]
+                command += ["--aside", str(out)]
                 command += ["--limit", str(min(limit, left)), *(["--small"] if arguments.small else [])]
                 ended = run(command, environment, min(limit, left), log)
             found = json.loads(file.read_text()) if file.exists() else {}

@@ -28,6 +28,7 @@ PACKAGES = (
     "newton-usd-schemas",
     "shapely",
     "trimesh",
+    "daqp",
     "glfw",
     "tyro",
     "typeguard",

@@ -9,6 +9,7 @@ profiler; ``gpu_check.py`` runs the others.
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import os
 import re
@@ -36,8 +37,39 @@ POSE_TOLERANCE = (0.0005, 0.005)
 """Largest median difference of Newton worlds from C rollouts [m, rad]: single against double precision."""
 PUSH = 0.005
 """Distance that an object is pushed in a control period, about [m]."""
-BLOCKS = (32, 64, 128, 256)
+BLOCKS = (4, 8, 16, 32, 64, 256)
 """Numbers of threads per block of samples to compare."""
+NCU = ("ncu", "--clock-control", "none")
+"""Nsight Compute, which is to leave the clocks as they are."""
+METRICS = (
+    "gpu__time_duration.sum",
+    "launch__grid_size",
+    "launch__block_size",
+    "launch__registers_per_thread",
+    "smsp__inst_executed.sum",
+    "smsp__thread_inst_executed_per_inst_executed.ratio",
+    "smsp__inst_executed.max",
+    "smsp__cycles_active.max",
+    "sm__throughput.avg.pct_of_peak_sustained_elapsed",
+    "dram__throughput.avg.pct_of_peak_sustained_elapsed",
+    "l1tex__t_sector_hit_rate.pct",
+    *(
+        f"smsp__average_warps_issue_stalled_{cause}_per_issue_active.ratio"
+        for cause in (
+            "long_scoreboard",
+            "short_scoreboard",
+            "wait",
+            "no_instruction",
+            "branch_resolve",
+            "imc_miss",
+            "math_pipe_throttle",
+            "lg_throttle",
+            "barrier",
+            "dispatch_stall",
+        )
+    ),
+)
+"""Metrics of Nsight Compute: times, sizes, instructions, throughputs, and what warps wait for."""
 TESTS = re.compile(r"\bdevice\b[,)]|support\.(device|engines)")
 """Found in test files that compute on the device under test."""
 
@@ -51,10 +83,14 @@ class Check:
         reference: File with the CPU's plans.
         limit: Time that the step may take [s].
         small: Whether to use small problems.
+        aside: Folder for what is too long for the findings; by default, that of the JSON file.
     """
 
-    def __init__(self, out: Path, device: str, reference: Path | None, limit: float, small: bool) -> None:
+    def __init__(
+        self, out: Path, device: str, reference: Path | None, limit: float, small: bool, aside: Path | None = None
+    ) -> None:
         self.out, self.device, self.reference, self.small = out, device, reference, small
+        self.aside = aside or out.parent
         self.samples, self.horizon = (64, 5) if small else (1200, 25)
         self.found: dict[str, Any] = {"problems": []}
         self._end = time.monotonic() + limit
@@ -189,10 +225,11 @@ def newton(check: Check) -> None:
 
 def times(check: Check) -> None:
     """Times plans: methods and engines, block sizes, K and H."""
-    from bench_loops import race
+    from bench_loops import ObjectLoop, race
 
     from oimppi_warp.compute import step
     from oimppi_warp.registries import METHODS
+    from oimppi_warp.usd import load_scene
 
     loop = _loops(check)
     repeats = 2 if check.small else 60
@@ -203,6 +240,8 @@ def times(check: Check) -> None:
         check.note(f"{engine}, {method}", timing.figures())
         for problem in timing.problems[:3]:
             check.problem(f"{engine}, {method}: {problem}")
+    timing = race({"plan": ObjectLoop(load_scene(SCENE), check.settings("cloi"), device=check.device)}, repeats)["plan"]
+    check.note("object level", timing.figures())
     usual = step.SAMPLES_BLOCK
     for block in BLOCKS[:2] if check.small else BLOCKS:
         step.SAMPLES_BLOCK = block
@@ -302,41 +341,46 @@ def tests(check: Check) -> None:
 
 
 def profile(check: Check) -> None:
-    """Profiles the slowest kernels with Nsight Compute, and looks for memory errors with Compute Sanitizer."""
-    plan = [
-        sys.executable,
-        str(Path(__file__)),
-        "one_plan",
-        "--device",
-        check.device,
-        "--out",
-        str(check.out) + ".plan",
-    ]
-    metrics = "gpu__time_duration.sum,sm__throughput.avg.pct_of_peak_sustained_elapsed,launch__registers_per_thread,"
-    metrics += "sm__warps_active.avg.pct_of_peak_sustained_active,dram__throughput.avg.pct_of_peak_sustained_elapsed,"
-    metrics += "smsp__inst_executed.sum,launch__block_size,launch__grid_size"
-    for engine, kernels in (("quasistatic", "rollout|sample_controls"), ("newton", "ccd|JTDAJ|linesearch|nxn")):
-        size = ["--engine", engine, *(["--small"] if check.small else [])]
-        command = ["ncu", "--csv", "--page", "raw", "--metrics", metrics, "-k", f"regex:{kernels}", "-c", "8"]
-        if shutil.which("ncu"):
-            check.note(f"ncu, {engine}", _profiled(_output([*command, *plan, *size], check.left / 2)))
-        if shutil.which("compute-sanitizer"):
-            few = [*plan, "--engine", engine, "--small"]
-            said = _output(["compute-sanitizer", "--tool", "memcheck", *few], check.left / 2)
-            errors = re.findall(r"ERROR SUMMARY: (\d+) error", said)
-            check.note(f"compute-sanitizer, {engine}", errors[-1] if errors else said[-300:])
-            if errors and errors[-1] != "0":
-                check.problem(f"compute-sanitizer, {engine}: {errors[-1]} errors")
+    """Profiles kernels with Nsight Compute, and looks for memory errors and races with Compute Sanitizer."""
+    script = [sys.executable, str(Path(__file__)), "one_plan", "--device", check.device]
+    plan = [*script, "--out", f"{check.out}.plan", "--reference", str(check.reference)]
     for tool in ("ncu", "compute-sanitizer"):
         if not shutil.which(tool):
             check.problem(f"{tool} is not installed")
+    small = ["--small"] if check.small else []
+    if shutil.which("ncu"):
+        for engine, kernels in (("quasistatic", ".*"), ("newton", "ccd|JTDAJ|linesearch|nxn|solve|factor")):
+            which = ["--csv", "--page", "raw", "--metrics", ",".join(METRICS), "-k", f"regex:{kernels}", "-c", "30"]
+            command = [*NCU, *which, *plan, "--engine", engine, *small]
+            check.note(f"ncu, {engine}", _profiled(_output(command, check.left / 2)))
+        report = check.out.with_suffix(".ncu-rep")
+        which = ["--set", "full", "--import-source", "no", "-k", "regex:rollout", "-c", "2", "-f", "-o", str(report)]
+        _output([*NCU, *which, *plan, *small], check.left / 2)
+        for page in ("details", "source"):
+            text = _output(["ncu", "--import", str(report), "--page", page, "--csv"], check.left / 2, quiet=True)
+            (check.aside / f"rollout-{page}.csv.gz").write_bytes(gzip.compress(text.encode()))
+    for tool, engine in (("memcheck", "quasistatic"), ("racecheck", "quasistatic"), ("memcheck", "newton")):
+        if shutil.which("compute-sanitizer") and check.left > 20.0:
+            command = ["compute-sanitizer", "--tool", tool, *plan, "--engine", engine, "--samples", "64", *small]
+            said = _output(command, check.left)
+            errors = re.findall(r"(?:ERROR SUMMARY: |RACECHECK SUMMARY: )(\d+) (?:error|hazard)", said)
+            check.note(f"compute-sanitizer, {tool}, {engine}", errors[-1] if errors else said[-300:])
+            if errors and errors[-1] != "0":
+                check.problem(f"compute-sanitizer, {tool}, {engine}: {errors[-1]} errors")
 
 
-def one_plan(check: Check, engine: str = "quasistatic") -> None:
-    """Makes one plan, launch by launch, for a profiler."""
-    planner = check.planner("cloi" if engine == "quasistatic" else "mppi", engine, horizon=3 if check.small else 10)
+def one_plan(check: Check, engine: str = "quasistatic", samples: int | None = None) -> None:
+    """Makes one plan with the object in contact, launch by launch, for a profiler."""
+    import numpy as np
+
+    from oimppi_warp.observation import Observation
+
+    horizon = 3 if check.small else 25 if engine == "quasistatic" else 10
+    planner = check.planner("cloi" if engine == "quasistatic" else "mppi", engine, horizon=horizon, samples=samples)
     _launch_one_by_one(planner)
-    planner.rehearse()
+    state = check.expected()["rollouts"]
+    joints = np.array(state["joints"])
+    planner.plan(Observation(0.0, joints, 0.0 * joints, np.array(state["pose"]), np.array(state["transform"])))
     check.note("done", True)
 
 
@@ -349,14 +393,15 @@ def reference(check: Check) -> None:
     from oimppi_warp.usd import load_scene
 
     check.note("plans", {method: _two_plans(check.planner(method, "quasistatic", "cpu")) for method in METHODS})
-    config = check.settings("mppi")
+    config = check.settings("mppi", controls="joint")  # as Newton worlds take them
     loop = PlannerLoop(load_scene(SCENE), config, method="mppi", engine="quasistatic", device="cpu")
     for _ in range(200):
         loop()
         poses = loop.planner.dynamics.traced().poses
         if np.hypot(*(poses[-1] - poses[0])[:2]) > 0.1 * PUSH * len(poses):  # the arm has come to push the object
             break
-    controls = loop.optimizer.controls.numpy()[: 8 if check.small else 128]
+    cheapest = np.argsort(loop.optimizer.costs.numpy())[: 8 if check.small else 128]  # few others move the object
+    controls = loop.optimizer.controls.numpy()[cheapest]
     seen = loop.seen
     rollouts = {
         "joints": seen.joint_position.tolist(),
@@ -475,13 +520,17 @@ def _loops(check: Check) -> Callable[..., Any]:
     return make
 
 
-def _output(command: list[str], limit: float = 60.0) -> str:
-    """Runs a command, and returns what it printed, also if it was ended by the time limit."""
+def _output(command: list[str], limit: float = 60.0, *, quiet: bool = False) -> str:
+    """Runs a command, and returns what it printed, also if it was ended by the time limit.
+
+    Unless ``quiet``, it is printed as well.
+    """
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=max(limit, 1.0))
     except subprocess.TimeoutExpired as error:
         return f"{(error.stdout or b'').decode(errors='replace')}\nended after {limit:.0f} s"
-    print(done.stdout, done.stderr, sep="\n")
+    if not quiet:
+        print(done.stdout, done.stderr, sep="\n")
     return done.stdout + done.stderr
 
 
@@ -494,9 +543,9 @@ def _profiled(text: str) -> dict[str, dict[str, str]] | str:
         return text[-300:]
     names, units, *entries = csv.reader(lines)
     found = {}
-    for entry in entries:
+    for index, entry in enumerate(entries):
         cells = dict(zip(names, entry, strict=False))
-        kernel = cells.get("Kernel Name", "?")
+        kernel = f"{index} {cells.get('Kernel Name', '?')}"
         unit = dict(zip(names, units, strict=False))
         found[kernel] = {k: f"{v} {unit.get(k, '')}".strip() for k, v in cells.items() if "__" in k}
     return found
@@ -522,12 +571,19 @@ def main() -> int:
     parser.add_argument("--reference", type=Path, help="File with the CPU's plans.")
     parser.add_argument("--limit", type=float, default=1e6, help="Time that the step may take [s].")
     parser.add_argument("--small", action="store_true", help="Use small problems.")
+    parser.add_argument("--aside", type=Path, help="Folder for long reports. (default: that of FILE)")
     parser.add_argument("--engine", default="quasistatic", help="Engine, for the step one_plan.")
+    parser.add_argument("--samples", type=int, help="Number of samples, for the step one_plan.")
     parser.add_argument("--arch", type=int, help="GPU architecture, for the step kernels. (default: an emulated GPU)")
     arguments = parser.parse_args()
-    check = Check(arguments.out, arguments.device, arguments.reference, arguments.limit, arguments.small)
+    check = Check(
+        arguments.out, arguments.device, arguments.reference, arguments.limit, arguments.small, arguments.aside
+    )
     step = next(step for step in steps if step.__name__ == arguments.step)
-    options = {"one_plan": {"engine": arguments.engine}, "kernels": {"arch": arguments.arch}}
+    options = {
+        "one_plan": {"engine": arguments.engine, "samples": arguments.samples},
+        "kernels": {"arch": arguments.arch},
+    }
     with _reported(check):
         step(check, **options.get(arguments.step, {}))
     return 0
