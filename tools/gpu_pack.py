@@ -120,7 +120,11 @@ def main() -> int:
     print("planning on this CPU, for comparison", flush=True)
     compute("reference", root, *size)
     print("compiling kernels, which takes minutes unless they are in the folder from last time", flush=True)
-    compute("kernels", root, *size, *([] if arguments.rehearsal else ["--arch", str(arguments.arch)]))
+    if arguments.rehearsal:
+        compute("kernels", root, *size)
+    else:
+        for precision in ([], ["--precise"]):
+            compute("kernels", root, "--arch", str(arguments.arch), *precision)
     print("compressing", flush=True)
     parts = compress(root, arguments.out, level=1 if arguments.rehearsal else 7)
     for part in parts:

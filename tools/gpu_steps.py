@@ -3,7 +3,7 @@
 Usage: ``python tools/gpu_steps.py STEP --out FILE [--device cuda:0] [--reference FILE] [--limit SECONDS] [--small]``
 
 The steps ``reference`` and ``kernels`` run on the machine that packs (``tools/gpu_pack.py``), ``one_plan`` under a
-profiler; ``gpu_check.py`` runs the others.
+profiler, ``one_method`` within another step; ``gpu_check.py`` runs the others.
 """
 
 from __future__ import annotations
@@ -248,12 +248,24 @@ def times(check: Check) -> None:
         figures = race({"plan": loop("cloi", "quasistatic")}, repeats)["plan"].figures()
         check.note(f"blocks of {block}, quasistatic, cloi", figures)
     step.SAMPLES_BLOCK = usual
+    script = [sys.executable, str(Path(__file__)), "one_method", "--precise", "--device", check.device]
+    apart = check.out.with_suffix(".precise")
+    _output([*script, "--out", str(apart), *(["--small"] if check.small else [])], check.left)
+    check.note("without fast math", json.loads(apart.read_text()))
     for samples in (64,) if check.small else (128, 256, 512, 1024, 2048, 4096, 8192, 16384):
         timing = race({"plan": loop("mppi", "quasistatic", samples=samples)}, max(repeats // 3, 2))["plan"]
         check.note(f"quasistatic, mppi, K {samples}", timing.figures())
     for horizon in (10,) if check.small else (10, 50, 100):
         timing = race({"plan": loop("mppi", "quasistatic", horizon=horizon)}, max(repeats // 3, 2))["plan"]
         check.note(f"quasistatic, mppi, H {horizon}", timing.figures())
+
+
+def one_method(check: Check) -> None:
+    """Times CLOI."""
+    from bench_loops import race
+
+    timing = race({"plan": _loops(check)("cloi", "quasistatic")}, 2 if check.small else 60)["plan"]
+    check.note("quasistatic, cloi", timing.figures())
 
 
 def newton_times(check: Check) -> None:
@@ -412,7 +424,7 @@ def reference(check: Check) -> None:
     check.note("rollouts", rollouts | {"ends": _newton_ends(check, rollouts, "cpu").tolist()})
 
 
-def kernels(check: Check, arch: int | None = None) -> None:
+def kernels(check: Check, arch: int | None = None, blocks: tuple[int, ...] = BLOCKS) -> None:
     """Puts the kernels that the check needs into ``kernels`` beside the file: for a GPU, or for an emulated one."""
     import warp as wp
 
@@ -444,7 +456,7 @@ def kernels(check: Check, arch: int | None = None) -> None:
     scene = load_scene(SCENE)
     variants = precompile.needed_on_cuda(scene, ("quasistatic", "newton"), check.settings)
     ours = precompile.needed_on_cuda(scene, ("quasistatic",), check.settings)
-    wanted = dict.fromkeys([*variants, *(each._replace(block=block) for each in ours for block in BLOCKS)])
+    wanted = dict.fromkeys([*variants, *(each._replace(block=block) for each in ours for block in blocks)])
     wp.config.kernel_cache_dir = str(folder)
     missing = []
     for variant in wanted:
@@ -563,7 +575,20 @@ def _reported(check: Check) -> Iterator[None]:
 
 def main() -> int:
     """Run a step."""
-    steps = (facts, plans, newton, times, newton_times, episodes, tests, profile, one_plan, reference, kernels)
+    steps = (
+        facts,
+        plans,
+        newton,
+        times,
+        one_method,
+        newton_times,
+        episodes,
+        tests,
+        profile,
+        one_plan,
+        reference,
+        kernels,
+    )
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("step", choices=[step.__name__ for step in steps], help="Step to run.")
     parser.add_argument("--out", type=Path, required=True, help="JSON file for the findings.")
@@ -571,6 +596,7 @@ def main() -> int:
     parser.add_argument("--reference", type=Path, help="File with the CPU's plans.")
     parser.add_argument("--limit", type=float, default=1e6, help="Time that the step may take [s].")
     parser.add_argument("--small", action="store_true", help="Use small problems.")
+    parser.add_argument("--precise", action="store_true", help="Compile the kernels without fast math.")
     parser.add_argument("--aside", type=Path, help="Folder for long reports. (default: that of FILE)")
     parser.add_argument("--engine", default="quasistatic", help="Engine, for the step one_plan.")
     parser.add_argument("--samples", type=int, help="Number of samples, for the step one_plan.")
@@ -579,10 +605,14 @@ def main() -> int:
     check = Check(
         arguments.out, arguments.device, arguments.reference, arguments.limit, arguments.small, arguments.aside
     )
+    if arguments.precise:
+        from oimppi_warp.kernels import options as compiler
+
+        compiler.FAST_MATH = False
     step = next(step for step in steps if step.__name__ == arguments.step)
-    options = {
+    options: dict[str, dict[str, Any]] = {
         "one_plan": {"engine": arguments.engine, "samples": arguments.samples},
-        "kernels": {"arch": arguments.arch},
+        "kernels": {"arch": arguments.arch, "blocks": () if arguments.precise else BLOCKS},
     }
     with _reported(check):
         step(check, **options.get(arguments.step, {}))
