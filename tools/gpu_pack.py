@@ -39,7 +39,7 @@ PLATFORMS = [f"manylinux_2_{minor}_x86_64" for minor in (39, 35, 34, 31, 28, 27,
 """Wheel platforms that it can use; pip takes no range of them."""
 UNUSED = ("warp/tests", "warp/examples", "newton/tests", "newton/examples", "mujoco_warp/test_data", "bin")
 """Folders of the installed packages that planning does not need."""
-PART = 48 << 20
+PART = 40 << 20
 """Maximum size of a part [B]."""
 
 
