@@ -5,7 +5,7 @@ import warp as wp
 from oimppi_warp.kernels.costs.terms import CROSSING, RobotWeights, Stage
 from oimppi_warp.kernels.fields.cost_to_go import HOME, distance_to_go, turned_distance
 from oimppi_warp.kernels.fields.stance import StanceField, stance_field
-from oimppi_warp.kernels.geometry import PoseField, pose_cell, pose_field, rotate, wrap_angle
+from oimppi_warp.kernels.geometry import PoseField, pose_field, rotate, wrap_angle
 from oimppi_warp.kernels.kinematics import Arm, ArmPlacement, Environment
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.kernels.upright import UprightArm
@@ -99,8 +99,7 @@ def stage_at(task: RobotTask, h: int, placed: ArmPlacement, pose: wp.vec3) -> St
     stage.target = task.reference[h + 1 + task.weights.align_ahead]
     stage.waypoint = task.waypoint[0]
     if task.weights.w_to_go > 0.0:
-        cell = pose_cell(task.to_go, pose)
-        stage.to_go = distance_to_go(task.to_go, cell, pose, stage.goal, task.yaw_length)
+        stage.to_go = distance_to_go(pose_field(task.to_go, pose)[0], pose, stage.goal, task.yaw_length)
     if task.weights.w_stance > 0.0 and stage.waypoint[3] <= 0.0:
         stage.stance = stance_at(task, placed.tip, pose, stage.target)
     return stage

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -111,10 +112,10 @@ def implausible(observation: Observation, robot: Robot) -> str:
         "the object's transform": observation.object_transform,
     }
     for name, value in values.items():
-        if not np.isfinite(value).all():
+        if not all(map(math.isfinite, value.tolist())):
             return f"non-finite values in {name}: {np.round(np.asarray(value, dtype=float), 4).tolist()}"
     distance = max(
-        float(np.hypot(*observation.object_pose[:2])), float(np.linalg.norm(observation.object_transform[:3]))
+        math.hypot(*observation.object_pose[:2].tolist()), math.hypot(*observation.object_transform[:3].tolist())
     )
     if distance > FARTHEST_OBJECT:
         return f"the object is reported {distance:.4g} m from the origin (more than {FARTHEST_OBJECT:g} m)"

@@ -32,11 +32,13 @@ class Timing:
 
     Attributes:
         ms: Wall time of each repetition [ms].
+        command_ms: For a planner, the part of it until the command is known [ms].
         stage_ms: Median time of each stage [ms]; ``other`` is the remainder of the median, mainly Python.
         problems: Reasons why the timing is invalid.
     """
 
     ms: list[float] = field(default_factory=list)
+    command_ms: list[float] = field(default_factory=list)
     stage_ms: dict[str, float] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
 
@@ -49,6 +51,8 @@ class Timing:
         """Return the timing's entries in the benchmark record."""
         stages = {name: round(ms, 3) for name, ms in self.stage_ms.items()}
         spread = {"p95_ms": round(float(np.quantile(self.ms, 0.95)), 3), "repeats": len(self.ms)}
+        if self.command_ms:
+            spread["command_ms"] = round(statistics.median(self.command_ms), 3)
         problems = {"problems": self.problems} if self.problems else {}
         return {"median_ms": round(self.median, 3)} | spread | ({"stage_ms": stages} if stages else {}) | problems
 
@@ -71,12 +75,15 @@ class PlannerLoop:
         self.optimizer: Optimizer = self.planner.optimizer
         self.first = self.seen = first_observation(scene)
         self.stopped = ""
+        self.command_ms = 0.0
         self.planner.warm_up()
         self.planner.start(self.first)
 
     def __call__(self) -> None:
         """Compute one plan, and move to the state it predicts."""
+        began = time.perf_counter()
         plan = self.planner.plan(self.seen)
+        self.command_ms = 1e3 * (time.perf_counter() - began)
         self.stopped = plan.problem
         if plan.problem:
             return
@@ -145,6 +152,8 @@ def race(runners: dict[str, Callable[[], None]], repeats: int) -> dict[str, Timi
             ms = 1e3 * (time.perf_counter() - began)
             if step >= WARM_UP:
                 timings[name].ms.append(ms)
+                if isinstance(run, PlannerLoop):
+                    timings[name].command_ms.append(run.command_ms)
             if isinstance(run, PlannerLoop | ObjectLoop):
                 timings[name].problems += [f"plan {step}: {problem}" for problem in run.problems()]
     for name, run in runners.items():

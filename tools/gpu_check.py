@@ -101,6 +101,8 @@ def check(arguments: argparse.Namespace) -> dict[str, Any]:
     }
     with (out / "log.txt").open("a") as log:
         for name, limit in STEPS.items():
+            if arguments.steps and name not in arguments.steps:
+                continue
             if record["steps"].get(name, {}).get("ended") == "done":
                 continue
             left = arguments.budget - (time.monotonic() - began) - _RESERVE
@@ -156,6 +158,7 @@ def main() -> int:
     parser.add_argument("--budget", type=float, default=420.0, help="Most time for everything [s].")
     parser.add_argument("--device", default="cuda:0", help="Warp device.")
     parser.add_argument("--resume", type=Path, help="gpu.json of an earlier run, whose finished steps are kept.")
+    parser.add_argument("--steps", nargs="*", choices=list(STEPS), help="Steps to run. (default: all)")
     parser.add_argument("--small", action="store_true", help="Use small problems, for a rehearsal.")
     arguments = parser.parse_args()
     arguments.out, arguments.work = arguments.out.resolve(), arguments.work.resolve()

@@ -9,6 +9,7 @@ profiler, ``one_method`` within another step; ``gpu_check.py`` runs the others.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import gzip
 import json
 import os
@@ -39,8 +40,8 @@ PUSH = 0.005
 """Distance that an object is pushed in a control period, about [m]."""
 BLOCKS = (4, 8, 16, 32, 64, 256)
 """Numbers of threads per block of samples to compare."""
-NCU = ("ncu", "--clock-control", "none")
-"""Nsight Compute, which is to leave the clocks as they are."""
+NCU = ("ncu", "--clock-control", "none", "--cache-control", "none", "--profile-from-start", "off")
+"""Nsight Compute, which is to leave clocks and caches as they are; :func:`one_plan` says when to begin."""
 METRICS = (
     "gpu__time_duration.sum",
     "launch__grid_size",
@@ -70,6 +71,12 @@ METRICS = (
     ),
 )
 """Metrics of Nsight Compute: times, sizes, instructions, throughputs, and what warps wait for."""
+SOLVER_VARIANTS: dict[str, dict[str, Any]] = {
+    "as it is": {},
+    "3 iterations, unrolled": {"graph_conditional": False, "iterations": 3},
+    "6 iterations, unrolled": {"graph_conditional": False, "iterations": 6},
+}
+"""Options of MuJoCo Warp's solver to compare."""
 TESTS = re.compile(r"\bdevice\b[,)]|support\.(device|engines)")
 """Found in test files that compute on the device under test."""
 
@@ -240,13 +247,13 @@ def times(check: Check) -> None:
         check.note(f"{engine}, {method}", timing.figures())
         for problem in timing.problems[:3]:
             check.problem(f"{engine}, {method}: {problem}")
-    timing = race({"plan": ObjectLoop(load_scene(SCENE), check.settings("cloi"), device=check.device)}, repeats)["plan"]
-    check.note("object level", timing.figures())
+    scene = load_scene(SCENE)
     usual = step.SAMPLES_BLOCK
     for block in BLOCKS[:2] if check.small else BLOCKS:
         step.SAMPLES_BLOCK = block
-        figures = race({"plan": loop("cloi", "quasistatic")}, repeats)["plan"].figures()
-        check.note(f"blocks of {block}, quasistatic, cloi", figures)
+        alone = ObjectLoop(scene, check.settings("cloi"), device=check.device)
+        for name, timing in race({"cloi": loop("cloi", "quasistatic"), "object level": alone}, repeats).items():
+            check.note(f"blocks of {block}, quasistatic, {name}", timing.figures())
     step.SAMPLES_BLOCK = usual
     script = [sys.executable, str(Path(__file__)), "one_method", "--precise", "--device", check.device]
     apart = check.out.with_suffix(".precise")
@@ -270,12 +277,27 @@ def one_method(check: Check) -> None:
 
 def newton_times(check: Check) -> None:
     """Times the Newton engine over K and substeps, with the memory that it takes."""
+    import numpy as np
     from bench_loops import race
 
     from oimppi_warp.compute.device import free_memory, warp_device
     from oimppi_warp.errors import DeviceError
 
     loop = _loops(check)
+    usual: np.ndarray | None = None
+    runner = loop("mppi", "newton")
+    for name, options in SOLVER_VARIANTS.items():
+        planner = runner.planner
+        for option, value in options.items():
+            setattr(planner.dynamics.solver.mjw_model.opt, option, value)
+        planner.__dict__.pop("steps")  # they are captured again
+        planner.start(runner.first)
+        planner.plan(runner.first).details()
+        costs = planner.optimizer.costs.numpy()
+        usual = costs if usual is None else usual
+        figures = race({"plan": runner}, 2 if check.small else 10)["plan"].figures()
+        check.note(f"solver: {name}", figures | {"costs_apart": float(np.median(np.abs(costs / usual - 1.0)))})
+        runner.seen = runner.first
     for substeps in (3,) if check.small else (3, 4, 5):
         timing = race({"plan": loop("mppi", "newton", substeps=substeps)}, 2 if check.small else 10)["plan"]
         check.note(f"substeps {substeps}", timing.figures())
@@ -361,10 +383,10 @@ def profile(check: Check) -> None:
             check.problem(f"{tool} is not installed")
     small = ["--small"] if check.small else []
     if shutil.which("ncu"):
-        for engine, kernels in (("quasistatic", ".*"), ("newton", "ccd|JTDAJ|linesearch|nxn|solve|factor")):
-            which = ["--csv", "--page", "raw", "--metrics", ",".join(METRICS), "-k", f"regex:{kernels}", "-c", "30"]
+        for engine, metrics, count in (("quasistatic", METRICS, 40), ("newton", METRICS[:3], 320)):
+            which = ["--csv", "--page", "raw", "--metrics", ",".join(metrics), "-c", str(count)]
             command = [*NCU, *which, *plan, "--engine", engine, *small]
-            check.note(f"ncu, {engine}", _profiled(_output(command, check.left / 2)))
+            check.note(f"ncu, {engine}", _profiled(_output(command, check.left / 2, quiet=True)))
         report = check.out.with_suffix(".ncu-rep")
         which = ["--set", "full", "--import-source", "no", "-k", "regex:rollout", "-c", "2", "-f", "-o", str(report)]
         _output([*NCU, *which, *plan, *small], check.left / 2)
@@ -384,6 +406,7 @@ def profile(check: Check) -> None:
 def one_plan(check: Check, engine: str = "quasistatic", samples: int | None = None) -> None:
     """Makes one plan with the object in contact, launch by launch, for a profiler."""
     import numpy as np
+    import warp as wp
 
     from oimppi_warp.observation import Observation
 
@@ -392,7 +415,11 @@ def one_plan(check: Check, engine: str = "quasistatic", samples: int | None = No
     _launch_one_by_one(planner)
     state = check.expected()["rollouts"]
     joints = np.array(state["joints"])
-    planner.plan(Observation(0.0, joints, 0.0 * joints, np.array(state["pose"]), np.array(state["transform"])))
+    seen = Observation(0.0, joints, 0.0 * joints, np.array(state["pose"]), np.array(state["transform"]))
+    planner.plan(seen).details()
+    if wp.get_device(planner.compute.device).is_cuda:
+        ctypes.CDLL("libcuda.so.1").cuProfilerStart()
+    planner.plan(seen).details()
     check.note("done", True)
 
 
@@ -487,8 +514,8 @@ def _two_plans(planner: Planner) -> dict[str, Any]:
 
 def _launch_one_by_one(planner: Planner) -> None:
     """Makes a planner run its steps without a graph."""
-    launches = [*planner.object_launches, *planner._robot_launches]
-    planner.__dict__["_step"] = planner.compute.step(launches, one_graph=False)
+    lists = ([*planner.object_launches, *planner._robot_launches], planner._command_launches, planner._trace_launches)
+    planner.__dict__["steps"] = tuple(planner.compute.step(launches, one_graph=False) for launches in lists)
 
 
 def _newton_ends(check: Check, rollouts: dict[str, Any], device: str) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from oimppi_warp.kernels.geometry import PI, PoseCell, PoseField, field_in_cell, pose_field, wrap_angle
+from oimppi_warp.kernels.geometry import PI, PoseField, pose_field, wrap_angle
 
 wp.set_module_options({"enable_backward": False})
 
@@ -156,19 +156,19 @@ def turned_distance(a: wp.vec3, b: wp.vec3, yaw_length: float) -> float:
 
 
 @wp.func
-def distance_to_go(to_go: PoseField, cell: PoseCell, pose: wp.vec3, goal: wp.vec3, yaw_length: float) -> float:
-    """Returns the cost-to-go of a pose, given its cell [m]; near the goal it is the straight distance, exactly.
+def distance_to_go(on_grid: float, pose: wp.vec3, goal: wp.vec3, yaw_length: float) -> float:
+    """Returns the cost-to-go of a pose, given that of the grid there [m]; near the goal it is the straight distance.
 
     A field that is linear between nodes is lowest at a node, which is up to half a cell away from the goal. From
     ``NEAR_GOAL`` to twice that distance, the two are blended.
     """
     apart = wp.max(wp.abs(pose[0] - goal[0]), wp.abs(pose[1] - goal[1]))
     if apart > 2.0 * NEAR_GOAL:  # nearly always: saves the rest
-        return field_in_cell(to_go, cell)[0]
+        return on_grid
     straight = turned_distance(pose, goal, yaw_length)
     value = straight
     if straight > NEAR_GOAL:
-        value = wp.lerp(straight, field_in_cell(to_go, cell)[0], wp.min(straight / NEAR_GOAL - 1.0, 1.0))
+        value = wp.lerp(straight, on_grid, wp.min(straight / NEAR_GOAL - 1.0, 1.0))
     return value
 
 

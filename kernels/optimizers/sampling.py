@@ -19,6 +19,7 @@ def make_sample_controls(size: int, knots: int) -> wp.Kernel:
     """
     vec = wp.types.vector(length=size, dtype=float)
     mat = wp.types.matrix(shape=(size, size), dtype=float)
+    share_of_knots = wp.types.vector(length=max(knots, 1), dtype=float)
     rows = wp.types.matrix(shape=(max(knots, 1), size), dtype=float)
 
     @wp.kernel(module=fast_module(f"sample_controls_{size}_{knots}"), enable_backward=False)
@@ -65,12 +66,19 @@ def make_sample_controls(size: int, knots: int) -> wp.Kernel:
                 shift = scale * (root * z)
                 for i in range(size):
                     shifts[j, i] = shift[i]
+            mean = nominal[0]
+            share = share_of_knots()
+            for j in range(wp.static(knots)):
+                share[j] = basis[0, j]
             for h in range(horizon):
-                u = nominal[h]
+                u = mean
                 for j in range(wp.static(knots)):
-                    weight = basis[h, j]
                     for i in range(size):
-                        u[i] = u[i] + weight * shifts[j, i]
+                        u[i] = u[i] + share[j] * shifts[j, i]
+                after = wp.min(h + 1, horizon - 1)  # read a step early, since a GPU waits for memory
+                mean = nominal[after]
+                for j in range(wp.static(knots)):
+                    share[j] = basis[after, j]
                 if wp.static(knots == 0):
                     z = vec()
                     for i in range(size):

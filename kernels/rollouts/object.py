@@ -4,7 +4,7 @@ import warp as wp
 
 from oimppi_warp.kernels.costs.stage_costs import ObjectWeights, object_cost
 from oimppi_warp.kernels.fields.cost_to_go import HOME, distance_to_go, turned_distance
-from oimppi_warp.kernels.geometry import PoseField, wrap_angle
+from oimppi_warp.kernels.geometry import PoseField, field_in_cell, pose_cell, wrap_angle
 from oimppi_warp.kernels.options import fast
 from oimppi_warp.kernels.pushing import ObjectModel, mobility, settle
 
@@ -33,8 +33,10 @@ def object_rollout(
     ``h_o = dt D``), then out of obstacles by :func:`settle`. The cost is ``S_o = sum_h l_o``, equation 10 for the
     objective of equation 13; there is no terminal cost l_f.
 
+    A GPU waits for memory most of the time: wrenches are read a step early, and the cost-to-go together with phi_2.
+
     Lengths: ``yaw_length`` [m] is what a radian of yaw counts as in the cost-to-go ``to_go``, whose grid is that of
-    phi_2.
+    phi_2; it is read even if it has no weight.
     Shapes: ``start`` [1], ``goal`` [1], ``wrenches`` [sample, horizon] (N, N, N m), ``costs`` [sample],
     ``poses`` [sample, horizon + 1] or empty.
     """
@@ -46,12 +48,16 @@ def object_rollout(
     if keep:
         poses[k, 0] = pose
     cost = float(0.0)
+    wrench = wrenches[k, 0]
     for h in range(wrenches.shape[1]):
-        settled = settle(model, pose + wp.cw_mul(travel, wrenches[k, h]), dt)
+        free = pose + wp.cw_mul(travel, wrench)
+        wrench = wrenches[k, wp.min(h + 1, wrenches.shape[1] - 1)]
+        on_grid = field_in_cell(to_go, pose_cell(to_go, free))[0]
+        settled = settle(model, free, dt)
+        if settled.force > 0.0:
+            on_grid = field_in_cell(to_go, settled.cell)[0]
         pose = settled.pose
-        way = float(0.0)
-        if weights.w_to_go > 0.0:
-            way = distance_to_go(to_go, settled.cell, pose, target, yaw_length)
+        way = distance_to_go(on_grid, pose, target, yaw_length)
         cost += object_cost(weights, pose, target, settled.force, settled.clearance, way)
         if keep:
             poses[k, h + 1] = pose

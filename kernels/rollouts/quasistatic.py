@@ -205,9 +205,11 @@ def make_upright_rollout(extra: ExtraTerms) -> wp.Kernel:
             tips[n, 0] = placed.tip
             poses[n, 0] = pose
 
+        ahead = controls[k, 0]  # controls are read a step early, since a GPU waits for memory
         for h in range(controls.shape[1]):
             old = placed
-            u = controls[k, h]
+            u = ahead
+            ahead = controls[k, wp.min(h + 1, controls.shape[1] - 1)]
             step = step_upright(upright, body, pose, old, u, repositioning, radius, task.dt, contact_steps)
             placed = step.placed
             pose = step.contact.pose

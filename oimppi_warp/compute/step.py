@@ -1,6 +1,6 @@
 """Execution of control steps: a device, the threads that it may use, and the memory that it shares with the host.
 
-A control step is a fixed list of launches over fixed arrays. Data that change from step to step go in through *inputs*,
+A step is a fixed list of launches over fixed arrays. Data that change from step to step go in through *inputs*,
 results that the host needs come out through *outputs*. On CUDA the step is one graph with one copy at either end; on
 the CPU inputs and outputs are in the host's memory, and launches over samples are distributed among threads.
 """
@@ -42,7 +42,7 @@ _ALIGNMENT = 64
 making_planner = threading.RLock()
 """Held while a planner is made: its arrays must not be allocated while another thread captures a graph."""
 using_gpu = threading.RLock()
-"""Held while a thread launches work on a GPU and waits for it."""
+"""Held while a thread launches work on a GPU or waits for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +132,11 @@ class Compute:
         ]
         return launches[0] if slices == 1 else _Shares(edges, launches, self.threads)
 
-    def step(self, launches: Sequence[Launch], *, one_graph: bool = True) -> Launch:
-        """Returns a launch that runs a whole step.
+    def step(self, launches: Sequence[Launch], *, one_graph: bool = True) -> Step:
+        """Prepares a step.
 
-        It uploads the inputs, runs ``launches`` in order, downloads the outputs and waits until all are done. On the
-        CPU, a thread runs consecutive launches over the same number of samples one after another for its samples.
+        It uploads the inputs, runs ``launches`` in order and downloads the outputs. On the CPU, a thread runs
+        consecutive launches over the same number of samples one after another for its samples.
 
         Args:
             launches: Launches of the step.
@@ -150,8 +150,33 @@ class Compute:
             self._outputs.download()
 
         if not self.on_gpu:
-            return enqueue
+            return Step(enqueue)
         return _Graph(enqueue, self.device) if one_graph else _Eager(enqueue, self.device)
+
+
+class Step:
+    """A prepared step; a call runs it and waits for its end.
+
+    Steps run in the order in which they begin. On the CPU they end before :meth:`begin` returns.
+
+    Args:
+        enqueue: Runs the launches, or enqueues them on a GPU.
+    """
+
+    def __init__(self, enqueue: Launch) -> None:
+        self._enqueue = enqueue
+
+    def begin(self) -> None:
+        """Begins the step: on a GPU, the host can do other work before it calls :meth:`wait`."""
+        self._enqueue()
+
+    def wait(self) -> None:
+        """Waits until everything that has begun has ended; the outputs are then on the host."""
+
+    def __call__(self) -> None:
+        """Runs the step and waits for its end."""
+        self.begin()
+        self.wait()
 
 
 def in_order(launches: Sequence[Launch]) -> Launch:
@@ -319,38 +344,42 @@ class _Shared:
             wp.copy(self._host, self._chunk, count=self._used)
 
 
-class _Graph:
-    """Launches captured as one graph on the first call, and replayed by every call, which waits for the end.
+class _OnGpu(Step):
+    """A step on a GPU.
 
     Args:
-        enqueue: Runs the launches.
+        enqueue: Enqueues the launches.
         device: Warp's name of the device.
     """
 
     def __init__(self, enqueue: Launch, device: str) -> None:
-        self._enqueue = enqueue
+        super().__init__(enqueue)
         self._device = wp.get_device(device)
+
+    def wait(self) -> None:
+        with using_gpu:
+            wp.synchronize_device(self._device)
+
+
+class _Graph(_OnGpu):
+    """Launches captured as one graph when the step begins for the first time, and replayed then and later."""
+
+    def __init__(self, enqueue: Launch, device: str) -> None:
+        super().__init__(enqueue, device)
         self._graph: Any = None
 
-    def __call__(self) -> None:
-        """Replays the graph and waits for the end."""
+    def begin(self) -> None:
         if self._graph is None:
             with making_planner, using_gpu, wp.ScopedCapture(device=self._device) as capture:
                 self._enqueue()
             self._graph = capture.graph
         with using_gpu:
             wp.capture_launch(self._graph)
-            wp.synchronize_device(self._device)
 
 
-class _Eager:
-    """A step on a GPU whose launches cannot be captured."""
+class _Eager(_OnGpu):
+    """Launches that cannot be captured."""
 
-    def __init__(self, enqueue: Launch, device: str) -> None:
-        self._enqueue = enqueue
-        self._device = wp.get_device(device)
-
-    def __call__(self) -> None:
+    def begin(self) -> None:
         with using_gpu:
             self._enqueue()
-            wp.synchronize_device(self._device)

@@ -93,18 +93,21 @@ def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None 
         pose: A planar pose, shape [3].
         values: The field's values on the host, if they are at hand; ``None``: they are copied from the device.
     """
-    if not np.isfinite(pose).all():
+    px, py, yaw = pose.tolist()
+    if not math.isfinite(px + py + yaw):
         return float("nan")
     values = field.values.numpy() if values is None else values
     nyaw, nx, ny = values.shape
-    px, py, yaw = pose.tolist()
     x = min(max((px - field.origin[0]) * field.inv_step, 0.0), nx - 1 - 1e-3)
     y = min(max((py - field.origin[1]) * field.inv_step, 0.0), ny - 1 - 1e-3)
     t = (yaw / (2.0 * math.pi)) % 1.0 * nyaw
     i, j, k = int(x), int(y), int(t) % nyaw
-    cube = values[[k, (k + 1) % nyaw], i : i + 2, j : j + 2]
     ax, ay, at = x - i, y - j, t - int(t)
-    return float(np.einsum("tij,t,i,j->", cube, [1 - at, at], [1 - ax, ax], [1 - ay, ay]))
+    (a00, a01), (a10, a11) = values[k, i : i + 2, j : j + 2].tolist()
+    (b00, b01), (b10, b11) = values[(k + 1) % nyaw, i : i + 2, j : j + 2].tolist()
+    low = (1.0 - ay) * ((1.0 - at) * a00 + at * b00) + ay * ((1.0 - at) * a01 + at * b01)
+    high = (1.0 - ay) * ((1.0 - at) * a10 + at * b10) + ay * ((1.0 - at) * a11 + at * b11)
+    return (1.0 - ax) * low + ax * high
 
 
 def planar_field_at(field: PlanarField, point: np.ndarray, values: np.ndarray) -> float:

@@ -72,14 +72,23 @@ def _rest_transforms(robot: Robot) -> np.ndarray:
 
 
 def tip_frame(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns rotation, shape [3, 3], and position, shape [3] [m], of the tool's tip in the world frame.
+    """Returns rotation, shape [3, 3], and position, shape [3] [m], of the tool's tip in the world frame; read-only.
 
     Args:
         robot: The arm.
         joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
     """
-    rotations, positions = link_frames(robot, joints)
-    return rotations[-1] @ _tip_rotation(robot), positions[-1] + rotations[-1] @ robot.tip[:3]
+    return _tip_at(robot, np.asarray(joints, dtype=float).tobytes())
+
+
+@lru_cache(maxsize=8)
+def _tip_at(robot: Robot, joints: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the tip's frame at a posture; like :func:`_frames_at`."""
+    rotations, positions = _frames_at(robot, joints)
+    found = rotations[-1] @ _tip_rotation(robot), positions[-1] + rotations[-1] @ robot.tip[:3]
+    for part in found:
+        part.flags.writeable = False
+    return found
 
 
 @lru_cache(maxsize=8)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import warp as wp
 
@@ -103,7 +105,8 @@ def to_go_at(field: PoseField, values: np.ndarray, pose: np.ndarray, goal: np.nd
         goal: The goal, likewise.
         yaw_length: Length that a radian of yaw counts as [m].
     """
-    straight = float(path_lengths(np.array([pose, goal]), yaw_length)[0])
+    x, y, yaw = (goal - pose).tolist()
+    straight = math.hypot(x, y, yaw_length * wrap_angle(yaw))
     share = min(max(straight / kernels.NEAR_GOAL - 1.0, 0.0), 1.0)
     return (1.0 - share) * straight + share * pose_field_at(field, pose, values)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from oimppi_warp.compute.step import Compute
@@ -31,6 +33,7 @@ class ObjectLevel:
         )
         self.optimizer = make_optimizer(self._dynamics, config.object.optimizer, seed=seed)
         self._level = config.object
+        self._largest_noise = np.diag(config.object.noise * self._dynamics.bound)
         self._goal = goal
         self.path = self._dynamics.path
         self.to_go = self._dynamics.to_go if config.object_cost.w_to_go > 0.0 else None
@@ -39,11 +42,11 @@ class ObjectLevel:
 
     def set_state(self, pose: np.ndarray) -> None:
         """Sets the planar pose of the object's friction centre, shape [3] [m, m, rad]."""
-        left = distance(pose, self._goal, self._level.yaw_length)
         share = 1.0
         if self._level.noise_range > 0.0:
-            share = float(np.clip(left / self._level.noise_range, 0.1, 1.0))
-        self.optimizer.noise.host[0] = np.diag(share * self._level.noise * self._dynamics.bound)
+            left = distance(pose, self._goal, self._level.yaw_length)
+            share = min(max(left / self._level.noise_range, 0.1), 1.0)
+        self.optimizer.noise.host[0] = share * self._largest_noise
         self._dynamics.set_state(pose)
 
     def to_go_from(self, pose: np.ndarray) -> float:
@@ -57,4 +60,5 @@ class ObjectLevel:
 
 def distance(a: np.ndarray, b: np.ndarray, yaw_length: float) -> float:
     """Returns the straight distance of two planar poses [m, m, rad]; a radian of yaw counts as ``yaw_length`` [m]."""
-    return float(np.linalg.norm([*(b - a)[:2], yaw_length * wrap_angle((b - a)[2])]))
+    x, y, yaw = (b - a).tolist()
+    return math.hypot(x, y, yaw_length * wrap_angle(yaw))

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.step import Compute, Launch, using_gpu
+from oimppi_warp.compute.step import Compute, Launch, Step, using_gpu
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ObservationError
 from oimppi_warp.geometry.fields import build_geometry, from_center, to_center
@@ -28,7 +29,7 @@ from oimppi_warp.planning.engines.tip_controls import TipControls
 from oimppi_warp.planning.engines.uncertainty import draw
 from oimppi_warp.planning.object_level import distance
 from oimppi_warp.planning.optimizers.optimizer import Update, make_optimizer
-from oimppi_warp.planning.plan import Plan, Samples
+from oimppi_warp.planning.plan import Later, Plan, PlanDetails, Samples
 from oimppi_warp.planning.progress import poses_at
 from oimppi_warp.planning.reposition import Repositioner
 from oimppi_warp.planning.upright import TipRates, ToolServo, build_upright
@@ -49,7 +50,8 @@ class Planner:
     ``l_c = d^2(x_o, x_o*)`` of object and reference (equation 14), and plain MPPI ``min over u_r of sum_h l_o + l_r``
     (equation 8); both without the terminal cost l_f. A rollout engine predicts the outcome of the controls.
 
-    A control step (:meth:`plan`) writes the inputs, runs one :meth:`Compute.step` and reads the outputs. A method is a
+    A control step (:meth:`plan`) writes the inputs, runs steps on the device (:meth:`Compute.step`) and reads the
+    outputs: the two levels; the first command as the arm may follow it; the trace of the nominal. A method is a
     subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`, :meth:`tracked`,
     :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the launches of a step before
     the robot level go into ``object_launches`` in its constructor. It is registered in
@@ -141,11 +143,15 @@ class Planner:
             self._rollouts = TipControls(self.dynamics)
         self.optimizer = make_optimizer(self._rollouts, level.optimizer, seed=2 * seed + 1)
         self.object_launches: list[Launch] = []
+        nominal = self.optimizer.nominal
+        followed = wp.empty_like(nominal)
         self._robot_launches = [
             *self.optimizer.improve,
-            self._rollouts.trace(self.optimizer.nominal, self.optimizer.costs),
+            lambda: wp.copy(followed, nominal),
             self.optimizer.shift,
         ]
+        self._trace_launches = [self._rollouts.trace(followed, self.optimizer.costs)]
+        self._command_launches: list[Launch] = []
         self.pace = compute.input(1, float)
         self.pace.host[0] = 1.0
         self._start = compute.input(3, wp.vec3)  # the tip's position, the object's pose, the tip's velocity
@@ -157,7 +163,7 @@ class Planner:
             inputs = [upright.packed, model, scene.robot.tool_radius, self._start.array, self._rates.array, most]
             inputs += [self.dynamics.waypoint.array, self.optimizer.command.array, config.control_period]
             inputs += [_FINER * level.contact_steps]
-            self._robot_launches.append(compute.launch(allowed_velocity, 1, inputs, [self._allowed.array]))
+            self._command_launches.append(compute.launch(allowed_velocity, 1, inputs, [self._allowed.array]))
         self._repositioner = Repositioner(
             scene,
             self.geometry,
@@ -167,13 +173,18 @@ class Planner:
             period=config.control_period,
         )
         self._tracked = self.goal[None]
+        self._latest: Callable[[], PlanDetails] | None = None
 
     @cached_property
-    def _step(self) -> Launch:
-        """Returns the launch of a whole control step, of both levels."""
-        launches = [*self.object_launches, *self._robot_launches]
+    def steps(self) -> tuple[Step, Step, Step]:
+        """Returns the steps of a plan: both levels; the command as the arm may follow it; the trace of the nominal."""
+        levels = [*self.object_launches, *self._robot_launches]
         captured = self.dynamics.one_graph and self.optimizer.one_graph and self.object_one_graph
-        return self.compute.step(launches, one_graph=captured)
+        return (
+            self.compute.step(levels, one_graph=captured),
+            self.compute.step(self._command_launches),
+            self.compute.step(self._trace_launches, one_graph=self.dynamics.one_graph),
+        )
 
     @property
     def repositioning(self) -> bool:
@@ -221,29 +232,39 @@ class Planner:
         check_shapes(observation, self.scene.robot.dof)
         if problem := implausible(observation, self.scene.robot):
             return self._stop(problem)
+        if self._latest is not None:
+            self._latest()  # this plan overwrites what it fetches
         pose = to_center(self.geometry.surface, observation.object_pose)
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
         waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
         self.dynamics.waypoint.host[0] = waypoint
         self.pace.host[0] = self._repositioner.pace
-        rates = None
-        if self._servo is not None:
-            rates = self._servo.rates(observation.joint_position)
-            self._rates.host[:] = rates.follow
-            self._start.host[:] = tip, pose, rates.linear @ observation.joint_velocity
         self._rollouts.set_state(observation, self.goal)
         repositioning = bool(waypoint[3] > 0.0)
         self.optimizer.noise.host[0] = self._noise(observation.joint_position, repositioning=repositioning)
         self.set_reference(pose)
+        levels, command, trace = self.steps
         began = time.perf_counter()
-        self._step()
+        levels.begin()
+        rates = None
+        if self._servo is not None:  # meanwhile, a GPU plans
+            rates = self._servo.rates(observation.joint_position)
+            self._rates.host[:] = rates.follow
+            self._start.host[:] = tip, pose, rates.linear @ observation.joint_velocity
+            command.begin()
+        levels.wait()
+        trace.begin()
+        self._latest = Later(self._details)
+        return Plan(self._command(rates), self.object_finished() - began, self._latest)
+
+    def _details(self) -> PlanDetails:
+        """Returns the details of the latest plan."""
+        self.steps[-1].wait()
         trace = self.dynamics.traced()
         surface = self.geometry.surface
-        return Plan(
-            command=self._command(rates),
+        return PlanDetails(
             update=self.optimizer.found(),
             object_update=self.object_statistics(),
-            object_seconds=self.object_finished() - began,
             terms=trace.terms,
             tips=trace.tips,
             object_poses=from_center(surface, trace.poses),
@@ -270,18 +291,15 @@ class Planner:
 
     def _stop(self, problem: str) -> Plan:
         """Returns a plan that stops the arm."""
-        nothing = Update(min_cost=math.nan, temperature=math.nan, effective_samples=math.nan, lost=0)
-        return Plan(
-            command=np.zeros(self.scene.robot.dof),
-            update=nothing,
+        details = PlanDetails(
+            update=Update(min_cost=math.nan, temperature=math.nan, effective_samples=math.nan, lost=0),
             object_update=None,
-            object_seconds=math.nan,
             terms=np.full(len(self.dynamics.terms), math.nan),
             tips=np.zeros((0, 3)),
             object_poses=np.zeros((0, 3)),
             reference=np.zeros((0, 3)),
-            problem=problem,
         )
+        return Plan(np.zeros(self.scene.robot.dof), math.nan, lambda: details, problem)
 
     def set_reference(self, pose: np.ndarray) -> None:
         """Sets the reference of the next plan, given the pose of the friction centre, shape [3] [m, m, rad]."""

@@ -110,7 +110,7 @@ class Repositioner:
         Returns:
             (x, y, z [m], weight [1/m^2]); :data:`NO_WAYPOINT` while the object makes headway.
         """
-        known = math.isfinite(to_go) and np.isfinite(tip).all() and np.isfinite(pose).all()
+        known = all(map(math.isfinite, [to_go, *tip.tolist(), *pose.tolist()]))
         if self._settings.stall_seconds <= 0.0 or not known:
             return NO_WAYPOINT
         if self._waypoints:

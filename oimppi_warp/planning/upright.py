@@ -199,22 +199,22 @@ class TipRates:
     """Jacobian of the tip at a posture, and the joint velocities that move the tip or hold the tool.
 
     Attributes:
-        joints: The joint positions, shape [dof] [rad; m for a prismatic joint].
         axis: The tool's z axis in the world frame, shape [3].
         linear: Jacobian of the tip's position, shape [3, dof] [m/rad].
         hold: Joint velocities per rate of the height and of the axis's x and y, shape [dof, n].
-        free: Projection of joint velocities onto those that change neither, shape [dof, dof].
         move: Joint velocities per horizontal velocity of the tip that change neither, shape [dof, 2] [rad/m].
+        home: Joint velocities towards the start posture that change neither, nor move the tip, shape [dof] [rad/s].
+        fastest: Largest horizontal speed of the tip within the joints' velocity limits [m/s].
         follow: Joint velocities per velocity of the tip with the axis held, shape [dof, 3] [rad/m]; the last column is
             zero for an arm that cannot lift its tool.
     """
 
-    joints: np.ndarray
     axis: np.ndarray
     linear: np.ndarray
     hold: np.ndarray
-    free: np.ndarray
     move: np.ndarray
+    home: np.ndarray
+    fastest: float
     follow: np.ndarray
 
 
@@ -245,7 +245,9 @@ class ToolServo:
         move = _damped_inverse(linear[:2] @ free)
         lift = hold[:, 0] if self._held.start == 0 else np.zeros(len(joints))
         follow = np.column_stack([move, lift - move @ linear[:2] @ lift])
-        return TipRates(joints, axis, linear, hold, free, move, follow)
+        home = (free - move @ linear[:2] @ free) @ (_HOME_RATE * (self._robot.start - joints))
+        fastest = float((self._limits / np.maximum(np.linalg.norm(move, axis=1), 1e-6)).min())
+        return TipRates(axis, linear, hold, move, home, fastest, follow)
 
     def joint_velocity(self, rates: TipRates, velocity: np.ndarray) -> np.ndarray:
         """Returns the joint velocities that follow a velocity of the tip, within their limits, shape [dof] [rad/s].
@@ -256,12 +258,10 @@ class ToolServo:
         """
         hold, move, linear = rates.hold, rates.move, rates.linear
         speed = np.array(velocity[:2])
-        fastest = float((self._limits / np.maximum(np.linalg.norm(move, axis=1), 1e-6)).min())
-        speed *= min(1.0, max(fastest, _SLOWEST) / max(float(np.hypot(*speed)), 1e-9))
+        speed *= min(1.0, max(rates.fastest, _SLOWEST) / max(float(np.hypot(*speed)), 1e-9))
         upright = -min(_TILT_RATE, 1.0 / self._period) * rates.axis[:2]
         holding = hold @ np.array([velocity[2], *upright])[self._held]
-        home = (rates.free - move @ linear[:2] @ rates.free) @ (_HOME_RATE * (self._robot.start - rates.joints))
-        moving = move @ (speed - linear[:2] @ holding) + home
+        moving = move @ (speed - linear[:2] @ holding) + rates.home
         # Height and tilt come first: what the joints have left is for the motion across the table.
         holding /= max(1.0, float(np.abs(holding / self._limits).max()))
         left = (self._limits - np.abs(holding)) / np.maximum(np.abs(moving), 1e-9)

@@ -59,7 +59,7 @@ def test_a_script_that_runs_an_episode_prints_nothing(tmp_path):
 @pytest.mark.slow
 def test_a_script_that_runs_an_episode_prints_nothing_while_kernels_are_compiled(tmp_path):
     assert said(EPISODE, tmp_path, cache=tmp_path) == ("", "")
-    assert any((tmp_path / "warp").rglob("*robot_rollout*"))
+    assert any((tmp_path / "warp").rglob("*upright_rollout*"))
 
 
 @pytest.mark.parametrize(

@@ -328,7 +328,7 @@ def test_the_reference_of_soi_gets_to_the_goal_from_every_pose_of_its_plan(perio
     for pose in path[:-1]:
         for aside in (-0.01, 0.0, 0.01):
             planner.set_reference(pose + [aside, aside, 0.0])
-            planner._step()
+            planner.steps[0]()
             left = np.abs(planner.tracked()[:, 2] - planner.goal[2])
             assert left[0] - left[10] > 0.7 * min(10 * step / config.object.yaw_length, left[0]), (pose, aside)
 

@@ -17,7 +17,7 @@ from oimppi_warp.observation import Observation
 from oimppi_warp.physics.newton_model import ROLES
 from oimppi_warp.physics.world import World
 from oimppi_warp.planning.optimizers.optimizer import Update
-from oimppi_warp.planning.plan import Plan
+from oimppi_warp.planning.plan import Plan, PlanDetails
 from oimppi_warp.plants.drive import Drive
 from oimppi_warp.plants.plant import SimulatedPlant
 from oimppi_warp.plants.safety_filter import SafetyFilter
@@ -46,7 +46,7 @@ class Commanding:
         self.plans += 1
         nothing = Update(min_cost=0.0, temperature=1.0, effective_samples=1.0, lost=0)
         none = np.zeros((0, 3))
-        return Plan(self.command, nothing, None, 0.0, np.zeros(0), none, none, none)
+        return Plan(self.command, 0.0, lambda: PlanDetails(nothing, None, np.zeros(0), none, none, none))
 
 
 class Watch:

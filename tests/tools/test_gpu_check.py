@@ -52,7 +52,7 @@ def place(tools, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def options(place: Path, **changes) -> Namespace:
     usual = {"out": place / "out", "parts": None, "work": place / "work", "budget": 60.0, "device": "cuda:0"}
     (place / "work").mkdir(exist_ok=True)
-    return Namespace(**usual | {"resume": None, "small": False} | changes)
+    return Namespace(**usual | {"resume": None, "small": False, "steps": None} | changes)
 
 
 def test_a_step_that_hangs_is_ended_with_its_children_and_the_others_run(tools, place):

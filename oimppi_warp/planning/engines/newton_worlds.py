@@ -64,7 +64,7 @@ class NewtonWorlds(NewtonDynamics):
         super().__init__(task)
         from newton.solvers import SolverMuJoCo
 
-        _, self._mujoco_warp = SolverMuJoCo.import_mujoco()
+        mujoco, self._mujoco_warp = SolverMuJoCo.import_mujoco()
         compute, device, level = task.compute, task.compute.device, task.level
         worlds = self._rollouts
         built = build_model(task.scene, worlds=worlds, device=device)
@@ -76,6 +76,7 @@ class NewtonWorlds(NewtonDynamics):
         _check_memory(worlds * contacts, worlds, device)
         self._map = map_model(self.solver, built)
         model = self.solver.mjw_model
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)  # forces are read off the constraints
         model.jnt_actfrclimited.assign(self._map.model.jnt_actfrclimited.astype(bool))
         step = task.dt / level.substeps
         model.opt.timestep.fill_(step)

@@ -57,6 +57,7 @@ class ObjectDynamics:
             )
         else:
             self.to_go = no_field(device)
+        self._read_to_go = self.to_go if cost.w_to_go > 0.0 else geometry.clearance  # a field of the same grid
         self._to_go_values = self.to_go.values.numpy()
         self.setup_seconds = time.perf_counter() - began
         self._step = level.speed_limit[0] * dt
@@ -109,7 +110,7 @@ class ObjectDynamics:
         inputs = [
             self._model,
             self._weights,
-            self.to_go,
+            self._read_to_go,
             self._yaw_length,
             self._start.array,
             self._goal,
