@@ -38,7 +38,7 @@ POSE_TOLERANCE = (0.0005, 0.005)
 """Largest median difference of Newton worlds from C rollouts [m, rad]: single against double precision."""
 PUSH = 0.005
 """Distance that an object is pushed in a control period, about [m]."""
-BLOCKS = (4, 8, 16, 32, 64, 256)
+BLOCKS = (4, 8, 16, 32, 64)
 """Numbers of threads per block of samples to compare."""
 NCU = ("ncu", "--clock-control", "none", "--cache-control", "none", "--profile-from-start", "off")
 """Nsight Compute, which is to leave clocks and caches as they are; :func:`one_plan` says when to begin."""
@@ -239,22 +239,22 @@ def times(check: Check) -> None:
     from oimppi_warp.usd import load_scene
 
     loop = _loops(check)
-    repeats = 2 if check.small else 60
+    repeats = 2 if check.small else 300
     for engine, method in (*(("quasistatic", method) for method in METHODS), ("newton", "mppi")):
-        timing = race({"plan": loop(method, engine)}, repeats if engine == "quasistatic" else max(repeats // 3, 2))[
+        timing = race({"plan": loop(method, engine)}, repeats if engine == "quasistatic" else max(repeats // 15, 2))[
             "plan"
         ]
         check.note(f"{engine}, {method}", timing.figures())
         for problem in timing.problems[:3]:
             check.problem(f"{engine}, {method}: {problem}")
     scene = load_scene(SCENE)
-    usual = step.SAMPLES_BLOCK
+    usual = step.samples_block
     for block in BLOCKS[:2] if check.small else BLOCKS:
-        step.SAMPLES_BLOCK = block
+        step.samples_block = lambda _, block=block: block
         alone = ObjectLoop(scene, check.settings("cloi"), device=check.device)
-        for name, timing in race({"cloi": loop("cloi", "quasistatic"), "object level": alone}, repeats).items():
-            check.note(f"blocks of {block}, quasistatic, {name}", timing.figures())
-    step.SAMPLES_BLOCK = usual
+        for name, runner in (("cloi", loop("cloi", "quasistatic")), ("object level", alone)):
+            check.note(f"blocks of {block}, quasistatic, {name}", race({"": runner}, repeats)[""].figures())
+    step.samples_block = usual
     script = [sys.executable, str(Path(__file__)), "one_method", "--precise", "--device", check.device]
     apart = check.out.with_suffix(".precise")
     _output([*script, "--out", str(apart), *(["--small"] if check.small else [])], check.left)
@@ -271,7 +271,7 @@ def one_method(check: Check) -> None:
     """Times CLOI."""
     from bench_loops import race
 
-    timing = race({"plan": _loops(check)("cloi", "quasistatic")}, 2 if check.small else 60)["plan"]
+    timing = race({"plan": _loops(check)("cloi", "quasistatic")}, 2 if check.small else 300)["plan"]
     check.note("quasistatic, cloi", timing.figures())
 
 
@@ -348,7 +348,7 @@ def tests(check: Check) -> None:
     if check.small:
         files = files[1:2]
     command = [sys.executable, "-m", "pytest", "-v", "-m", "not slow", "-p", "no:cacheprovider", "--tb=short", "-rf"]
-    command += ["--numprocesses", str(max(min((os.cpu_count() or 1) // 2, 6), 1))]
+    command += ["--numprocesses", str(max(min((os.cpu_count() or 1) - 2, 12), 1))]
     environment = os.environ | {"OIMPPI_TEST_DEVICE": check.device}
     process = subprocess.Popen(
         [*command, *map(str, files)],
@@ -385,8 +385,8 @@ def profile(check: Check) -> None:
     if shutil.which("ncu"):
         for engine, metrics, count in (("quasistatic", METRICS, 40), ("newton", METRICS[:3], 320)):
             which = ["--csv", "--page", "raw", "--metrics", ",".join(metrics), "-c", str(count)]
-            command = [*NCU, *which, *plan, "--engine", engine, *small]
-            check.note(f"ncu, {engine}", _profiled(_output(command, check.left / 2, quiet=True)))
+            found = _profiled(_output([*NCU, *which, *plan, "--engine", engine, *small], check.left / 2, quiet=True))
+            check.note(f"ncu, {engine}", found if engine == "quasistatic" else _per_kernel(found))
         report = check.out.with_suffix(".ncu-rep")
         which = ["--set", "full", "--import-source", "no", "-k", "regex:rollout", "-c", "2", "-f", "-o", str(report)]
         _output([*NCU, *which, *plan, *small], check.left / 2)
@@ -461,13 +461,13 @@ def kernels(check: Check, arch: int | None = None, blocks: tuple[int, ...] = BLO
     from oimppi_warp.usd import load_scene
 
     folder = check.out.parent / "kernels" / wp.config.version
-    usual = step.SAMPLES_BLOCK
+    usual = step.samples_block
     if arch is None:
         with precompile.record_modules() as variants:
             for block in BLOCKS[:2]:
-                step.SAMPLES_BLOCK = block
+                step.samples_block = lambda _, block=block: block
                 check.planner("cloi", "quasistatic", "emulated-gpu").warm_up()
-            step.SAMPLES_BLOCK = usual
+            step.samples_block = usual
             for method in METHODS:
                 _two_plans(check.planner(method, "quasistatic", "emulated-gpu"))
             check.planner("mppi", "newton", "emulated-gpu").warm_up()
@@ -586,8 +586,20 @@ def _profiled(text: str) -> dict[str, dict[str, str]] | str:
         cells = dict(zip(names, entry, strict=False))
         kernel = f"{index} {cells.get('Kernel Name', '?')}"
         unit = dict(zip(names, units, strict=False))
-        found[kernel] = {k: f"{v} {unit.get(k, '')}".strip() for k, v in cells.items() if "__" in k}
+        found[kernel] = {k: f"{v} {unit.get(k, '')}".strip() for k, v in cells.items() if k in METRICS}
     return found
+
+
+def _per_kernel(found: dict[str, dict[str, str]] | str) -> dict[str, dict[str, float]] | str:
+    """Returns the number of launches of each kernel, and their time [us], the longest first."""
+    if isinstance(found, str):
+        return found
+    sums: dict[str, list[float]] = {}
+    for name, metrics in found.items():
+        time_ns = metrics.get("gpu__time_duration.sum", "0").split()[0].replace(",", "")
+        sums.setdefault(name.split(" ", 1)[1], []).append(float(time_ns) / 1e3)
+    longest = sorted(sums, key=lambda name: -sum(sums[name]))
+    return {name: {"launches": len(sums[name]), "us": round(sum(sums[name]), 1)} for name in longest}
 
 
 @contextmanager

@@ -30,8 +30,8 @@ _SLICES_PER_THREAD = 4
 """Number of slices of the samples per thread, large enough that no thread waits long for the others."""
 BLOCK = 256
 """Threads per block on a GPU that cooperate."""
-SAMPLES_BLOCK = 32
-"""Threads per block on a GPU where each has a sample of its own: small blocks spread over more multiprocessors."""
+_MOST_BLOCKS = 400
+"""Number of blocks up to which few samples share one: about three for each multiprocessor of a large GPU."""
 _CHUNK = 1 << 20
 """Size of a planner's buffer of inputs, and of its buffer of outputs, on CUDA [B]."""
 _ALIGNMENT = 64
@@ -86,7 +86,8 @@ class Compute:
         self.threads = core_count() if threads is None else threads
         if self.name == EMULATED_GPU:
             wp.config.enable_cpu_blocks = True
-        self._block, self._samples_block = (BLOCK, SAMPLES_BLOCK) if self.on_gpu else (1, 1)
+        self._block = BLOCK if self.on_gpu else 1
+        self._samples_blocks: dict[Any, int] = {}
         self._inputs = _Shared(self.device, separate=self.on_gpu)
         self._outputs = _Shared(self.device, separate=self.on_gpu)
 
@@ -124,10 +125,12 @@ class Compute:
             inputs: The kernel's other inputs.
             outputs: The kernel's outputs.
         """
+        # One size of blocks for all launches of a kernel, by the first: it is compiled for each size.
+        block = self._samples_blocks.setdefault(kernel, samples_block(count)) if self.on_gpu else 1
         slices = 1 if self.on_gpu or self.threads == 1 else min(self.threads * _SLICES_PER_THREAD, count)
         edges = np.linspace(0, count, slices + 1).astype(int)
         launches = [
-            _Prepared(kernel, (end - begin,), [begin, *inputs], outputs, self.device, self._samples_block)
+            _Prepared(kernel, (end - begin,), [begin, *inputs], outputs, self.device, block)
             for begin, end in pairwise(edges.tolist())
         ]
         return launches[0] if slices == 1 else _Shares(edges, launches, self.threads)
@@ -177,6 +180,15 @@ class Step:
         """Runs the step and waits for its end."""
         self.begin()
         self.wait()
+
+
+def samples_block(count: int) -> int:
+    """Returns the number of threads per block on a GPU for a number of samples, one thread for each: 4 to 32.
+
+    A warp takes as long as all of its threads together, where they branch or wait for memory. The fewer it has, the
+    faster it is, as long as there are multiprocessors for all blocks.
+    """
+    return next((block for block in (4, 8, 16) if count <= _MOST_BLOCKS * block), 32)
 
 
 def in_order(launches: Sequence[Launch]) -> Launch:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from oimppi_warp.compute.step import Compute, in_order
+from oimppi_warp.compute.step import Compute, in_order, samples_block
 
 COUNT = 1001
 
@@ -60,3 +60,8 @@ def test_threads_meet_once_for_launches_over_the_same_samples(monkeypatch):
     assert len(meetings) == 2  # one for the two launches over all samples, one for the few
     np.testing.assert_array_equal(second.numpy(), np.arange(COUNT, dtype=np.float32) ** 2 + 1.0)
     np.testing.assert_array_equal(few.numpy(), np.arange(7) ** 2)
+
+
+def test_few_samples_spread_over_many_blocks_and_many_fill_them():
+    sizes = [samples_block(count) for count in (1, 1200, 2000, 5000, 20000)]
+    assert sizes == [4, 4, 8, 16, 32]

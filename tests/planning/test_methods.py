@@ -528,6 +528,28 @@ def test_a_reference_is_held_at_its_end():
     np.testing.assert_allclose(held, np.tile(planner.goal, (len(held), 1)), atol=1e-6)
 
 
+@pytest.mark.parametrize("method", ["mppi", "cloi", "soi"])
+def test_the_details_of_a_plan_stay_its_own_after_the_next_plan(method: str, device: str):
+    scene = shipped("task02")
+    here = observe(scene)
+    found = []
+    for patient in (True, False):
+        planner = make_planner(scene, SMALL, method=method, device=device, seed=3)
+        planner.start(here)
+        plans = []
+        for _ in range(3):
+            plans.append(planner.plan(here))
+            if not patient:
+                plans[-1].details()
+        found.append(plans)
+    for late, early in zip(*found, strict=True):
+        np.testing.assert_array_equal(late.command, early.command)
+        for name in ("terms", "tips", "object_poses", "reference"):
+            np.testing.assert_array_equal(getattr(late, name), getattr(early, name))
+        assert late.update == early.update
+    assert not np.array_equal(found[0][0].tips, found[0][1].tips)
+
+
 # Bad input
 
 
