@@ -35,6 +35,11 @@ PACKAGES = (
     "docstring-parser",
 )
 """Packages that such a machine lacks."""
+LEFT_OUT = (
+    *("viser", "imageio", "msgspec", "websockets", "zstandard", "tqdm", "requests", "certifi", "charset-normalizer"),
+    *("idna", "urllib3", "coacd", "cloudpickle", "pyopengl", "colorama", "setuptools", "tzdata"),
+)
+"""Packages that planning without the viewer and without imports of meshes does not need."""
 PLATFORMS = [f"manylinux_2_{minor}_x86_64" for minor in (39, 35, 34, 31, 28, 27, 24, 17)] + ["manylinux2014_x86_64"]
 """Wheel platforms that it can use; pip takes no range of them."""
 UNUSED = ("warp/tests", "warp/examples", "newton/tests", "newton/examples", "mujoco_warp/test_data", "bin")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import sys
 import time
 from argparse import Namespace
@@ -109,7 +110,7 @@ def test_every_step_exists_and_every_package_is_pinned(tools):
 
 def test_a_profile_is_read_from_the_profilers_table(tools):
     table = '==PROF== Connected\n"ID","Kernel Name","gpu__time_duration.sum"\n"","","us"\n"0","rollout","41.5"\n'
-    assert tools.steps._profiled(table) == {"rollout": {"gpu__time_duration.sum": "41.5 us"}}
+    assert tools.steps._profiled(table) == {"0 rollout": {"gpu__time_duration.sum": "41.5 us"}}
     assert tools.steps._profiled("no permission") == "no permission"
 
 
@@ -126,3 +127,24 @@ def test_parts_are_put_together_again(tools, tmp_path, monkeypatch):
     assert (tmp_path / "work" / "site" / "library.so").read_bytes() == data
     with pytest.raises(FileNotFoundError, match="gpu_pack"):
         tools.check.unpack(tmp_path / "nothing", tmp_path / "other")
+
+
+def test_every_package_of_the_lock_is_packed_or_expected_there_or_left_out_on_purpose(tools):
+    import gpu_rehearsal
+
+    lock = (TOOLS.parent / "requirements.lock").read_text()
+    names = {re.split(r"[=\[ ]", line, maxsplit=1)[0] for line in lock.splitlines() if re.match(r"\w", line)}
+    places = [set(tools.pack.PACKAGES), set(gpu_rehearsal.EXPECTED), set(tools.pack.LEFT_OUT)]
+    assert set.union(*places) == names
+    assert sum(map(len, places)) == len(names)
+
+
+def test_launches_of_a_kernel_are_added_up_the_longest_first(tools):
+    found = {
+        "0 short": {"gpu__time_duration.sum": "1,500 ns"},
+        "1 long": {"gpu__time_duration.sum": "4,000 ns"},
+        "2 short": {"gpu__time_duration.sum": "1,000 ns"},
+    }
+    sums = tools.steps._per_kernel(found)
+    assert list(sums.items()) == [("long", {"launches": 1, "us": 4.0}), ("short", {"launches": 2, "us": 2.5})]
+    assert tools.steps._per_kernel("no table") == "no table"
