@@ -13,7 +13,8 @@ INLINE_THRESHOLD = 60000
 
 
 FAST_MATH = True
-"""Whether a GPU divides, and takes roots, sines and logarithms, to about 2e-7 only, with half of the instructions."""
+"""Whether a GPU divides, and takes roots, sines and logarithms, approximately: to about 4e-7, with half of the
+instructions of a rollout. Sines of angles beyond pi are less accurate. It changes nothing on the CPU."""
 
 
 def fast(*, inlined: bool = False) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from oimppi_warp.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from oimppi_warp.config.overrides import set_option
-    from oimppi_warp.config.presets import best, paper
+    from oimppi_warp.config.presets import best, paper, paper_printed
     from oimppi_warp.config.run_spec import RunSpec
     from oimppi_warp.config.settings import Config
     from oimppi_warp.errors import ConfigError, DeviceError, ObservationError, OimppiError, SceneError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from oimppi_warp.physics.world import World
     from oimppi_warp.planning.engines.cost_terms import CostTerm
     from oimppi_warp.planning.factory import make_planner
-    from oimppi_warp.planning.plan import Plan
+    from oimppi_warp.planning.plan import Plan, PlanDetails
     from oimppi_warp.planning.planner import Planner
     from oimppi_warp.plants.plant import Contacts, Plant, SimulatedPlant
     from oimppi_warp.record.log import EpisodeLog
@@ -50,6 +50,7 @@ _MODULES = {
     "ObservationError": "errors",
     "OimppiError": "errors",
     "Plan": "planning.plan",
+    "PlanDetails": "planning.plan",
     "Planner": "planning.planner",
     "Plant": "plants.plant",
     "RunSpec": "config.run_spec",
@@ -61,6 +62,7 @@ _MODULES = {
     "load_scene": "usd",
     "make_planner": "planning.factory",
     "paper": "config.presets",
+    "paper_printed": "config.presets",
     "planar_pose": "observation",
     "planar_transform": "observation",
     "set_option": "config.overrides",
@@ -86,6 +88,7 @@ __all__ = [
     "ObservationError",
     "OimppiError",
     "Plan",
+    "PlanDetails",
     "Planner",
     "Plant",
     "RunSpec",
@@ -97,6 +100,7 @@ __all__ = [
     "load_scene",
     "make_planner",
     "paper",
+    "paper_printed",
     "planar_pose",
     "planar_transform",
     "set_option",

@@ -112,11 +112,9 @@ def implausible(observation: Observation, robot: Robot) -> str:
         "the object's transform": observation.object_transform,
     }
     for name, value in values.items():
-        if not all(map(math.isfinite, value.tolist())):
+        if not all(map(math.isfinite, np.asarray(value, dtype=float).tolist())):
             return f"non-finite values in {name}: {np.round(np.asarray(value, dtype=float), 4).tolist()}"
-    distance = max(
-        math.hypot(*observation.object_pose[:2].tolist()), math.hypot(*observation.object_transform[:3].tolist())
-    )
+    distance = max(math.hypot(*observation.object_pose[:2]), math.hypot(*observation.object_transform[:3]))
     if distance > FARTHEST_OBJECT:
         return f"the object is reported {distance:.4g} m from the origin (more than {FARTHEST_OBJECT:g} m)"
     beyond = beyond_limits(robot, observation.joint_position)

@@ -1,9 +1,9 @@
 """Searches the values that the paper does not print, by successive halving.
 
-Candidates differ at random from values found by hand; everything else is as in the preset ``paper``. Each round runs
-the tasks with SOI and CLOI on more trials (numbers from 100 up, which no table uses), and keeps the candidates with the
-highest success rate, of both methods and all tasks together. Plain MPPI takes no part in the choice. Run the command
-again to resume::
+Candidates differ at random from values found by hand; everything else is as in the preset ``paper-printed``. Each round
+runs the tasks with SOI and CLOI on more trials (numbers from 100 up, which no table uses), and keeps the candidates
+with the highest success rate, of both methods and all tasks together. Plain MPPI takes no part in the choice. Run the
+command again to resume::
 
     python tools/search_paper.py --out runs/search --methods soi cloi
 """
@@ -92,6 +92,7 @@ def suite_of(chosen: dict[str, tuple[str, ...]], trials: int, methods: tuple[str
     """Returns the suite of a round: every candidate, by its label, on all tasks."""
     plain = load_suite("paper-sim")
     base = replace(plain.entries[0], tasks=TASKS, methods=methods, first=FIRST, trials=trials)
+    base = base.changed({"preset": "paper-printed"})
     entries = [base.changed({"label": label, "set": assignments}) for label, assignments in chosen.items()]
     return replace(plain, name="search-paper", title="Search of the preset paper", entries=tuple(entries))
 

@@ -40,9 +40,10 @@ class TaskOptions:
     goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="(default: the scene's)")] = None
     """Goal pose of the object, as X,Y,YAW in metres and radians."""
 
-    preset: Literal["auto", "best", "paper", "lab"] = "auto"
-    """Settings to start from: our best (best), the paper's (paper), or those for the simulated laboratory (lab).
-    auto selects lab with --plant lab, otherwise best."""
+    preset: Literal["auto", "best", "paper", "paper-printed", "lab"] = "auto"
+    """Settings to start from. best: our best. paper: the paper's, and values found by search where it prints none.
+    paper-printed: the paper's, and those of its baseline where it prints none. lab: for the simulated laboratory. auto
+    selects lab with --plant lab, otherwise best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512; docs/settings.md lists the names."""

@@ -31,7 +31,7 @@ _SLICES_PER_THREAD = 4
 BLOCK = 256
 """Threads per block on a GPU that cooperate."""
 _MOST_BLOCKS = 400
-"""Number of blocks up to which few samples share one: about three for each multiprocessor of a large GPU."""
+"""Number of blocks, about three for each multiprocessor of a large GPU, beyond which blocks get more threads."""
 _CHUNK = 1 << 20
 """Size of a planner's buffer of inputs, and of its buffer of outputs, on CUDA [B]."""
 _ALIGNMENT = 64
@@ -135,20 +135,23 @@ class Compute:
         ]
         return launches[0] if slices == 1 else _Shares(edges, launches, self.threads)
 
-    def step(self, launches: Sequence[Launch], *, one_graph: bool = True) -> Step:
+    def step(self, launches: Sequence[Launch], *, one_graph: bool = True, upload: bool = True) -> Step:
         """Prepares a step.
 
-        It uploads the inputs, runs ``launches`` in order and downloads the outputs. On the CPU, a thread runs
+        It uploads all inputs, runs ``launches`` in order and downloads all outputs. On the CPU, a thread runs
         consecutive launches over the same number of samples one after another for its samples.
 
         Args:
             launches: Launches of the step.
             one_graph: Whether the step can be captured as one CUDA graph; if not, its launches run one by one.
+            upload: Whether the inputs are uploaded. A step that goes on from another one finds them as that left them:
+                its launches may have written some.
         """
         everything = in_order(_joined(launches))
 
         def enqueue() -> None:
-            self._inputs.upload()
+            if upload:
+                self._inputs.upload()
             everything()
             self._outputs.download()
 

@@ -47,8 +47,9 @@ class ClosedLoopPlanner(Planner):
         Returns:
             Wall time of computing or reading the cost-to-go [s].
         """
+        seconds = super().start(observation)
         self._object.optimizer.reset()
-        return super().start(observation) + self._object.setup_seconds
+        return seconds + self._object.setup_seconds
 
     def set_reference(self, pose: np.ndarray) -> None:
         """Sets the object level's state; its plan becomes the reference within the step."""

@@ -36,11 +36,11 @@ class Later:
     """Details that are fetched when they are asked for, and then kept; any thread may ask.
 
     Args:
-        fetch: Returns the details, as long as the planner has not begun its next plan.
+        fetch: Returns the details, as long as the planner has not begun its next plan or episode.
     """
 
     def __init__(self, fetch: Callable[[], PlanDetails]) -> None:
-        self._fetch = fetch
+        self._fetch: Callable[[], PlanDetails] | None = fetch
         self._fetched: PlanDetails | None = None
         self._lock = threading.Lock()
 
@@ -48,7 +48,8 @@ class Later:
         """Returns the details."""
         with self._lock:
             if self._fetched is None:
-                self._fetched = self._fetch()
+                assert self._fetch is not None
+                self._fetched, self._fetch = self._fetch(), None  # a plan does not keep its planner alive
             return self._fetched
 
 

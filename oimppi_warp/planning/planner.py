@@ -51,7 +51,9 @@ class Planner:
     (equation 8); both without the terminal cost l_f. A rollout engine predicts the outcome of the controls.
 
     A control step (:meth:`plan`) writes the inputs, runs steps on the device (:meth:`Compute.step`) and reads the
-    outputs: the two levels; the first command as the arm may follow it; the trace of the nominal. A method is a
+    outputs: the two levels; the first command as the arm may follow it; the trace of the nominal. :meth:`tracked` and
+    :meth:`object_statistics` are called once more when a plan's details are read, which may be in another thread and at
+    the beginning of the next plan or episode. A method is a
     subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`, :meth:`tracked`,
     :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the launches of a step before
     the robot level go into ``object_launches`` in its constructor. It is registered in
@@ -154,16 +156,18 @@ class Planner:
         self._command_launches: list[Launch] = []
         self.pace = compute.input(1, float)
         self.pace.host[0] = 1.0
-        self._start = compute.input(3, wp.vec3)  # the tip's position, the object's pose, the tip's velocity
-        self._rates = compute.input(scene.robot.dof, wp.vec3)  # joint velocities per velocity of the tip
-        self._allowed = compute.output(1, wp.vec3)
+        # The command's step has its own inputs and outputs: they are written while the step before it runs.
+        self._late = Compute(compute.name, threads=compute.threads)
+        self._start = self._late.input(3, wp.vec3)  # the tip's position, the object's pose, the tip's velocity
+        self._rates = self._late.input(scene.robot.dof, wp.vec3)  # joint velocities per velocity of the tip
+        self._allowed = self._late.output(1, wp.vec3)
         if upright is not None:
             model = object_model(self.geometry, tool_friction=scene.object.tool_friction)
             most = config.safety.most_change(config.control_period)
             inputs = [upright.packed, model, scene.robot.tool_radius, self._start.array, self._rates.array, most]
             inputs += [self.dynamics.waypoint.array, self.optimizer.command.array, config.control_period]
             inputs += [_FINER * level.contact_steps]
-            self._command_launches.append(compute.launch(allowed_velocity, 1, inputs, [self._allowed.array]))
+            self._command_launches.append(self._late.launch(allowed_velocity, 1, inputs, [self._allowed.array]))
         self._repositioner = Repositioner(
             scene,
             self.geometry,
@@ -182,8 +186,8 @@ class Planner:
         captured = self.dynamics.one_graph and self.optimizer.one_graph and self.object_one_graph
         return (
             self.compute.step(levels, one_graph=captured),
-            self.compute.step(self._command_launches),
-            self.compute.step(self._trace_launches, one_graph=self.dynamics.one_graph),
+            self._late.step(self._command_launches),
+            self.compute.step(self._trace_launches, one_graph=self.dynamics.one_graph, upload=False),
         )
 
     @property
@@ -200,7 +204,7 @@ class Planner:
         start = np.array(self.scene.start)
         joints = self.scene.robot.start
         transform = planar_transform(self.scene.start, self.scene.object.rest_height)
-        self.plan(Observation(0.0, joints, np.zeros_like(joints), start, transform))
+        self.plan(Observation(0.0, joints, np.zeros_like(joints), start, transform)).details()
 
     def start(self, observation: Observation) -> float:
         """Prepares for an episode that begins with ``observation``.
@@ -214,6 +218,7 @@ class Planner:
         check_shapes(observation, self.scene.robot.dof)
         if problem := implausible(observation, self.scene.robot):
             raise ObservationError(f"an episode cannot start from this observation: {problem}")
+        self._settle()
         self.optimizer.reset()
         self._repositioner.reset()
         return self._setup_seconds
@@ -232,8 +237,7 @@ class Planner:
         check_shapes(observation, self.scene.robot.dof)
         if problem := implausible(observation, self.scene.robot):
             return self._stop(problem)
-        if self._latest is not None:
-            self._latest()  # this plan overwrites what it fetches
+        self._settle()
         pose = to_center(self.geometry.surface, observation.object_pose)
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
         waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
@@ -253,23 +257,31 @@ class Planner:
             self._start.host[:] = tip, pose, rates.linear @ observation.joint_velocity
             command.begin()
         levels.wait()
+        self.dynamics.check()
         trace.begin()
         self._latest = Later(self._details)
         return Plan(self._command(rates), self.object_finished() - began, self._latest)
 
+    def _settle(self) -> None:
+        """Fetches the details of the latest plan, which the next one overwrites."""
+        latest, self._latest = self._latest, None
+        if latest is not None:
+            latest()
+
     def _details(self) -> PlanDetails:
         """Returns the details of the latest plan."""
-        self.steps[-1].wait()
-        trace = self.dynamics.traced()
-        surface = self.geometry.surface
-        return PlanDetails(
-            update=self.optimizer.found(),
-            object_update=self.object_statistics(),
-            terms=trace.terms,
-            tips=trace.tips,
-            object_poses=from_center(surface, trace.poses),
-            reference=from_center(surface, self.tracked()),
-        )
+        with using_gpu:
+            self.steps[-1].wait()
+            trace = self.dynamics.traced()
+            surface = self.geometry.surface
+            return PlanDetails(
+                update=self.optimizer.found(),
+                object_update=self.object_statistics(),
+                terms=trace.terms,
+                tips=trace.tips,
+                object_poses=from_center(surface, trace.poses),
+                reference=from_center(surface, self.tracked()),
+            )
 
     def samples(self, count: int) -> Samples:
         """Returns samples of the latest plan for display, sorted by decreasing weight.

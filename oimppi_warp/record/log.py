@@ -97,7 +97,7 @@ COLUMNS: dict[str, Column] = {
     "contact_robot_obstacle": Column((), "N", "largest force between robot and obstacles or table during the step"),
     "done": Column((), "1", "1 if the plant says that the task is done; NaN if the plant does not judge"),
     "scores": Column(("n_scores",), "1", "figures of merit that the plant gives"),
-    "plan_ms": Column((), "ms", "wall time of the planner's call"),
+    "plan_ms": Column((), "ms", "wall time of the planner's call, until the command is known"),
     "object_plan_ms": Column((), "ms", "part of plan_ms spent in the object level"),
     "effective_samples": Column((), "1", "effective sample size of the robot level"),
     "object_effective_samples": Column((), "1", "effective sample size of the object level"),

@@ -36,7 +36,8 @@ class Metrics:
         preplan_time_s: Wall time of SOI's object plan [s].
         total_time_s: The paper's T: pre-planning, then each step as long as its planning or the control period,
             whichever is longer, until success (without success: to the end).
-        plan_ms_median, plan_ms_p95: Median and 95th percentile of the wall times of the plans [ms].
+        plan_ms_median, plan_ms_p95: Median and 95th percentile of the wall times of the plans, until their commands are
+            known [ms]; on a GPU, the trace of the nominal follows.
         object_plan_ms_median: Median for the object level alone [ms].
         control_hz: Inverse of the mean plan time (the paper's f) [Hz].
         max_contact_tool_object_n, max_contact_object_obstacle_n, max_contact_robot_obstacle_n: Largest forces

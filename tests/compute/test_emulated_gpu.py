@@ -50,6 +50,11 @@ def test_plans_are_those_of_the_cpu_to_rounding(method):
         np.testing.assert_allclose(found.command, expected.command, atol=2e-4)
         np.testing.assert_allclose(found.object_poses, expected.object_poses, atol=2e-4)
         assert found.update.min_cost == pytest.approx(expected.update.min_cost, rel=1e-4)
+        np.testing.assert_allclose(found.terms, expected.terms, rtol=1e-3, atol=0.01)
+        np.testing.assert_allclose(found.tips, expected.tips, atol=2e-4)
+        np.testing.assert_allclose(found.reference, expected.reference, atol=2e-3)
+        shown = emulated.samples(4).terms
+        assert shown == pytest.approx(cpu.samples(4).terms, rel=1e-2, abs=0.1)
 
 
 def test_the_newton_engine_there_is_the_one_of_a_gpu():

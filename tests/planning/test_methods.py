@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +28,7 @@ from support.small_tasks import (
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config, ObjectLevel, RobotLevel
 from oimppi_warp.config.settings import Mppi as MppiSettings
-from oimppi_warp.errors import ConfigError, DeviceError
+from oimppi_warp.errors import ConfigError, DeviceError, SceneError
 from oimppi_warp.geometry.feasibility import sample_start
 from oimppi_warp.geometry.fields import ExactClearance, from_center, pose_field_at, to_center
 from oimppi_warp.geometry.footprint import wrap_angle
@@ -548,6 +550,40 @@ def test_the_details_of_a_plan_stay_its_own_after_the_next_plan(method: str, dev
             np.testing.assert_array_equal(getattr(late, name), getattr(early, name))
         assert late.update == early.update
     assert not np.array_equal(found[0][0].tips, found[0][1].tips)
+
+
+@pytest.mark.parametrize("method", ["mppi", "cloi", "soi"])
+def test_the_details_of_a_plan_stay_its_own_after_a_new_start(method: str, device: str):
+    here = observe(shipped("task02"))
+    planner = make_planner(shipped("task02"), SMALL, method=method, device=device, seed=3)
+    planner.start(here)
+    plan = planner.plan(here)
+    planner.start(here)
+    assert plan.update.effective_samples >= 1.0 and plan.update.min_cost > 0.0
+
+
+def test_rollouts_that_cannot_be_used_give_no_command(device: str, monkeypatch: pytest.MonkeyPatch):
+    here = observe(shipped("task02"))
+    planner = make_planner(shipped("task02"), SMALL, method="mppi", device=device, seed=3)
+
+    def refuse() -> None:
+        raise SceneError("too many contacts")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(planner.dynamics, "check", refuse)
+        with pytest.raises(SceneError, match="too many contacts"):
+            planner.plan(here)
+    assert np.isfinite(planner.plan(here).update.min_cost)
+
+
+def test_a_plan_does_not_keep_its_planner_alive(device: str):
+    planner = make_planner(shipped("task02"), SMALL, method="mppi", device=device, seed=3)
+    plan = planner.plan(observe(shipped("task02")))
+    plan.details()
+    alive = weakref.ref(planner)
+    del planner
+    gc.collect()
+    assert alive() is None and len(plan.tips)
 
 
 # Bad input

@@ -179,6 +179,9 @@ class RobotDynamics(ABC):
         self._costs = costs
         return lambda: None
 
+    def check(self) -> None:  # noqa: B027
+        """Raises an error if the latest rollouts cannot be used; called in each plan before its command is."""
+
     def traced(self) -> Trace:
         """Returns the plan's trace: that of the nominal, or of the best sample where another rollout would be costly.
 

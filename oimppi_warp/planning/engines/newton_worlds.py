@@ -27,7 +27,7 @@ from oimppi_warp.kernels.rollouts.worlds import (
 from oimppi_warp.observation import Observation
 from oimppi_warp.physics.mujoco_model import SENSED, map_model
 from oimppi_warp.physics.newton_model import MIN_FRICTION, ROLES, SOLVER_OPTIONS, NewtonModel, build_model
-from oimppi_warp.planning.engines.dynamics import RolloutTask, Trace, control_type
+from oimppi_warp.planning.engines.dynamics import RolloutTask, control_type
 from oimppi_warp.planning.engines.newton import NewtonDynamics, contact_softness
 from oimppi_warp.planning.engines.uncertainty import Draws
 from oimppi_warp.scene import Scene
@@ -55,7 +55,7 @@ class NewtonWorlds(NewtonDynamics):
 
     Raises:
         DeviceError: The device has too little free memory for so many worlds.
-        SceneError: In :meth:`traced`, if a world ran out of memory for contacts or constraints.
+        SceneError: In :meth:`check`, if a world ran out of memory for contacts or constraints.
     """
 
     one_graph = True
@@ -151,8 +151,8 @@ class NewtonWorlds(NewtonDynamics):
         """Returns the states after each step; see :class:`oimppi_warp.planning.engines.newton.NewtonDynamics`."""
         return self._joints, self._objects, wp.float32
 
-    def traced(self) -> Trace:
-        """Returns the trace of the cheapest sample.
+    def check(self) -> None:
+        """Checks that the worlds had enough memory.
 
         Raises:
             SceneError: A world ran out of memory for contacts or constraints.
@@ -167,7 +167,6 @@ class NewtonWorlds(NewtonDynamics):
                 file=self.task.scene.file,
                 fix="use --engine quasistatic, or simplify the collision shapes",
             )
-        return super().traced()
 
 
 def contact_room(roles: np.ndarray) -> int:

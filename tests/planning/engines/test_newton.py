@@ -229,7 +229,7 @@ def test_too_small_a_contact_buffer_is_an_error(pushes, capfd):
     data.naconmax = 2  # Newton makes room for what touches at the start
     roll(dynamics, states[0], controls[:2, :3])
     with pytest.raises(SceneError, match=r"ran out of contact memory: .* 1 contact points(.|\n)*quasistatic"):
-        dynamics.traced()
+        dynamics.check()
     capfd.readouterr()
 
 
