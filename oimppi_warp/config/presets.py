@@ -45,9 +45,9 @@ def paper(method: str = "cloi") -> Config:
     """Returns the preset ``paper``: the paper's algorithms, costs, K and horizons, with values found by search.
 
     It is :func:`paper_printed` with other values for what the paper does not print. They were chosen by the success of
-    SOI and CLOI alone, on trials that no table uses (`docs/results.md`, `tools/search_paper.py`), and are the same for
-    all tasks and methods. Plain MPPI has the weight of the coupling cost too: its reference is the goal. Nothing of
-    ours is on that the paper does not have: no cost-to-go, no repositioning, no ring.
+    SOI and CLOI alone, on trials 100 to 107 (`tools/search_paper.py`, `docs/results/paper-search.json`), and are the
+    same for all tasks and methods. Plain MPPI has the weight of the coupling cost too: its reference is the goal.
+    Nothing of ours is on that the paper does not have: no cost-to-go, no repositioning, no ring.
 
     Args:
         method: Name of the method; see :func:`best`.
@@ -71,13 +71,13 @@ def paper(method: str = "cloi") -> Config:
         ),
         cost=replace(
             base.cost,
-            w_d=5.0,
+            w_d=1.0,
             w_theta=0.03,
-            w_reference=200.0,
-            w_align=2.0,
+            w_reference=400.0,
+            w_align=6.0,
             w_height=1000.0,
         ),
-        object_cost=replace(base.object_cost, w_d=10.0, w_theta=0.03),
+        object_cost=replace(base.object_cost, w_d=10.0, w_theta=0.03, w_f=1.0),
     )
 
 
