@@ -86,7 +86,7 @@ def compress(root: Path, out: Path, *, level: int) -> list[Path]:
     """Write a folder as one compressed archive in parts; returns the parts.
 
     Raises:
-        RuntimeError: It takes more than four parts.
+        RuntimeError: It takes more than five parts.
     """
     archive = out / "pack.tar.xz"
     compressor = ["xz", f"-{level}", "--threads=0", "--stdout"]
@@ -101,8 +101,8 @@ def compress(root: Path, out: Path, *, level: int) -> list[Path]:
             parts.append(out / f"part-a{chr(ord('a') + len(parts))}")
             parts[-1].write_bytes(data)
     archive.unlink()
-    if len(parts) > 4:
-        raise RuntimeError(f"the pack needs {len(parts)} parts of {PART >> 20} MiB, more than four")
+    if len(parts) > 5:
+        raise RuntimeError(f"the pack needs {len(parts)} parts of {PART >> 20} MiB, more than five")
     return parts
 
 

@@ -11,7 +11,7 @@ from support.device import to_the_bit
 from support.episodes import episode
 
 from oimppi_warp.config.overrides import set_option
-from oimppi_warp.config.presets import best, paper
+from oimppi_warp.config.presets import best, paper_printed
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.record.log import EpisodeLog
 from oimppi_warp.record.metrics import summarize, within
@@ -55,7 +55,7 @@ def test_every_scene_plans_and_runs_with_every_method(name: str, method: str, de
 @pytest.mark.parametrize("method", METHODS)
 def test_the_preset_paper_runs_as_printed(method: str, device: str):
     scene = load_scene("task02")
-    config = set_option(paper(method), "episode.max_sim_seconds=0.25")
+    config = set_option(paper_printed(method), "episode.max_sim_seconds=0.25")
     config = set_option(config, "object.plan_steps=20")
     log = Episode(scene, config, method=method, device=device).run()
     assert len(log) == 5
