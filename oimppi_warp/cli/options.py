@@ -42,8 +42,8 @@ class TaskOptions:
 
     preset: Literal["auto", "best", "paper", "paper-printed", "lab"] = "auto"
     """Settings to start from. best: our best. paper: the paper's, and values found by search where it prints none.
-    paper-printed: the paper's, and those of its baseline where it prints none. lab: for the simulated laboratory. auto
-    selects lab with --plant lab, otherwise best."""
+    paper-printed: the paper's, and those of its baseline where it prints none. lab: for the simulated laboratory.
+    auto selects lab with --plant lab, otherwise best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512; docs/settings.md lists the names."""
