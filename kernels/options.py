@@ -13,8 +13,11 @@ INLINE_THRESHOLD = 60000
 
 
 FAST_MATH = True
-"""Whether a GPU divides, and takes roots, sines and logarithms, approximately: to about 4e-7, with half of the
-instructions of a rollout. Sines of angles beyond pi are less accurate. It changes nothing on the CPU."""
+"""Whether these kernels use fast math on a GPU, which halves the instructions of a rollout.
+
+Divisions, roots, sines and logarithms are then accurate to about 4e-7, and sines of angles beyond pi less so. It
+changes nothing on the CPU.
+"""
 
 
 def fast(*, inlined: bool = False) -> dict[str, Any]:

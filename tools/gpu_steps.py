@@ -521,12 +521,10 @@ def _two_plans(planner: Planner) -> dict[str, Any]:
 
 def _launch_one_by_one(planner: Planner) -> None:
     """Makes a planner run its steps without a graph."""
-    lists = ([*planner.object_launches, *planner._robot_launches], planner._command_launches, planner._trace_launches)
-    levels, command, trace = lists
     planner.__dict__["steps"] = (
-        planner.compute.step(levels, one_graph=False),
-        planner._late.step(command, one_graph=False),
-        planner.compute.step(trace, one_graph=False, upload=False),
+        planner.compute.step([*planner.object_launches, *planner._robot_launches], one_graph=False),
+        planner._late.step(planner._command_launches, one_graph=False),
+        planner.compute.step(planner._trace_launches, one_graph=False, upload=False),
     )
 
 

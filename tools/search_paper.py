@@ -1,9 +1,9 @@
 """Searches the values that the paper does not print, by successive halving.
 
 Candidates differ at random from values found by hand; everything else is as in the preset ``paper-printed``. Each round
-runs the tasks with SOI and CLOI on more trials (numbers from 100 up, which no table uses), and keeps the candidates
-with the highest success rate, of both methods and all tasks together. Plain MPPI takes no part in the choice. Run the
-command again to resume::
+runs the tasks with SOI and CLOI on more trials (numbers from 100 up, which the results do not use), and keeps the
+candidates with the highest success rate, of both methods and all tasks together. Plain MPPI takes no part in the
+choice. Run the command again to resume::
 
     python tools/search_paper.py --out runs/search --methods soi cloi
 """

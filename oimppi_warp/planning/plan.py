@@ -13,7 +13,7 @@ from oimppi_warp.planning.optimizers.optimizer import Update
 
 @dataclass(frozen=True, eq=False)
 class PlanDetails:
-    """What a plan predicts, and how it was made; for logs and displays.
+    """Predictions and statistics of a plan, for logs and displays.
 
     Attributes:
         update: Statistics of the robot level's update.

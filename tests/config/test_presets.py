@@ -29,7 +29,7 @@ NOT_PRINTED = {
     "cost": ("w_d", "w_theta", "w_reference", "w_ee", "r_0", "w_align", "w_height"),
     "object_cost": ("w_d", "w_theta", "w_f"),
 }
-"""What the search of the preset ``paper`` may change: figures that the paper does not print."""
+"""Settings whose values the paper does not print; only these may differ between ``paper`` and ``paper-printed``."""
 
 
 @pytest.mark.parametrize("preset", PRESETS)

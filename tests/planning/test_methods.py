@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import weakref
 from dataclasses import replace
 
@@ -550,6 +551,22 @@ def test_the_details_of_a_plan_stay_its_own_after_the_next_plan(method: str, dev
             np.testing.assert_array_equal(getattr(late, name), getattr(early, name))
         assert late.update == early.update
     assert not np.array_equal(found[0][0].tips, found[0][1].tips)
+
+
+def test_an_observation_of_lists_gives_the_same_plan(device: str):
+    here = observe(shipped("task02"))
+    names = ("joint_position", "joint_velocity", "object_pose", "object_transform")
+    lists = replace(here, **{name: getattr(here, name).tolist() for name in names})
+    first, second = (
+        make_planner(shipped("task02"), SMALL, method="cloi", device=device, seed=3).plan(seen)
+        for seen in (here, lists)
+    )
+    np.testing.assert_array_equal(first.command, second.command)
+    assert (
+        make_planner(shipped("task02"), SMALL, method="cloi", device=device, seed=3)
+        .plan(replace(lists, object_pose=[math.nan, 0.0, 0.0]))
+        .problem
+    )
 
 
 @pytest.mark.parametrize("method", ["mppi", "cloi", "soi"])
