@@ -116,7 +116,7 @@ class Bench:
         if kept:
             console.print(f"{kept} of {len(run.trials)} trials are already finished", soft_wrap=True)
         if pending:
-            with console.status("loading kernels; compiling them the first time takes about half a minute"):
+            with console.status("loading kernels; compiling them the first time takes about 20 seconds"):
                 prepare(pending)
         stopped = False
         with _progress(run, console) as on_result:

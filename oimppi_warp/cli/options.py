@@ -101,7 +101,7 @@ class TaskOptions:
                 console.print(f"{self.scene}: {warnings}, listed by `oimppi scene check {self.scene}`", soft_wrap=True)
         if not device.kernels_are_cached():
             console.print(
-                "First run on this machine: compiling the kernels takes about half a minute and is done once.",
+                "First run on this machine: compiling the kernels takes about 20 seconds and is done once.",
                 soft_wrap=True,
             )
         with console.status("loading kernels"):

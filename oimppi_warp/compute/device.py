@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -169,15 +169,31 @@ def quick_compilation() -> Iterator[None]:
             module.options["optimization_level"] = None
 
 
-@contextmanager
-def loading(*modules: str) -> Iterator[None]:
-    """Loads modules of kernels for the CPU in the background, and waits for them at the end, also after an error.
+_under_way: dict[wp.Module, Future[None]] = {}
+"""Modules that are loaded in the background, or wait for it."""
 
-    Args:
-        modules: Names of Python modules that define kernels.
+
+@contextmanager
+def loading(modules: Sequence[wp.Module]) -> Iterator[None]:
+    """Loads modules of kernels for the CPU in the background, in this order, until the block ends.
+
+    Whoever needs one of them within the block calls :func:`await_loaded` first; otherwise it is compiled twice. Those
+    that have not begun by the end of the block are left out.
     """
     start_warp()
-    with ThreadPoolExecutor(1) as background:
-        loaded = background.submit(wp.force_load, "cpu", [known_modules()[name] for name in modules])
-        yield
-        loaded.result()
+    with ThreadPoolExecutor(1, thread_name_prefix="oimppi-kernels") as background:
+        own = {module: background.submit(wp.force_load, "cpu", [module]) for module in modules}
+        _under_way.update(own)
+        try:
+            yield
+        finally:
+            for module, future in own.items():
+                future.cancel()
+                _under_way.pop(module, None)
+
+
+def await_loaded(modules: Iterable[wp.Module]) -> None:
+    """Waits for those of the modules that are being loaded by :func:`loading`; raises the errors of their compiler."""
+    for module in modules:
+        if (future := _under_way.get(module)) is not None:
+            future.result()

@@ -11,7 +11,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.device import EMULATED_GPU, pick_device, warp_device
+from oimppi_warp.compute.device import EMULATED_GPU, await_loaded, pick_device, warp_device
 
 Launch = Callable[[], None]
 """A prepared launch: kernel and arguments are fixed, and a call runs it."""
@@ -135,6 +135,16 @@ class Compute:
         ]
         return launches[0] if slices == 1 else _Shares(edges, launches, self.threads)
 
+    def load(self, launches: Sequence[Launch]) -> None:
+        """Compiles and loads the kernels of launches, on the CPU several at a time.
+
+        Without it they are loaded one after another, each when its first step is prepared or when it runs.
+        """
+        if not self.on_gpu:  # all kernels have blocks of one thread
+            modules = dict.fromkeys(launch.kernel.module for launch in _kernel_launches(launches))
+            await_loaded(modules)
+            wp.force_load(self.device, list(modules), max_workers=self.threads)
+
     def step(self, launches: Sequence[Launch], *, one_graph: bool = True, upload: bool = True) -> Step:
         """Prepares a step.
 
@@ -147,6 +157,8 @@ class Compute:
             upload: Whether the inputs are uploaded. A step that goes on from another one finds them as that left them:
                 its launches may have written some.
         """
+        for launch in _kernel_launches(launches):
+            launch.prepare()
         everything = in_order(_joined(launches))
 
         def enqueue() -> None:
@@ -224,7 +236,11 @@ def core_count() -> int:
 
 
 class _Prepared:
-    """A launch with packed arguments."""
+    """A launch of a kernel, whose arguments are packed when it is prepared, at the latest when it runs.
+
+    Attributes:
+        kernel: The kernel.
+    """
 
     def __init__(
         self,
@@ -243,13 +259,19 @@ class _Prepared:
             "device": device,
             "block_dim": block,
         }
-        self._kernel = kernel
-        self._command = wp.launch(kernel, **self._arguments, record_cmd=True)
+        self.kernel = kernel
+        self._command: Any = None
+
+    def prepare(self) -> None:
+        """Loads the kernel and packs the arguments."""
+        if self._command is None:
+            self._command = wp.launch(self.kernel, **self._arguments, record_cmd=True)
 
     def __call__(self) -> None:
         if self._device.is_cpu and self._device.is_capturing:
-            wp.launch(self._kernel, **self._arguments)  # a recorded command would run instead of being captured
+            wp.launch(self.kernel, **self._arguments)  # a recorded command would run instead of being captured
         else:
+            self.prepare()
             self._command.launch()
 
 
@@ -275,23 +297,23 @@ class _Shares:
 
     def __init__(self, edges: np.ndarray, launches: Sequence[Launch], threads: int) -> None:
         self._edges = edges
-        self._launches = launches
+        self.launches = launches
         self._threads = threads
 
     def then(self, other: Launch) -> _Shares | None:
         """Returns these launches, each followed by that over the same samples; ``None`` if the slices differ."""
         if not isinstance(other, _Shares) or not np.array_equal(self._edges, other._edges):
             return None
-        both = [in_order(pair) for pair in zip(self._launches, other._launches, strict=True)]
+        both = [in_order(pair) for pair in zip(self.launches, other.launches, strict=True)]
         return _Shares(self._edges, both, self._threads)
 
     def __call__(self) -> None:
         if wp.get_device("cpu").is_capturing:
-            for launch in self._launches:
+            for launch in self.launches:
                 launch()
             return
         helpers = self._threads - 1
-        left = iter(range(len(self._launches)))  # stepping it is atomic under the interpreter's lock
+        left = iter(range(len(self.launches)))  # stepping it is atomic under the interpreter's lock
         waiting = [_pool(helpers).submit(self._work, left) for _ in range(helpers)]
         self._work(left)
         for helper in waiting:
@@ -300,7 +322,16 @@ class _Shares:
 
     def _work(self, left: Any) -> None:
         for index in left:
-            self._launches[index]()
+            self.launches[index]()
+
+
+def _kernel_launches(launches: Sequence[Launch]) -> Iterator[_Prepared]:
+    """Yields the launches of kernels among launches, and in those that are made of several."""
+    for launch in launches:
+        if isinstance(launch, _Prepared):
+            yield launch
+        elif isinstance(launch, _InOrder | _Shares):
+            yield from _kernel_launches(launch.launches)
 
 
 def _joined(launches: Sequence[Launch]) -> list[Launch]:

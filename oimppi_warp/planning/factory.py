@@ -8,15 +8,11 @@ from oimppi_warp.compute.step import Compute, making_planner
 from oimppi_warp.config.overrides import validate
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
-from oimppi_warp.kernels.fields import cost_to_go, distance, stance
 from oimppi_warp.planning.engine_choice import choose_engine
 from oimppi_warp.planning.planner import Planner
 from oimppi_warp.planning.resolve import resolve
 from oimppi_warp.registries import METHODS
 from oimppi_warp.scene import Scene
-
-FIELDS = tuple(module.__name__ for module in (distance, stance, cost_to_go))
-"""Modules of the kernels that compute a planner's fields, on the CPU."""
 
 
 def make_planner(

@@ -183,6 +183,7 @@ class Planner:
     def steps(self) -> tuple[Step, Step, Step]:
         """Returns the steps of a plan: both levels; the command as the arm may follow it; the trace of the nominal."""
         levels = [*self.object_launches, *self._robot_launches]
+        self.compute.load([*levels, *self._command_launches, *self._trace_launches])
         captured = self.dynamics.one_graph and self.optimizer.one_graph and self.object_one_graph
         return (
             self.compute.step(levels, one_graph=captured),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from oimppi_warp.compute.device import loading
+from oimppi_warp.compute.device import await_loaded, loading
 from oimppi_warp.compute.step import core_count
 from oimppi_warp.config.overrides import validate
 from oimppi_warp.config.run_spec import RunSpec
@@ -20,7 +20,8 @@ from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.geometry.fields import ExactClearance
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planning.factory import FIELDS, make_planner
+from oimppi_warp.planning.early_kernels import setup_kernels, step_kernels
+from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.planning.resolve import entries_used, resolve
 from oimppi_warp.plants.drive import Drive
@@ -119,27 +120,20 @@ class Episode:
         if spec.threads is None and spec.mode == "realtime":
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
-        with loading(*FIELDS):  # in a first run, they are compiled while Newton's are compiled for the plant
+        early = setup_kernels(scene, config)
+        # In a first run, these kernels are compiled while Newton's are, and while fields are computed.
+        with loading([*early, *step_kernels(config, spec)]):
             self.plant: Plant = make_plant(scene, config, spec) if plant is None else plant
-        if has_own_world(self.plant):
-            x, y, yaw = map(float, self.plant.observe().object_pose)
-            self.scene = scene = scene.with_start((x, y, yaw))
-        if spec.friction is not None and plant is not None:
-            raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")
-        if spec.knock is not None and not isinstance(self.plant, MovablePlant):
-            raise ConfigError(
-                f"knock: the plant {type(self.plant).__name__} cannot be knocked\n"
-                "  allowed: a plant with the methods of MovablePlant (place, knock, contact_points)"
-            )
-        resolved = resolve(config, scene, control_period=self.plant.control_period)
-        self.config = config = validate(resolved.config)
-        if not 0.0 <= latency_of(self.plant) <= _LONGEST_LATENCY:
-            raise ConfigError(
-                f"the plant has a latency of {latency_of(self.plant):g} s\n  allowed: 0 to {_LONGEST_LATENCY:g} s"
-            )
-        self._clearance = ExactClearance(scene)
-        self.planner = make_planner(scene, config, spec)
-        self.planner.warm_up()
+            await_loaded(early)
+            if has_own_world(self.plant):
+                x, y, yaw = map(float, self.plant.observe().object_pose)
+                self.scene = scene = scene.with_start((x, y, yaw))
+            check_plant(self.plant, spec, passed=plant is not None)
+            resolved = resolve(config, scene, control_period=self.plant.control_period)
+            self.config = config = validate(resolved.config)
+            self._clearance = ExactClearance(scene)
+            self.planner = make_planner(scene, config, spec)
+            self.planner.warm_up()
         self.spec = replace(
             spec,
             engine=self.planner.engine,
@@ -344,6 +338,28 @@ class Episode:
             **row,
         )
         return position_error, yaw_error
+
+
+def check_plant(plant: Plant, spec: RunSpec, *, passed: bool) -> None:
+    """Checks that a plant can do what a run asks for.
+
+    Args:
+        plant: The plant.
+        spec: The options of the run.
+        passed: Whether the plant was passed by the caller, instead of being made by its name.
+
+    Raises:
+        ConfigError: It cannot.
+    """
+    if spec.friction is not None and passed:
+        raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")
+    if spec.knock is not None and not isinstance(plant, MovablePlant):
+        raise ConfigError(
+            f"knock: the plant {type(plant).__name__} cannot be knocked\n"
+            "  allowed: a plant with the methods of MovablePlant (place, knock, contact_points)"
+        )
+    if not 0.0 <= latency_of(plant) <= _LONGEST_LATENCY:
+        raise ConfigError(f"the plant has a latency of {latency_of(plant):g} s\n  allowed: 0 to {_LONGEST_LATENCY:g} s")
 
 
 def has_fallen(state: Observation) -> bool:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 import pytest
 import warp as wp
 
-from oimppi_warp.compute.device import known_modules, loading, quick_compilation
-from oimppi_warp.kernels.fields import cost_to_go
+from oimppi_warp.compute.device import await_loaded, known_modules, loading, quick_compilation
+from oimppi_warp.config.presets import best
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.kernels.fields import cost_to_go, distance
+from oimppi_warp.planning.early_kernels import setup_kernels, step_kernels
+from oimppi_warp.planning.factory import make_planner
+from oimppi_warp.registries import METHODS
+from oimppi_warp.runtime.estimator import Estimator
+from oimppi_warp.usd import load_scene
 
 
 def levels() -> dict[str, int | None]:
@@ -27,20 +37,54 @@ def test_only_kernels_of_other_packages_are_compiled_without_optimization():
     assert levels() == before
 
 
-def test_modules_are_loaded_by_the_end_of_the_block():
-    module = wp.get_module(cost_to_go.__name__)
-    module.unload()
-    with loading(cost_to_go.__name__):
-        pass
-    assert module.execs
+MODULE = wp.get_module(cost_to_go.__name__)
 
 
-def test_an_error_in_the_block_is_the_one_that_is_raised(monkeypatch):
+def test_a_module_is_loaded_once_it_has_been_waited_for():
+    MODULE.unload()
+    with loading([MODULE]):
+        await_loaded([MODULE])
+        assert MODULE.execs
+    await_loaded([MODULE])  # nothing is under way any more
+
+
+def test_modules_that_have_not_begun_by_the_end_of_the_block_are_left_out(monkeypatch):
+    loaded, free = [], threading.Event()
+
+    def load(_device: str, modules: list[wp.Module]) -> None:
+        loaded.extend(modules)
+        free.wait(10.0)
+
+    monkeypatch.setattr(wp, "force_load", load)
+    other = wp.get_module(distance.__name__)
+    with pytest.raises(ValueError, match="the block"), loading([MODULE, other]):
+        threading.Timer(0.3, free.set).start()
+        while not loaded:
+            time.sleep(0.01)
+        raise ValueError("the block")
+    assert loaded == [MODULE]
+
+
+def test_an_error_of_the_compiler_is_raised_where_the_module_is_needed(monkeypatch):
     def fail(*arguments: object) -> None:
         raise RuntimeError("the compiler")
 
     monkeypatch.setattr(wp, "force_load", fail)
-    with pytest.raises(ValueError, match="the block"), loading(cost_to_go.__name__):
-        raise ValueError("the block")
-    with pytest.raises(RuntimeError, match="the compiler"), loading(cost_to_go.__name__):
+    with loading([MODULE]):
         pass
+    with loading([MODULE]), pytest.raises(RuntimeError, match="the compiler"):
+        await_loaded([MODULE])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_run_with_the_default_settings_compiles_nothing_that_was_not_begun_early(method):
+    scene, config, spec = load_scene("task02"), best(method), RunSpec(method=method, device="cpu", engine="quasistatic")
+    early = {*setup_kernels(scene, config), *step_kernels(config, spec)}
+    for module in known_modules().values():
+        module.unload()
+    make_planner(scene, config, spec).warm_up()
+    Estimator(scene, config)
+    loaded = {module for module in known_modules().values() if module.execs}
+    own = {module for module in loaded if module.name.startswith("oimppi_warp.kernels.")}
+    assert len(own) > 5
+    assert [module.name for module in own - early] == []
