@@ -86,3 +86,7 @@ class DeviceError(OimppiError):
 
 class ObservationError(OimppiError):
     """An observation that cannot be used: an array has the wrong shape or, at the start, implausible values."""
+
+
+class HardwareError(OimppiError):
+    """A robot, its controller or a sensor that cannot be reached or used; the message states what to do."""

@@ -42,6 +42,7 @@ PLANTS: Registry[Any] = Registry(
         "ideal": "oimppi_warp.plants.plant:ideal_plant",
         "lab": "oimppi_warp.plants.lab:lab_plant",
         "pusht": "oimppi_warp.plants.pusht:PushT",
+        "xarm": "oimppi_warp.plants.xarm.plant:XArmPlant",
     },
 )
 """Functions or classes that make a plant to control, ``(scene, config, *, seed) -> Plant``

@@ -8,7 +8,6 @@ joint accelerations are limited.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.physics.world import World
-from oimppi_warp.plants.camera import Camera
+from oimppi_warp.plants.detector import Detection, Detector
 from oimppi_warp.plants.plant import Contacts, SimulatedPlant, checked_stream
 from oimppi_warp.scene import PlanarPose, Scene
 
@@ -25,23 +24,6 @@ TICK = 0.01
 """Interval of joint reports, at 100 Hz like the xArm's real-time port [s]."""
 _SUBSTEPS = 4
 """Physics steps per tick."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Detection:
-    """A detection of the object in one camera image.
-
-    Attributes:
-        taken: Time at which the image was taken [s].
-        due: Time at which the detection becomes available [s].
-        pose: Detected planar pose, shape [3].
-        outlier: Whether the detection is an outlier.
-    """
-
-    taken: float
-    due: float
-    pose: np.ndarray
-    outlier: bool
 
 
 class LabPlant:
@@ -87,18 +69,19 @@ class LabPlant:
             )
         self.control_period = control_period
         self.latency = config.command_latency
-        self.camera = Camera(world, config.camera)
+        self._detector = Detector(world, config, seed=seed)
+        self.camera = self._detector.camera
         self.wrong_detections = 0
         self._config = config
         self._scene = world.scene
         self._plant = SimulatedPlant(world, start=start, control_period=TICK, substeps=_SUBSTEPS)
-        self._joint_noise, self._sight_noise = (np.random.default_rng([seed, stream]) for stream in (1, 2))
+        self._joint_noise = np.random.default_rng([seed, 1])
         self._tick = 0
         self._commands: deque[tuple[int, np.ndarray]] = deque()
         self._wanted = np.zeros(world.scene.robot.dof)
         self._driven = np.zeros(world.scene.robot.dof)
-        self._pictures: deque[_Detection] = deque()
-        self._seen = _Detection(np.nan, 0.0, np.full(3, np.nan), False)
+        self._pictures: deque[Detection] = deque()
+        self._seen = Detection(np.nan, 0.0, np.full(3, np.nan), False)
         self._next_picture = 0
         self._contacts = self._plant.contacts
         self._trail = [self._measure()]
@@ -208,19 +191,10 @@ class LabPlant:
         """Takes an image if one is due."""
         if self._tick < self._next_picture:
             return
-        config, random = self._config, self._sight_noise
-        self._next_picture += max(round(1.0 / (config.rate * TICK)), 1)
-        state = self._plant.observe()
-        # All random numbers are drawn for every image, so that its result does not depend on earlier ones.
-        noise = random.normal(size=3) * (config.position_noise, config.position_noise, config.yaw_noise)
-        outlier, direction = random.uniform() < config.outlier_probability, random.uniform(-np.pi, np.pi)
-        away, turn = random.uniform(0.5, 1.5) * config.outlier_size, random.uniform(-np.pi, np.pi)
-        if not self.camera.sees(state.joint_position, state.object_pose):
-            return
-        pose = state.object_pose + noise
-        if outlier:
-            pose = pose + np.array([away * np.cos(direction), away * np.sin(direction), turn])
-        self._pictures.append(_Detection(self._time, self._time + config.delay, pose, outlier))
+        self._next_picture += max(round(1.0 / (self._config.rate * TICK)), 1)
+        found = self._detector.detect(self._plant.observe(), self._time)
+        if found is not None:
+            self._pictures.append(found)
 
 
 def lab_plant(scene: Scene, config: Config, *, seed: int = 0) -> LabPlant:

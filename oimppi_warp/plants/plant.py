@@ -74,7 +74,7 @@ class Plant(Protocol):
 
     Only the members below are required. A plant may also have ``latency``, the time from a command to its effect [s]
     (:func:`latency_of`), and ``own_world`` (:func:`has_own_world`), and implement :class:`StreamingPlant`,
-    :class:`TruthfulPlant`, :class:`ContactPlant`, :class:`MovablePlant` and :class:`JudgingPlant`.
+    :class:`TruthfulPlant`, :class:`ContactPlant`, :class:`MovablePlant`, :class:`JudgingPlant` and :class:`RealPlant`.
 
     Attributes:
         control_period: Duration of one command, and of a planner's time steps [s].
@@ -161,6 +161,67 @@ class JudgingPlant(Protocol):
     @property
     def verdict(self) -> Verdict:
         """Returns the verdict after the last control period; its scores always have the same names."""
+        ...
+
+
+@dataclass(frozen=True)
+class StopRules:
+    """Rules of a real plant for stopping and going on.
+
+    Attributes:
+        pose_timeout: Age of the object's pose from which on the arm is stopped [s].
+        jump: Distance from where the object is believed, from which on a detection stops the arm [m].
+        resume: Whether the arm goes on by itself once the reason for a stop has been gone for a while; if not, somebody
+            has to ask for it.
+    """
+
+    pose_timeout: float = 2.5
+    jump: float = 0.1
+    resume: bool = False
+
+
+@runtime_checkable
+class RealPlant(Protocol):
+    """A plant that is a machine: it runs in real time only, its reports can fail, and somebody may stand next to it.
+
+    Attributes:
+        rules: Its rules for stopping and going on.
+    """
+
+    rules: StopRules
+
+    def limited(self, config: Config) -> Config:
+        """Returns settings with which plans keep to the speed that the plant allows."""
+        ...
+
+    @property
+    def now(self) -> float:
+        """Returns the present time, on the clock of its observations [s]."""
+        ...
+
+    @property
+    def fault(self) -> str:
+        """Returns why the arm must not move, in words, with what to do; empty if it may.
+
+        With the first fault the plant stops the arm by itself, and takes no command before :meth:`recover`.
+        """
+        ...
+
+    @property
+    def blind(self) -> str:
+        """Returns why poses of the object do not arrive, or cannot be used; empty if nothing is known of it."""
+        ...
+
+    def recover(self) -> None:
+        """Gets ready to move again after a fault.
+
+        Raises:
+            HardwareError: It cannot.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stops the arm for good, whatever state it is in, and ends the connection. It raises nothing."""
         ...
 
 

@@ -23,6 +23,7 @@ from oimppi_warp.plants.drive import Drive
 from oimppi_warp.plants.plant import Plant
 from oimppi_warp.plants.safety_filter import Filtered, SafetyFilter
 from oimppi_warp.runtime.estimator import Estimator, Event
+from oimppi_warp.runtime.watch import Watch
 
 
 class SupportsPlanning(Protocol):
@@ -65,6 +66,7 @@ class ControlStep:
         limited: Whether the change of the command was scaled down to the limits of acceleration and jerk.
         filtered: The command as the safety filter let it pass; ``None`` without a filter.
         peak_acceleration, peak_jerk: See :class:`oimppi_warp.plants.drive.Drive`.
+        halted: Why the arm of a real plant had to be at rest; empty if it might move.
     """
 
     command: np.ndarray
@@ -81,6 +83,7 @@ class ControlStep:
     filtered: Filtered | None = None
     peak_acceleration: float = math.nan
     peak_jerk: float = math.nan
+    halted: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +160,7 @@ def real_time(
     dof: int,
     expires: float,
     guard: SafetyFilter | None = None,
+    watch: Watch | None = None,
     clock: Callable[[], float] = time.perf_counter,
     sleep: Callable[[float], None] = time.sleep,
     executor: PlanExecutor | None = None,
@@ -170,6 +174,7 @@ def real_time(
         dof: Number of joints.
         expires: Time for which a command is held when the next plan is late [s].
         guard: Filter of the commands.
+        watch: Decides whether the arm of a real plant may move.
         clock, sleep: Functions of the wall clock [s].
         executor: Executor that the planner runs in; ``None``: a single thread.
     """
@@ -195,6 +200,9 @@ def real_time(
                 missed, age = True, age + 1
                 if age * period > expires + 1e-9:
                     command, stopped = still, True
+            reason = "" if watch is None else watch.reason(observation, known, estimator.event, late=stopped)
+            if reason:
+                command, stopped = still, True
             filtered = filtered_command(guard, drive, observation, command)
             if job is None and known is not None:
                 # Commands that are already decided are executed before those of the plan requested here.
@@ -211,7 +219,7 @@ def real_time(
             known = estimator.update(observation)
             step = _control_step(drive, sent, timed_plan, observation, known, estimator)
             stopped = stopped or halted or filtered.stopped
-            yield replace(step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered)
+            yield replace(step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered, halted=reason)
     finally:
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -31,6 +33,7 @@ from oimppi_warp.plants.plant import (
     JudgingPlant,
     MovablePlant,
     Plant,
+    RealPlant,
     TruthfulPlant,
     has_own_world,
     has_tipped,
@@ -41,6 +44,7 @@ from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
 from oimppi_warp.runtime.control import ControlStep, lock_step, real_time
 from oimppi_warp.runtime.estimator import Estimator
+from oimppi_warp.runtime.watch import Watch, enter_pressed
 from oimppi_warp.scene import Scene
 
 _REFERENCE_EVERY = 10
@@ -129,6 +133,8 @@ class Episode:
                 x, y, yaw = map(float, self.plant.observe().object_pose)
                 self.scene = scene = scene.with_start((x, y, yaw))
             check_plant(self.plant, spec, passed=plant is not None)
+            if isinstance(self.plant, RealPlant):
+                config, spec = self.plant.limited(config), replace(spec, mode="realtime")
             resolved = resolve(config, scene, control_period=self.plant.control_period)
             self.config = config = validate(resolved.config)
             self._clearance = ExactClearance(scene)
@@ -143,6 +149,10 @@ class Episode:
         )
         self._drive = Drive(self.plant, scene.robot.dof, config.safety)
         self._guard = SafetyFilter(scene, config.safety, config.control_period) if config.safety.filter else None
+        self._watch = None
+        if isinstance(self.plant, RealPlant):
+            asked = enter_pressed if sys.stdin is not None and sys.stdin.isatty() else None
+            self._watch = Watch(self.plant, asked=asked, say=partial(print, file=sys.stderr))
         self._control_steps = self._loop()
         self._plans = 0
         self._sideways: np.ndarray | None = None
@@ -222,6 +232,9 @@ class Episode:
                 step = next(self._control_steps)
                 position_error, yaw_error = self._record(step)
                 yield step
+                if self._watch is not None and self._watch.given_up:
+                    self.log.header["ended"] = "stopped"
+                    break
                 if isinstance(self.plant, TruthfulPlant) and has_fallen(self.plant.truth()):
                     self.log.header["ended"] = "object fell"
                     break
@@ -240,6 +253,8 @@ class Episode:
         finally:
             with suppress(Exception):  # stop the arm first, however the episode ended
                 self._drive.stop()
+            if isinstance(self.plant, RealPlant):
+                self.plant.close()
             self._control_steps.close()
 
     def _loop(self) -> Generator[ControlStep]:
@@ -248,7 +263,9 @@ class Episode:
         if self.spec.mode == "realtime":
             estimator = Estimator(self.scene, self.config)
             expires = self.config.episode.plan_expires
-            return real_time(self._drive, self.planner, estimator, dof=dof, expires=expires, guard=guard)
+            return real_time(
+                self._drive, self.planner, estimator, dof=dof, expires=expires, guard=guard, watch=self._watch
+            )
         behind = self.plant.observe().object_time is not None or self._drive.latency > 0.0
         estimator = Estimator(self.scene, self.config) if behind else None
         return lock_step(self._drive, self.planner, estimator, dof=dof, guard=guard)
@@ -368,7 +385,9 @@ def has_fallen(state: Observation) -> bool:
 
 
 def problem_of(step: ControlStep) -> str:
-    """Returns why the planner or the safety filter stopped the arm in a control step; empty if neither did."""
+    """Returns why the arm was stopped in a control step, by watch, planner or safety filter; empty if it was not."""
+    if step.halted:
+        return step.halted
     if step.plan is not None and step.plan.problem:
         return step.plan.problem
     return "" if step.filtered is None else step.filtered.problem

@@ -1,0 +1,68 @@
+"""A TCP server that serves each connection in a thread."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+from oimppi_warp.errors import HardwareError
+
+
+class Listener:
+    """Accepts connections and serves each in a thread of its own, until it is closed.
+
+    Args:
+        host: Address to listen on.
+        port: Port; 0 takes a free one.
+        serve: Serves one connection; the socket is closed when it returns or raises an ``OSError``.
+
+    Attributes:
+        port: The port.
+
+    Raises:
+        HardwareError: The address cannot be listened on.
+    """
+
+    def __init__(self, host: str, port: int, serve: Callable[[socket.socket], None]) -> None:
+        self._serve = serve
+        self._connections: set[socket.socket] = set()
+        self._lock = threading.Lock()
+        try:
+            self._socket = socket.create_server((host, port))
+        except OSError as error:
+            low = "\n  to do:   ports below 1024 may need root; choose another one" if 0 < port < 1024 else ""
+            raise HardwareError(f"cannot listen on {host}:{port}: {error.strerror or error}{low}") from None
+        self.port: int = self._socket.getsockname()[1]
+        threading.Thread(target=self._accept, name=f"oimppi-listen-{self.port}", daemon=True).start()
+
+    def close(self) -> None:
+        """Stops listening and ends all connections."""
+        # A thread that waits in `accept` is woken by a shutdown only.
+        for each in (self._socket, *self.connections()):
+            with suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+            each.close()
+
+    def connections(self) -> list[socket.socket]:
+        """Returns the connections that are open."""
+        with self._lock:
+            return list(self._connections)
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                return
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with self._lock:
+                self._connections.add(connection)
+            threading.Thread(target=self._run, args=(connection,), daemon=True).start()
+
+    def _run(self, connection: socket.socket) -> None:
+        with suppress(OSError), connection:
+            self._serve(connection)
+        with self._lock:
+            self._connections.discard(connection)

@@ -1,0 +1,183 @@
+"""The object's pose over TCP, from whatever detects the object: one line of JSON for each detection.
+
+A line is ``{"stamp": 1764273000.25, "x": 0.5, "y": 0.1, "yaw": 0.3}``: the time at which the image was taken, in
+seconds since 1970 as ``time.time()`` returns it, and the planar pose of the object's frame in the world, in metres and
+radians. The detector is the server, so that it can run anywhere and serve several planners.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from oimppi_warp.errors import ConfigError
+from oimppi_warp.plants.listener import Listener
+
+PORT = 17501
+"""Default port."""
+_RETRY = 0.5
+"""Time between attempts to connect [s]."""
+_LONGEST_LINE = 4096
+"""Longest line that is read [B]."""
+
+
+class PoseServer:
+    """Sends poses to every client, each from when it has connected.
+
+    Args:
+        host: Address to listen on.
+        port: Port; 0 takes a free one.
+
+    Attributes:
+        port: The port.
+
+    Raises:
+        HardwareError: The address cannot be listened on.
+    """
+
+    def __init__(self, host: str, port: int = PORT) -> None:
+        self._listener = Listener(host, port, self._serve)
+        self.port = self._listener.port
+
+    def publish(self, pose: np.ndarray, stamp: float) -> None:
+        """Sends a pose.
+
+        Args:
+            pose: Planar pose, shape [3] [m, m, rad].
+            stamp: Time at which the object had it, in seconds since 1970.
+        """
+        x, y, yaw = map(float, pose)
+        line = json.dumps({"stamp": stamp, "x": x, "y": y, "yaw": yaw}).encode() + b"\n"
+        for link in self._listener.connections():
+            with suppress(OSError):
+                link.sendall(line)
+
+    def close(self) -> None:
+        """Ends all connections."""
+        self._listener.close()
+
+    def _serve(self, link: socket.socket) -> None:
+        while link.recv(4096):
+            pass
+
+
+@dataclass(frozen=True, eq=False)
+class StampedPose:
+    """A pose as it was received.
+
+    Attributes:
+        pose: Planar pose, shape [3] [m, m, rad].
+        arrived: Time at which it arrived, of ``time.monotonic`` [s].
+        age: Time since the object had this pose when it arrived, by the clocks of both machines [s]; negative if the
+            sender's clock is ahead.
+    """
+
+    pose: np.ndarray
+    arrived: float
+    age: float
+
+    @property
+    def taken(self) -> float:
+        """Returns the time at which the object had the pose, of ``time.monotonic`` [s]."""
+        return self.arrived - self.age
+
+
+class PoseReceiver:
+    """Receives poses in the background, and connects again whenever the connection is lost.
+
+    Args:
+        address: Address of the server as ``HOST`` or ``HOST:PORT``.
+
+    Raises:
+        ConfigError: The address cannot be read.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._host, self._port = split_address(address, PORT)
+        self._latest: StampedPose | None = None
+        self._problem = f"no pose of the object has arrived from {self._host}:{self._port}"
+        self._open = True
+        self._thread = threading.Thread(target=self._run, name="oimppi-poses", daemon=True)
+        self._thread.start()
+
+    @property
+    def latest(self) -> StampedPose | None:
+        """Returns the newest pose; ``None`` before the first one."""
+        return self._latest
+
+    @property
+    def problem(self) -> str:
+        """Returns why no poses arrive at present; empty if none is known."""
+        return self._problem
+
+    def close(self) -> None:
+        """Stops receiving."""
+        self._open = False
+        self._thread.join(timeout=2.0)
+
+    def _run(self) -> None:
+        while self._open:
+            try:
+                with socket.create_connection((self._host, self._port), timeout=1.0) as link:
+                    link.settimeout(_RETRY)
+                    self._problem = f"connected to {self._host}:{self._port}, but no pose of the object has arrived yet"
+                    self._receive(link)
+                    self._problem = f"{self._host}:{self._port} closed the connection"
+            except OSError as error:
+                self._problem = f"the poses at {self._host}:{self._port} cannot be received: {error.strerror or error}"
+            if self._open:
+                time.sleep(_RETRY)
+
+    def _receive(self, link: socket.socket) -> None:
+        received = b""
+        while self._open:
+            try:
+                data = link.recv(4096)
+            except TimeoutError:
+                continue
+            if not data:
+                return
+            *lines, received = (received + data).split(b"\n")
+            for line in lines:
+                self._take(line)
+            if len(received) > _LONGEST_LINE:
+                self._problem = f"{self._host}:{self._port} sends no lines: is it a server of poses?"
+                return
+
+    def _take(self, line: bytes) -> None:
+        try:
+            found = json.loads(line)
+            stamp, *pose = (float(found[name]) for name in ("stamp", "x", "y", "yaw"))
+            if not all(map(math.isfinite, (stamp, *pose))):
+                raise ValueError
+        except (ValueError, KeyError, TypeError):
+            self._problem = f"{self._host}:{self._port} sent a line that is no pose: {line[:80]!r}"
+            return
+        self._problem = ""
+        self._latest = StampedPose(np.array(pose), time.monotonic(), time.time() - stamp)
+
+
+def split_address(address: str, port: int) -> tuple[str, int]:
+    """Splits an address into host and port.
+
+    Args:
+        address: ``HOST`` or ``HOST:PORT``; an IPv6 address with a port is in brackets.
+        port: Port if none is given.
+
+    Raises:
+        ConfigError: The port is no number from 1 to 65535, or there is no host.
+    """
+    host, colon, given = address.rpartition(":")
+    if not colon or (":" in host and not host.endswith("]")):
+        host, given = address, str(port)
+    host = host.strip("[]")
+    if not host or not given.isdecimal() or not 1 <= int(given) <= 65535:
+        raise ConfigError(f"{address} is no address\n  allowed: HOST or HOST:PORT, with a port from 1 to 65535")
+    return host, int(given)

@@ -1,0 +1,362 @@
+"""A connection to an xArm's controller through the vendor's SDK: its facts, its joint reports, commands and stops."""
+
+from __future__ import annotations
+
+import logging
+import statistics
+import sys
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.errors import ConfigError, HardwareError
+from oimppi_warp.plants.pose_feed import split_address
+from oimppi_warp.plants.xarm.codes import describe
+from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, REPORT_PORTS, Mode, State
+from oimppi_warp.scene import Robot
+
+OLDEST = 0.25
+"""Age of the joint reports from which on the arm must not move [s]."""
+EXPIRES = 0.15
+"""Time after which the controller stops the arm by itself if no further command arrives [s]."""
+OLDEST_FIRMWARE = (1, 9, 0)
+"""Oldest firmware that can be used: it stops by itself, and reports torques."""
+RATE = 100.0
+"""Rate of the joint reports [1/s]."""
+_KEPT = 400
+"""Number of joint reports that are kept."""
+_LOUDEST = logging.CRITICAL
+
+
+def _sdk() -> Any:
+    """Imports the vendor's SDK, and keeps it from printing.
+
+    Raises:
+        ConfigError: It is not installed.
+    """
+    try:
+        said, sys.stdout = sys.stdout, sys.stderr
+        try:
+            import xarm.wrapper as sdk
+            from xarm.core.utils.log import logger
+        finally:
+            sys.stdout = said
+    except ImportError:
+        raise ConfigError(
+            "the xArm's SDK is not installed\n  to do:   pip install 'oimppi-warp[xarm]' (or xarm-python-sdk)"
+        ) from None
+    logger.setLevel(_LOUDEST)
+    for name, module in list(sys.modules.items()):
+        if name.startswith("xarm."):
+            module.print = _say_nothing  # pyright: ignore[reportAttributeAccessIssue]
+    return sdk
+
+
+def _say_nothing(*_args: object, **_options: object) -> None:
+    """Takes the place of ``print`` in the SDK."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmFacts:
+    """What a controller says of itself and its arm.
+
+    Attributes:
+        axes: Number of joints.
+        firmware: Version.
+        mode, state: See :class:`oimppi_warp.plants.xarm.protocol.Mode` and ``State``.
+        error, warning: Codes; 0 for none.
+        joints: Joint positions, shape [axes] [rad].
+        load: Mass of the payload that is set [kg].
+        sensitivity: Sensitivity of the collision detection, 0 (off) to 5.
+        report_rate: Rate of the joint reports that was measured [1/s].
+        round_trip: Median time of a command and its reply [s].
+    """
+
+    axes: int
+    firmware: tuple[int, int, int]
+    mode: int
+    state: int
+    error: int
+    warning: int
+    joints: np.ndarray
+    load: float
+    sensitivity: int
+    report_rate: float
+    round_trip: float
+
+
+@dataclass(frozen=True)
+class Check:
+    """One item of a check.
+
+    Attributes:
+        what: What was checked, with the value found.
+        good: Whether it is as it should be.
+        remedy: What to do if it is not.
+        needed: Whether the arm must not move otherwise.
+    """
+
+    what: str
+    good: bool
+    remedy: str = ""
+    needed: bool = True
+
+
+def check_facts(facts: ArmFacts, robot: Robot) -> list[Check]:
+    """Checks what a controller says against the arm of a scene.
+
+    Args:
+        facts: What it says.
+        robot: The arm of the scene.
+    """
+    firmware, oldest = (".".join(map(str, version)) for version in (facts.firmware, OLDEST_FIRMWARE))
+    joints = facts.joints[: robot.dof]
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in robot.joints]).T
+    outside = [f"joint {i + 1}" for i in np.flatnonzero((joints < lower) | (joints > upper))]
+    return [
+        Check(
+            f"{facts.axes} joints; the scene's robot has {robot.dof}",
+            facts.axes == robot.dof,
+            "use a scene with this robot (`oimppi scene robot`)",
+        ),
+        Check(f"firmware {firmware}", facts.firmware >= OLDEST_FIRMWARE, f"update it: {oldest} or newer is needed"),
+        Check(
+            "no error" if not facts.error else describe(facts.error).splitlines()[0],
+            not facts.error,
+            "" if not facts.error else describe(facts.error).partition("to do:   ")[2],
+        ),
+        Check(
+            f"mode {facts.mode}" + (" (manual)" if facts.mode == Mode.TEACHING else ""),
+            facts.mode != Mode.TEACHING,
+            "leave manual mode in UFACTORY Studio",
+        ),
+        Check(
+            f"{', '.join(outside)} beyond its limits" if outside else "joints within the scene's limits",
+            not outside,
+            "move the arm by hand (manual mode)",
+        ),
+        Check(
+            f"payload {facts.load:.2f} kg",
+            0.02 <= facts.load <= 2.0,
+            "set the mass and the centre of the stick in UFACTORY Studio, or collisions are detected that are none",
+            needed=False,
+        ),
+        Check(
+            f"collision detection {'off' if not facts.sensitivity else f'on, sensitivity {facts.sensitivity}'}",
+            facts.sensitivity > 0,
+            "set a sensitivity of 1 to 5 in UFACTORY Studio",
+            needed=False,
+        ),
+        Check(
+            f"joint reports at {facts.report_rate:.0f} Hz",
+            facts.report_rate >= 0.9 * RATE,
+            "connect by cable, not by wireless, and close other programs that use the arm",
+        ),
+        Check(
+            f"a command takes {1e3 * facts.round_trip:.1f} ms",
+            facts.round_trip <= 0.02,
+            "connect by cable, directly or over one switch",
+        ),
+    ]
+
+
+class XArm:
+    """A connection to a controller.
+
+    The arm does not move before :meth:`enable`. :meth:`stop` may be called from any thread, at any time.
+
+    Args:
+        address: Address of the controller, as ``HOST`` or ``HOST:PORT``; the port is that of the commands, and those of
+            the reports are as far from it as usual.
+
+    Attributes:
+        address: As given.
+        count: Number of joint reports so far.
+
+    Raises:
+        ConfigError: The SDK is not installed, or the address cannot be read.
+        HardwareError: There is no controller at the address.
+    """
+
+    def __init__(self, address: str) -> None:
+        sdk = _sdk()
+        from xarm.core.config.x_config import XCONF
+
+        self.address = address
+        host, port = split_address(address, COMMAND_PORT)
+        sockets = XCONF.SocketConf  # the SDK has no other way to choose ports
+        sockets.TCP_CONTROL_PORT = port
+        shift = 0 if port == COMMAND_PORT else port - COMMAND_PORT
+        sockets.TCP_REPORT_NORM_PORT, sockets.TCP_REPORT_RICH_PORT, sockets.TCP_REPORT_REAL_PORT = (
+            REPORT_PORTS[kind] + shift for kind in ("normal", "rich", "real")
+        )
+        self.count = 0
+        self._sdk, self._host = sdk, host
+        self._reports: deque[tuple[float, np.ndarray]] = deque(maxlen=_KEPT)
+        self._lock = threading.Lock()
+        self._arm = self._connect("real")
+        self._arm.register_report_location_callback(self._take_report, report_cartesian=False, report_joints=True)
+        self._wait_for(lambda: len(self._reports) > 1, 3.0, "the controller sends no joint reports")
+
+    def facts(self) -> ArmFacts:
+        """Asks the controller about itself; it takes half a second.
+
+        Raises:
+            HardwareError: The connection is lost.
+        """
+        rich = self._connect("rich")  # its reports have more than those used while the arm moves
+        arrived = threading.Event()
+        rich.register_report_location_callback(lambda _: arrived.set(), report_cartesian=False, report_joints=True)
+        came = arrived.wait(3.0)
+        load, sensitivity = float(rich.tcp_load[0]), int(rich.collision_sensitivity)
+        rich.disconnect()
+        if not came:
+            raise HardwareError(f"the controller at {self.address} sends no reports on port {REPORT_PORTS['rich']}")
+        began, before = time.monotonic(), self.count
+        trips = []
+        while time.monotonic() < began + 0.5:
+            asked = time.perf_counter()
+            code, (error, warning) = self._arm.get_err_warn_code()
+            if code < 0:
+                raise HardwareError(f"the controller at {self.address} does not answer (code {code})")
+            trips.append(time.perf_counter() - asked)
+            time.sleep(0.02)
+        rate = (self.count - before) / (time.monotonic() - began)
+        return ArmFacts(
+            axes=self._arm.axis,
+            firmware=tuple(self._arm.version_number),
+            mode=self._arm.mode,
+            state=self._arm.state,
+            error=error,
+            warning=warning,
+            joints=self.joints()[1],
+            load=load,
+            sensitivity=sensitivity,
+            report_rate=rate,
+            round_trip=statistics.median(trips),
+        )
+
+    def enable(self) -> None:
+        """Switches the motors on and gets ready to take joint velocities.
+
+        Raises:
+            HardwareError: The controller refuses.
+        """
+        self.check_error()
+        self._arm.motion_enable(True)
+        self._arm.set_mode(int(Mode.JOINT_VELOCITY))
+        self._arm.set_state(0)
+        self._wait_for(
+            lambda: self._arm.mode == Mode.JOINT_VELOCITY and self._arm.state in (State.MOVING, State.READY),
+            2.0,
+            "the controller does not get ready to move: is it enabled in UFACTORY Studio?",
+        )
+
+    def send(self, joint_velocity: np.ndarray) -> int:
+        """Sends joint velocities, shape [dof] [rad/s], which expire after :data:`EXPIRES`; returns the SDK's code."""
+        return self._arm.vc_set_joint_velocity(
+            joint_velocity.tolist(), is_radian=True, is_sync=False, check_mode=False, duration=EXPIRES
+        )
+
+    def stop(self) -> None:
+        """Stops the arm: velocity zero, and state 4, in which the controller takes no command."""
+        for command in (
+            lambda: self._arm.vc_set_joint_velocity([0.0] * 7, is_radian=True, is_sync=False, duration=EXPIRES),
+            lambda: self._arm.set_state(4),
+        ):
+            try:
+                if self._arm.connected:
+                    command()
+            except Exception:  # whatever fails here, the velocities expire
+                continue
+
+    def check_error(self) -> None:
+        """Raises the controller's error, if it has one.
+
+        Raises:
+            HardwareError: It has an error, or does not answer.
+        """
+        error = self.error()
+        if error:
+            raise HardwareError(describe(error))
+
+    def error(self) -> int:
+        """Returns the controller's error code; 0 for none.
+
+        Raises:
+            HardwareError: It does not answer.
+        """
+        code, found = self._arm.get_err_warn_code()
+        if code < 0 or code == 3:
+            raise HardwareError(f"the controller at {self.address} does not answer")
+        return int(found[0])
+
+    def torques(self) -> np.ndarray:
+        """Returns the joint torques, shape [7] [N m]; NaN if the controller does not tell."""
+        code, found = self._arm.get_joints_torque()
+        return np.array(found, dtype=float) if code == 0 else np.full(7, np.nan)
+
+    def joints(self) -> tuple[float, np.ndarray]:
+        """Returns the newest joint report: its time of arrival, of ``time.monotonic`` [s], and positions [7] [rad]."""
+        with self._lock:
+            return self._reports[-1]
+
+    def since(self, time: float) -> list[tuple[float, np.ndarray]]:
+        """Returns the joint reports that arrived at or after a time; see :meth:`joints`."""
+        with self._lock:
+            return [report for report in self._reports if report[0] >= time]
+
+    @property
+    def mode(self) -> int:
+        """Returns the controller's mode, by its latest report."""
+        return self._arm.mode
+
+    @property
+    def state(self) -> int:
+        """Returns the controller's state, by its latest report."""
+        return self._arm.state
+
+    @property
+    def connected(self) -> bool:
+        """Returns whether the connection for commands is open."""
+        return self._arm.connected
+
+    def close(self) -> None:
+        """Stops the arm and ends the connection."""
+        self.stop()
+        self.disconnect()
+
+    def disconnect(self) -> None:
+        """Ends the connection."""
+        self._arm.disconnect()
+
+    def _connect(self, reports: str) -> Any:
+        try:
+            arm = self._sdk.XArmAPI(self._host, is_radian=True, report_type=reports, forbid_uds=True)
+        except Exception as error:
+            raise HardwareError(
+                f"there is no xArm controller at {self.address}: {error}\n"
+                "  to do:   check the address in UFACTORY Studio, the cable, and that this machine is in its network"
+            ) from None
+        if not arm.connected:
+            raise HardwareError(
+                f"there is no xArm controller at {self.address}\n"
+                "  to do:   check the address in UFACTORY Studio, the cable, and that this machine is in its network"
+            )
+        return arm
+
+    def _take_report(self, found: dict[str, Any]) -> None:
+        with self._lock:
+            self.count += 1
+            self._reports.append((time.monotonic(), np.array(found["joints"], dtype=float)))
+
+    def _wait_for(self, reached: Any, seconds: float, problem: str) -> None:
+        until = time.monotonic() + seconds
+        while not reached():
+            if time.monotonic() > until:
+                raise HardwareError(f"{problem} (at {self.address})")
+            time.sleep(0.01)
