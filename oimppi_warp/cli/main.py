@@ -12,6 +12,7 @@ import gc
 import math
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from tyro.conf import arg, subcommand
 from oimppi_warp.cli.bench import Bench, Compare, Report
 from oimppi_warp.cli.check import Check
 from oimppi_warp.cli.demos import Demos
+from oimppi_warp.cli.hardware import LabEmulator
 from oimppi_warp.cli.options import TaskOptions
 from oimppi_warp.cli.robot import AddRobot
 from oimppi_warp.cli.scene import Import, New
@@ -60,6 +62,7 @@ class Run(TaskOptions):
         _check_outputs(self.record, self.json)
         setup, console = self.prepare()
 
+        from oimppi_warp.plants.plant import RealPlant
         from oimppi_warp.record.log import write_atomically
         from oimppi_warp.record.metrics import summarize
 
@@ -67,7 +70,10 @@ class Run(TaskOptions):
             episode = setup.episode()
         if episode.planner.engine_reason:
             console.print(f"engine {episode.planner.engine}: {episode.planner.engine_reason}", soft_wrap=True)
-        with _progress(setup.config.episode.max_sim_seconds, console) as on_step:
+        record = self.record
+        if record is None and isinstance(episode.plant, RealPlant):  # whatever happens, there is a record of it
+            record = Path("runs") / time.strftime(f"{setup.spec.plant}-%Y-%m-%d-%H-%M-%S")
+        with _progress(episode.config.episode.max_sim_seconds, console) as on_step:
             log = episode.run(on_step=on_step)
         metrics = summarize(log)
         for step, reason in log.header.get("problems", []):
@@ -82,13 +88,13 @@ class Run(TaskOptions):
         if self.json is not None:
             self.json.absolute().parent.mkdir(parents=True, exist_ok=True)
             write_atomically(self.json, metrics.json().encode())
-        if self.record is not None:
-            log.save(self.record)
+        if record is not None:
+            log.save(record)
             with console.status("drawing plots"):
                 from oimppi_warp.plots.episode import draw
 
-                draw(log, setup.scene, self.record)
-        _print_summary(metrics, setup.scene, self.record)
+                draw(log, setup.scene, record)
+        _print_summary(metrics, setup.scene, record)
         if metrics.ended == "interrupted":
             return 130
         return 0 if metrics.success else 1
@@ -137,6 +143,7 @@ Command = (
     | Annotated[Scenes, subcommand("scenes", prefix_name=False)]
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
+    | Annotated[LabEmulator, subcommand("lab-emulator", prefix_name=False)]
 )
 """All commands; to add one, add its dataclass to this union."""
 

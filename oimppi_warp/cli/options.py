@@ -23,6 +23,50 @@ if TYPE_CHECKING:
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
 
+_REAL = ("xarm",)
+"""Plants that are real arms."""
+
+
+@dataclass(frozen=True)
+class HardwareOptions:
+    """Options of a real arm, with --plant xarm; docs/hardware.md says what to do before it moves."""
+
+    robot_address: Annotated[str | None, arg(metavar="HOST", help_behavior_hint="")] = None
+    """Address of the xArm's controller, HOST or HOST:PORT; that of `oimppi lab-emulator` is 127.0.0.2."""
+
+    pose_address: Annotated[
+        str | None, arg(metavar="HOST:PORT", help_behavior_hint="(default: that of the robot, port 17501)")
+    ] = None
+    """Address of the server that sends the object's poses."""
+
+    pose_timeout: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: 2.5)")] = None
+    """Age in seconds of the object's pose from which on the arm is stopped."""
+
+    speed: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: 1; first 0.1)")] = None
+    """Share of the usual speed, from 0.01 to 1. The first run at a new address is limited to 0.1."""
+
+    yes: FlagCreatePairsOff[bool] = False
+    """Move the arm to its start posture without asking."""
+
+    resume: FlagCreatePairsOff[bool] = False
+    """After a stop, go on as soon as its reason is gone, without asking."""
+
+    dry_run: FlagCreatePairsOff[bool] = False
+    """Do everything but move: connect, check, plan and record."""
+
+    def assignments(self, plant: str) -> tuple[str, ...]:
+        """Returns the options that were given, as options of the plant, ``NAME=VALUE``.
+
+        Raises:
+            ConfigError: The plant is no real arm.
+        """
+        given = {name: value for name, value in vars(self).items() if value is not None and value is not False}
+        if given and plant not in _REAL:
+            option = next(iter(given)).replace("_", "-")
+            raise ConfigError(f"--{option}: the plant {plant} is no real arm\n  to do:   --plant {_REAL[0]}")
+        return tuple(f"{name}={value}" for name, value in given.items())
+
+
 @dataclass(frozen=True)
 class TaskOptions:
     """The task, the options of the run, and the settings."""
@@ -32,6 +76,9 @@ class TaskOptions:
 
     run: Annotated[RunSpec, arg(name="")] = field(default_factory=RunSpec)
     """Options of the run."""
+
+    hardware: Annotated[HardwareOptions, arg(name="")] = field(default_factory=lambda: HardwareOptions())
+    """Options of a real arm."""
 
     start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="(default: drawn with --seed)")] = None
     """Start pose of the object in metres and radians, or the index I (from 0) of a start listed in the scene.
@@ -43,7 +90,7 @@ class TaskOptions:
     preset: Literal["auto", "best", "paper", "paper-printed", "lab"] = "auto"
     """Settings to start from. best: our best. paper: the paper's, and values found by search where it prints none.
     paper-printed: the paper's, and those of its baseline where it prints none. lab: for the simulated laboratory.
-    auto selects lab with --plant lab, otherwise best."""
+    auto selects lab with --plant lab and --plant xarm, otherwise best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512; docs/settings.md lists the names."""
@@ -65,7 +112,7 @@ class TaskOptions:
             ConfigError: An option or a setting does not exist, or has a value that is not allowed.
         """
         self.run.checked()
-        preset = ("lab" if self.run.plant == "lab" else "best") if self.preset == "auto" else self.preset
+        preset = ("lab" if self.run.plant in ("lab", *_REAL) else "best") if self.preset == "auto" else self.preset
         assignments = tuple(assignment for group in self.assignments for assignment in group)
         request = SettingsRequest(preset, assignments, self.max_sim_seconds, parse_tolerance(self.tolerance))
         return request.config(self.run.method, randomize=self.randomize)
@@ -80,6 +127,7 @@ class TaskOptions:
             DeviceError: The device does not exist.
         """
         config = self.settings()
+        self.hardware.assignments(self.run.plant)
         start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
 
         console = notices()
@@ -107,7 +155,8 @@ class TaskOptions:
         with console.status("loading kernels"):
             from oimppi_warp.runtime.episode import Setup
 
-        setup = Setup(scene, config, replace(self.run, device=where))
+        options = (*self.run.plant_options, *self.hardware.assignments(self.run.plant))
+        setup = Setup(scene, config, replace(self.run, device=where, plant_options=options))
         return setup, console
 
 

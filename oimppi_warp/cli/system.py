@@ -108,14 +108,28 @@ class Warmup:
 class Doctor:
     """Report the hardware and software of this machine, the resources that a run will use, and any problems.
 
-    Exit status: 0 no problems found, 1 problems found.
+    With --robot-address, check an xArm and the camera instead; nothing moves. Exit status: 0 no problems found, 1
+    problems found.
     """
+
+    robot_address: Annotated[str | None, arg(metavar="HOST", help_behavior_hint="")] = None
+    """Address of an xArm's controller to check, HOST or HOST:PORT."""
+
+    pose_address: Annotated[
+        str | None, arg(metavar="HOST:PORT", help_behavior_hint="(default: that of the robot, port 17501)")
+    ] = None
+    """Address of the server that sends the object's poses."""
+
+    scene: Annotated[str, arg(metavar="SCENE")] = "lab01"
+    """Scene whose robot the arm is compared with."""
 
     json: FlagCreatePairsOff[bool] = False
     """Print the whole report as JSON, for tools."""
 
     def execute(self) -> int:
         """Prints the report and returns the exit status."""
+        if self.robot_address is not None:
+            return self._check_arm(self.robot_address)
         from oimppi_warp.system.doctor import diagnose, gather_facts
 
         facts = gather_facts()
@@ -155,6 +169,25 @@ class Doctor:
         if not findings:
             console.print("[bold green]no problems found")
         return 1 if findings else 0
+
+    def _check_arm(self, address: str) -> int:
+        """Prints the check of an arm, item by item, and returns the exit status."""
+        from rich.console import Console
+
+        from oimppi_warp.cli.hardware import check_setup
+
+        checks = check_setup(address, self.pose_address, self.scene)
+        if self.json:
+            print(json.dumps([asdict(check) for check in checks], indent=2))
+        else:
+            console = Console(highlight=False)
+            for check in checks:
+                if check.good:
+                    console.print(f"[green]good[/]     {check.what}", soft_wrap=True)
+                    continue
+                mark = "[bold red]problem[/]" if check.needed else "[yellow]advice[/] "
+                console.print(f"{mark}  {check.what}\n         to do: {check.remedy}", soft_wrap=True)
+        return 0 if all(check.good or not check.needed for check in checks) else 1
 
 
 def _with_package(entries: dict[str, str]) -> Iterator[str]:

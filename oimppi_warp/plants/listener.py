@@ -34,6 +34,7 @@ class Listener:
         except OSError as error:
             low = "\n  to do:   ports below 1024 may need root; choose another one" if 0 < port < 1024 else ""
             raise HardwareError(f"cannot listen on {host}:{port}: {error.strerror or error}{low}") from None
+        self._socket.settimeout(None)  # whatever the default of this process: the xArm's SDK changes it
         self.port: int = self._socket.getsockname()[1]
         threading.Thread(target=self._accept, name=f"oimppi-listen-{self.port}", daemon=True).start()
 
@@ -56,6 +57,7 @@ class Listener:
                 connection, _ = self._socket.accept()
             except OSError:
                 return
+            connection.settimeout(None)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with self._lock:
                 self._connections.add(connection)

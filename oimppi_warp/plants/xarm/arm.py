@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import logging
+import socket
 import statistics
 import sys
 import threading
 import time
 from collections import deque
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,9 +22,9 @@ from oimppi_warp.plants.xarm.codes import describe
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, REPORT_PORTS, Mode, State
 from oimppi_warp.scene import Robot
 
-OLDEST = 0.25
-"""Age of the joint reports from which on the arm must not move [s]."""
-EXPIRES = 0.15
+OLDEST = 0.2
+"""Age of the joint reports from which on the arm must not move [s]; it is at rest before they are 0.25 s old."""
+EXPIRES = 0.12
 """Time after which the controller stops the arm by itself if no further command arrives [s]."""
 OLDEST_FIRMWARE = (1, 9, 0)
 """Oldest firmware that can be used: it stops by itself, and reports torques."""
@@ -29,7 +32,6 @@ RATE = 100.0
 """Rate of the joint reports [1/s]."""
 _KEPT = 400
 """Number of joint reports that are kept."""
-_LOUDEST = logging.CRITICAL
 
 
 def _sdk() -> Any:
@@ -39,17 +41,15 @@ def _sdk() -> Any:
         ConfigError: It is not installed.
     """
     try:
-        said, sys.stdout = sys.stdout, sys.stderr
-        try:
+        with redirect_stdout(io.StringIO()):
             import xarm.wrapper as sdk
-            from xarm.core.utils.log import logger
-        finally:
-            sys.stdout = said
+            from xarm.core.utils.log import logger, origin_logger
     except ImportError:
         raise ConfigError(
             "the xArm's SDK is not installed\n  to do:   pip install 'oimppi-warp[xarm]' (or xarm-python-sdk)"
         ) from None
-    logger.setLevel(_LOUDEST)
+    for each in (logger, origin_logger):
+        each.setLevel(logging.CRITICAL)
     for name, module in list(sys.modules.items()):
         if name.startswith("xarm."):
             module.print = _say_nothing  # pyright: ignore[reportAttributeAccessIssue]
@@ -170,8 +170,8 @@ class XArm:
     The arm does not move before :meth:`enable`. :meth:`stop` may be called from any thread, at any time.
 
     Args:
-        address: Address of the controller, as ``HOST`` or ``HOST:PORT``; the port is that of the commands, and those of
-            the reports are as far from it as usual.
+        address: Address of the controller, as ``HOST`` or ``HOST:PORT``, with the port of the commands; the SDK cannot
+            read reports from other ports than the usual ones.
 
     Attributes:
         address: As given.
@@ -188,12 +188,8 @@ class XArm:
 
         self.address = address
         host, port = split_address(address, COMMAND_PORT)
-        sockets = XCONF.SocketConf  # the SDK has no other way to choose ports
+        sockets: Any = XCONF.SocketConf  # the SDK has no other way to choose a port
         sockets.TCP_CONTROL_PORT = port
-        shift = 0 if port == COMMAND_PORT else port - COMMAND_PORT
-        sockets.TCP_REPORT_NORM_PORT, sockets.TCP_REPORT_RICH_PORT, sockets.TCP_REPORT_REAL_PORT = (
-            REPORT_PORTS[kind] + shift for kind in ("normal", "rich", "real")
-        )
         self.count = 0
         self._sdk, self._host = sdk, host
         self._reports: deque[tuple[float, np.ndarray]] = deque(maxlen=_KEPT)
@@ -217,7 +213,7 @@ class XArm:
         if not came:
             raise HardwareError(f"the controller at {self.address} sends no reports on port {REPORT_PORTS['rich']}")
         began, before = time.monotonic(), self.count
-        trips = []
+        trips, error, warning = [], 0, 0
         while time.monotonic() < began + 0.5:
             asked = time.perf_counter()
             code, (error, warning) = self._arm.get_err_warn_code()
@@ -336,7 +332,11 @@ class XArm:
 
     def _connect(self, reports: str) -> Any:
         try:
-            arm = self._sdk.XArmAPI(self._host, is_radian=True, report_type=reports, forbid_uds=True)
+            usual = socket.getdefaulttimeout()
+            try:
+                arm = self._sdk.XArmAPI(self._host, is_radian=True, report_type=reports, forbid_uds=True)
+            finally:
+                socket.setdefaulttimeout(usual)  # the SDK changes it for the whole process
         except Exception as error:
             raise HardwareError(
                 f"there is no xArm controller at {self.address}: {error}\n"

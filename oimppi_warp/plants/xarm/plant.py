@@ -55,6 +55,8 @@ _POLLS = 5
 _ASTRAY, _ASTRAY_SECONDS = 0.06, 0.4
 """Deviation of the motion within this time [s] from what was commanded, from which on somebody else moves the arm or
 something holds it [rad]."""
+_RESPONSE, _SURELY = 0.06, 0.003
+"""Time after which a command has surely moved the arm [s], and motion that its reports surely show [rad]."""
 _FIRST_POSE = 10.0
 """Time to wait for the first pose of the object [s]."""
 
@@ -217,7 +219,8 @@ class XArmPlant:
     @property
     def fault(self) -> str:
         """Returns why the arm must not move, in words, with what to do; empty if it may."""
-        return self._fault
+        # The thread may be waiting for a controller that does not answer.
+        return self._fault or self._lost()
 
     @property
     def blind(self) -> str:
@@ -341,7 +344,7 @@ class XArmPlant:
             time.sleep(max(due - time.monotonic(), 0.0))
             tick += 1
             if self._fault:
-                continue
+                continue  # until somebody calls `recover`
             try:
                 fault = self._find_fault(tick)
                 if not fault:
@@ -363,23 +366,14 @@ class XArmPlant:
         with self._lock:
             while len(self._queue) > 1 and self._queue[1][0] <= now + 0.5 * TICK:
                 self._queue.popleft()
-            if not self._queue or now > self._queue[-1][0] + 2.0 * self.control_period:
+            if not self._queue or now > self._queue[-1][0] + TICK + self.control_period:
                 return None
             return self._queue[0][1]
 
     def _find_fault(self, tick: int) -> str:
         """Returns why the arm must not move, by what is known now and by what the controller is asked in this tick."""
-        if not self.arm.connected:
-            return (
-                f"the connection to {self.arm.address} is lost\n"
-                "  to do:   check cable and control box; the controller has stopped the arm by itself"
-            )
-        age = time.monotonic() - self.arm.joints()[0]
-        if age > OLDEST:
-            return (
-                f"the newest joint report is {age:.2f} s old (at most {OLDEST:g} s)\n"
-                "  to do:   check the cable, and that nothing else takes this machine's time"
-            )
+        if lost := self._lost():
+            return lost
         if tick % _POLLS == 0 and (code := self.arm.error()):
             return describe(code)
         if tick % _POLLS == 2:
@@ -397,19 +391,55 @@ class XArmPlant:
                     f"the controller is in mode {self.arm.mode} now\n"
                     "  to do:   another program has changed it; close that program (UFACTORY Studio included)"
                 )
-            return self._astray()
+            return self._frozen() or self._astray()
         return ""
+
+    def _lost(self) -> str:
+        """Returns a fault if joint reports do not arrive any more."""
+        if not self.arm.connected:
+            return (
+                f"the connection to {self.arm.address} is lost\n"
+                "  to do:   check cable and control box; the controller has stopped the arm by itself"
+            )
+        age = time.monotonic() - self.arm.joints()[0]
+        if age > OLDEST:
+            return (
+                f"the newest joint report is {age:.2f} s old (at most {OLDEST:g} s)\n"
+                "  to do:   check the cable, and that nothing else takes this machine's time"
+            )
+        return ""
+
+    def _told(self, begin: float, end: float) -> np.ndarray | None:
+        """Returns by how much the joints were told to move between two times, shape [dof] [rad].
+
+        ``None`` if the commands of that time are not all known.
+        """
+        sent = list(self._sent)
+        if not sent or sent[0][0] > begin:
+            return None
+        starts = np.clip([at for at, _ in sent], begin, end)
+        return np.diff([*starts, end]) @ np.array([command for _, command in sent])
+
+    def _frozen(self) -> str:
+        """Returns a fault if the joint reports have not changed although the arm was told to move."""
+        now = time.monotonic()
+        told = self._told(now - OLDEST, now - _RESPONSE)
+        positions = np.array([joints for _, joints in self.arm.since(now - OLDEST)])
+        if told is None or np.abs(told).max() < _SURELY or not len(positions) or np.ptp(positions, axis=0).any():
+            return ""
+        return (
+            "the joint reports do not change although the arm was told to move\n"
+            "  to do:   see in UFACTORY Studio whether the arm moved; if it did, restart the control box"
+        )
 
     def _astray(self) -> str:
         """Returns a fault if the arm has moved otherwise than it was told to."""
         now = time.monotonic()
-        begin = now - _ASTRAY_SECONDS - _LATENCY
-        sent = [each for each in self._sent if each[0] >= begin]
-        reports = self.arm.since(begin + _LATENCY)
-        if len(reports) < 2 or not sent or self._sent[0][0] > begin:
+        begin = now - _ASTRAY_SECONDS
+        told = self._told(begin - _LATENCY, now - _LATENCY)
+        reports = self.arm.since(begin)
+        if told is None or len(reports) < 2:
             return ""
-        times = np.array([at for at, _ in sent] + [now])
-        told = np.diff(times) @ np.array([command for _, command in sent])
         moved = (reports[-1][1] - reports[0][1])[: self._dof]
         off = np.abs(told - moved)
         worst = int(np.argmax(off))

@@ -1,0 +1,390 @@
+"""The plant ``xarm`` on an emulated controller: the vendor's SDK, its checks, its start, and what stops it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+from support import small_tasks
+from support.emulated_lab import (
+    COMMAND_PORT,
+    POSE_PORT,
+    Cable,
+    OtherClient,
+    Repeats,
+    connected,
+    emulated,
+    speed,
+    time_to_rest,
+    wait_until,
+)
+
+from oimppi_warp.config.presets import lab
+from oimppi_warp.errors import ConfigError, HardwareError
+from oimppi_warp.geometry.kinematics import tip_frame
+from oimppi_warp.physics.world import World
+from oimppi_warp.plants.drive import Drive
+from oimppi_warp.plants.xarm import plant as xarm
+from oimppi_warp.plants.xarm.arm import XArm, check_facts
+from oimppi_warp.plants.xarm.emulator import LabEmulator
+from oimppi_warp.plants.xarm.plant import XArmPlant
+from oimppi_warp.plants.xarm.protocol import Register
+from oimppi_warp.plants.xarm.start_move import StartMove
+from oimppi_warp.runtime.control import ControlStep, real_time
+from oimppi_warp.runtime.estimator import Estimator
+from oimppi_warp.runtime.watch import Watch
+
+REST = 0.25
+"""Time within which the arm is at rest after whatever happens [s]."""
+TURN = np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def made() -> Iterator[LabEmulator]:
+    with emulated() as lab_made:
+        yield lab_made
+
+
+class Pushing:
+    """The control loop with a plant, in a thread; the planner turns the arm's base at a constant speed.
+
+    Attributes:
+        steps: What happened so far.
+        said: What the watch said.
+        stuck: Seconds that the next step takes longer, as with a viewer that hangs.
+    """
+
+    def __init__(self, plant: XArmPlant) -> None:
+        scene, config = small_tasks.shipped("lab01"), lab()
+        self.steps: list[ControlStep] = []
+        self.said: list[str] = []
+        self.stuck = 0.0
+        self.watch = Watch(plant, say=self.said.append)
+        drive = Drive(plant, scene.robot.dof, config.safety)
+        loop = real_time(drive, Repeats(TURN), Estimator(scene, config), dof=6, expires=0.25, watch=self.watch)
+        self._loop, self._open = loop, True
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        for step in self._loop:
+            self.steps.append(step)
+            time.sleep(self.stuck)
+            self.stuck = 0.0
+            if not self._open:
+                break
+        self._loop.close()
+
+    def __enter__(self) -> Pushing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open = False
+        self._thread.join()
+
+
+def test_the_arm_goes_to_its_start_and_follows_commands_at_their_pace(made):
+    away = np.array([0.2, -0.1, -0.1, 0.0, 0.1, 0.0])
+    scene = small_tasks.shipped("lab01")
+    with emulated(joints=scene.robot.start + away) as other, connected(other.host) as plant:
+        assert np.abs(other.state()[0] - scene.robot.start).max() < 0.02
+        before = plant.observe()
+        for _ in range(10):
+            plant.apply(TURN)
+            time.sleep(plant.control_period)
+        seen = plant.observe()
+        assert seen.joint_position[0] - before.joint_position[0] == pytest.approx(0.5 * 0.2, abs=0.02)
+        assert seen.joint_velocity[0] == pytest.approx(0.2, abs=0.02)
+        assert 40 <= len(seen.trail) <= 60, "reports at 100 Hz"
+        assert seen.object_pose == pytest.approx(other.state()[2], abs=1e-4)
+        assert 0.0 <= plant.now - seen.object_time < 0.3
+        assert not plant.fault
+    assert speed(other) < 1e-6
+    assert other.controller.snapshot().state == 4
+
+
+def test_nothing_moves_without_a_yes(made, monkeypatch):
+    asked = []
+    monkeypatch.setattr(xarm, "_ask", lambda question: asked.append(question))
+    with pytest.raises(HardwareError, match="--yes"), connected(made.host, yes=False):
+        pass
+    assert "100 % of the usual speed" in asked[0]
+    assert not made.controller.snapshot().enabled
+    assert made.controller.moves == 0
+
+
+def test_a_dry_run_enables_nothing(made):
+    with connected(made.host, dry_run=True) as plant, Pushing(plant) as pushing:
+        wait_until(lambda: len(pushing.steps) > 10)
+        assert pushing.steps[-1].plan is not None
+        assert pushing.steps[-1].command[0] == pytest.approx(0.2)
+    assert not made.controller.snapshot().enabled
+    assert made.controller.moves == made.controller.refused == 0
+
+
+def test_the_way_to_the_start_is_checked():
+    scene = small_tasks.shipped("lab01")
+    start, away = scene.robot.start, StartMove(World(scene))
+    far, near = np.array([0.3, -0.4, 0.0]), np.array([*tip_frame(scene.robot, start)[1][:2], 0.0])
+    beside = start + np.array([0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert len(away.path(beside, start, far)) == 2, "a straight way"
+    half = start + np.array([0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
+    between = np.array([*tip_frame(scene.robot, half)[1][:2], 0.0])
+    around = away.path(beside, start, between)
+    assert len(around) > 2, "the tool is lifted over the object"
+    assert min(away.clearance(joints, between) for joints in around) > 0.0
+    with pytest.raises(HardwareError, match="touches something"):
+        away.path(beside, start, near)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"axes": 5}, "5 joints"),
+        ({"firmware": (1, 7, 0)}, "firmware 1.7.0"),
+        ({"error": 31}, "C31"),
+        ({"mode": 2}, "manual"),
+        ({"joints": np.full(7, 7.0)}, "joint 2"),
+        ({"report_rate": 5.0}, "5 Hz"),
+        ({"round_trip": 0.05}, "50.0 ms"),
+    ],
+)
+def test_a_controller_that_is_not_as_needed_is_refused(facts, change, what):
+    robot = small_tasks.shipped("lab01").robot
+    assert all(check.good for check in check_facts(facts, robot))
+    bad = [check for check in check_facts(replace(facts, **change), robot) if not check.good]
+    assert bad
+    assert all(check.remedy for check in bad)
+    assert any(what in check.what and check.needed for check in bad)
+
+
+@pytest.fixture(scope="module")
+def facts():
+    with emulated() as lab_made:
+        arm = XArm(f"{lab_made.host}:{COMMAND_PORT}")
+        yield arm.facts()
+        arm.disconnect()
+
+
+def test_no_payload_is_an_advice(facts):
+    bad = [
+        check for check in check_facts(replace(facts, load=0.0), small_tasks.shipped("lab01").robot) if not check.good
+    ]
+    assert [check.needed for check in bad] == [False]
+
+
+def test_an_address_without_a_controller():
+    with pytest.raises(HardwareError, match="no xArm controller"), connected("127.0.0.1"):
+        pass
+    with pytest.raises(ConfigError, match="--robot-address"):
+        XArmPlant(small_tasks.shipped("lab01"), lab())
+
+
+def test_no_poses_no_start(made, monkeypatch):
+    monkeypatch.setattr(xarm, "_FIRST_POSE", 0.5)
+    with pytest.raises(HardwareError, match="cannot be received"), connected(made.host, pose_address="127.0.0.1:9"):
+        pass
+
+
+def test_the_first_run_at_a_new_address_is_slow(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert xarm._speed("192.168.1.7", 0.0) == 0.1
+    assert xarm._speed("192.168.1.7:502", 0.5) == 0.1
+    assert "192.168.1.7 is new here" in capsys.readouterr().err
+    assert xarm._speed("192.168.1.7", 0.05) == 0.05
+    xarm._remember("192.168.1.7:502")
+    assert xarm._speed("192.168.1.7", 0.0) == 1.0
+    assert xarm._speed("127.0.0.2", 0.0) == 1.0
+
+
+def test_a_lower_speed_scales_what_plans_may_do(made):
+    with connected(made.host, speed=0.5, dry_run=True) as plant:
+        usual, slow = lab(), plant.limited(lab())
+    assert slow.robot.tip_speed_limit == 0.5 * usual.robot.tip_speed_limit
+    assert slow.robot.joint_velocity_limit == 0.5 * usual.robot.joint_velocity_limit
+    assert slow.object.speed_limit == tuple(0.5 * np.array(usual.object.speed_limit))
+    assert slow.episode.max_sim_seconds == 2.0 * usual.episode.max_sim_seconds
+
+
+def test_a_command_that_is_not_followed_by_another_expires(made):
+    with connected(made.host) as plant:
+        plant.apply(TURN)
+        wait_until(lambda: speed(made) > 0.1)
+        assert time_to_rest(made) < REST
+        assert not plant.fault, "nothing is wrong with an arm that has nothing to do"
+
+
+def test_a_planner_that_is_killed(made):
+    code = (
+        "import sys, time, numpy as np; sys.path.insert(0, 'tests')\n"
+        "from support.emulated_lab import connected\n"
+        "with connected(sys.argv[1]) as plant:\n"
+        "    print('moving', flush=True)\n"
+        "    while True:\n"
+        "        plant.apply(np.array([0.2, 0, 0, 0, 0, 0.0])); time.sleep(plant.control_period)\n"
+    )
+    planner = subprocess.Popen([sys.executable, "-c", code, made.host], stdout=subprocess.PIPE, text=True)
+    assert planner.stdout is not None
+    assert "moving" in planner.stdout.readline()
+    wait_until(lambda: speed(made) > 0.15)
+    planner.kill()
+    assert time_to_rest(made) < REST
+    planner.wait()
+
+
+def stops(made: LabEmulator, plant: XArmPlant, pushing: Pushing, message: str, *, within: float = REST) -> None:
+    """Checks that the arm comes to rest in time, and that the loop says why."""
+    assert time_to_rest(made) < within
+    wait_until(lambda: bool(pushing.said))
+    assert message in pushing.said[0]
+    assert "to do:" in pushing.said[0]
+    wait_until(lambda: bool(pushing.steps[-1].halted))
+    assert pushing.steps[-1].stopped
+    assert not np.any(pushing.steps[-1].command) or np.abs(pushing.steps[-1].command).max() < 0.2
+    assert pushing.watch.stops == 1
+
+
+def begun(made: LabEmulator) -> None:
+    wait_until(lambda: speed(made) > 0.15)
+    time.sleep(0.5)  # until it is clear what the arm does
+
+
+def test_a_connection_that_is_cut(made):
+    cable = Cable(made.host)
+    with connected(cable.host) as plant, Pushing(plant) as pushing:
+        begun(made)
+        cable.cut = True
+        stops(made, plant, pushing, "joint report")
+    cable.close()
+
+
+def test_an_error_of_the_controller(made):
+    with connected(made.host, resume=True) as plant, Pushing(plant) as pushing:
+        begun(made)
+        made.controller.raise_error(31)
+        stops(made, plant, pushing, "C31: a collision was detected")
+        time.sleep(1.5)
+        assert made.controller.snapshot().error == 31, "it is never cleared from here"
+        assert speed(made) < 1e-6
+        OtherClient(made.host).command(Register.CLEAR_ERROR)
+        wait_until(lambda: speed(made) > 0.1)
+        assert pushing.said[-1] == "the arm goes on"
+
+
+def test_joint_reports_that_are_frozen(made):
+    with connected(made.host) as plant, Pushing(plant) as pushing:
+        begun(made)
+        made.server.frozen = True
+        stops(made, plant, pushing, "do not change")
+
+
+def test_a_second_client_that_changes_the_mode(made):
+    with connected(made.host) as plant, Pushing(plant) as pushing:
+        begun(made)
+        other = OtherClient(made.host)
+        other.command(Register.SET_MODE, b"\0\0")
+        stops(made, plant, pushing, "another program")
+        other.close()
+
+
+def test_a_second_client_that_moves_the_arm(made):
+    with connected(made.host) as plant:
+        plant.apply(np.zeros(6))
+        other = OtherClient(made.host)
+        began = time.monotonic()
+        while not plant.fault and time.monotonic() < began + 3.0:
+            plant.apply(np.zeros(6))
+            for _ in range(5):
+                other.move(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.6]))
+                time.sleep(0.01)
+        assert "another program" in plant.fault
+        other.close()
+        assert time_to_rest(made) < REST
+
+
+def test_a_torque_above_its_bound(made, monkeypatch):
+    with connected(made.host) as plant, Pushing(plant) as pushing:
+        begun(made)
+        monkeypatch.setattr(xarm, "TORQUES", np.full(7, 1.0))
+        stops(made, plant, pushing, "N m")
+
+
+def test_perception_that_is_lost(made):
+    with connected(made.host, pose_timeout=0.5) as plant, Pushing(plant) as pushing:
+        begun(made)
+        made.seeing = False
+        wait_until(lambda: bool(pushing.said))
+        assert time_to_rest(made) < REST
+        assert "pose of the object" in pushing.said[0]
+        assert "the run ends" in pushing.said[0]
+        assert pushing.watch.given_up
+
+
+def test_perception_that_comes_back(made):
+    with connected(made.host, pose_timeout=0.5, resume=True) as plant, Pushing(plant) as pushing:
+        begun(made)
+        made.seeing = False
+        wait_until(lambda: bool(pushing.said))
+        time_to_rest(made)
+        made.seeing = True
+        wait_until(lambda: speed(made) > 0.1)
+        assert pushing.said[-1] == "the arm goes on"
+        assert pushing.watch.stops == 1
+
+
+@pytest.mark.parametrize("hours", [-1.0, 1.0])
+def test_a_camera_whose_clock_is_wrong(made, hours):
+    with connected(made.host) as plant, Pushing(plant) as pushing:
+        begun(made)
+        made.clock_error = 3600.0 * hours
+        wait_until(lambda: bool(pushing.said))
+        assert time_to_rest(made) < REST
+        assert "NTP" in pushing.said[0]
+
+
+def test_a_detection_that_jumps(made):
+    with connected(made.host) as plant, Pushing(plant) as pushing:
+        begun(made)
+        made.shift = np.array([0.0, 0.3, 0.0])
+        wait_until(lambda: bool(pushing.said))
+        assert time_to_rest(made) < REST
+        assert "0.30 m from where it is believed" in pushing.said[0]
+
+
+def test_a_viewer_that_hangs(made):
+    with connected(made.host) as plant, Pushing(plant) as pushing:
+        begun(made)
+        count, pushing.stuck = len(pushing.steps), 1.0
+        wait_until(lambda: pushing.stuck == 0.0 or len(pushing.steps) > count)
+        assert time_to_rest(made) < REST
+        assert not plant.fault
+
+
+def test_poses_are_lost_and_found_again(made):
+    with connected(made.host, dry_run=True) as plant:
+        made.poses.close()
+        wait_until(lambda: "closed the connection" in plant.blind or "cannot be received" in plant.blind)
+        from oimppi_warp.plants.pose_feed import PoseServer
+
+        server = PoseServer(made.host, POSE_PORT)
+        made.poses = server
+        wait_until(lambda: not plant.blind)
+
+
+def test_the_first_steps_of_a_loop(made):
+    """The loop itself, without a thread: its first observation has a pose, and nothing is stopped."""
+    scene, config = small_tasks.shipped("lab01"), lab()
+    with connected(made.host) as plant:
+        drive = Drive(plant, 6, config.safety)
+        watch = Watch(plant)
+        steps = real_time(drive, Repeats(TURN), Estimator(scene, config), dof=6, expires=0.25, watch=watch)
+        for step in islice(steps, 5):
+            assert not step.halted
+        steps.close()
