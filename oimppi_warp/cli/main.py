@@ -260,14 +260,18 @@ def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
         )
     if metrics.detections > 0:
         rows["perception"] = (
-            f"{metrics.detections} detections, {metrics.rejected_detections} rejected, "
-            f"{metrics.recoveries} recoveries; error {1000 * metrics.mean_estimate_error_m:.0f} mm on average, "
-            f"at most {1000 * metrics.max_estimate_error_m:.0f} mm"
+            f"{metrics.detections} detections, {metrics.rejected_detections} rejected, {metrics.recoveries} recoveries"
         )
+        if metrics.max_estimate_error_m > 0.0:  # the true pose of a real object is not known
+            rows["perception"] += (
+                f"; error {1000 * metrics.mean_estimate_error_m:.0f} mm on average, "
+                f"at most {1000 * metrics.max_estimate_error_m:.0f} mm"
+            )
     if run.mode == "realtime":
         rows["deadlines"] = (
             f"{metrics.missed_deadlines} of {metrics.steps} missed, {metrics.stops} stops; "
-            f"at most {metrics.max_lag_ms:.0f} ms behind the clock"
+            f"at most {metrics.max_lag_ms:.0f} ms behind the clock; "
+            f"99 % of the commands within {metrics.command_jitter_ms:.1f} ms of their time"
         )
     if record is not None:
         rows["record"] = str(record)

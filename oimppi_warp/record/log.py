@@ -111,6 +111,7 @@ COLUMNS: dict[str, Column] = {
         "1 if the arm was stopped: the plan had expired, none could be made, or no command kept all bounds",
     ),
     "lag_ms": Column((), "ms", "delay of the control loop behind the wall clock"),
+    "sent": Column((), "s", "time on the wall clock at which the command was sent, since the first; in real time"),
 }
 """All columns. A row holds one control step: the command applied during it, the plan that contained the command, and
 the state observed at its end. Values that a method does not have (the object level for MPPI) are NaN."""

@@ -51,6 +51,8 @@ class Metrics:
         filtered_commands: Number of control steps in which the safety filter changed the command.
         limited_commands: Number of control steps in which the change of the command was reduced to the limits.
         max_lag_ms: Largest delay of the control loop behind the wall clock [ms].
+        command_jitter_ms: 99th percentile of the deviation of the time between two commands from the control period
+            [ms]; NaN in lock step.
         detections, rejected_detections, recoveries: Number of detections that arrived, that were rejected, and that
             replaced the prediction.
         mean_estimate_error_m, max_estimate_error_m: Distance between the object's estimated and true positions.
@@ -94,6 +96,7 @@ class Metrics:
     filtered_commands: int
     limited_commands: int
     max_lag_ms: float
+    command_jitter_ms: float
     detections: int
     rejected_detections: int
     recoveries: int
@@ -165,6 +168,7 @@ def summarize(log: EpisodeLog) -> Metrics:
         filtered_commands=int(np.nansum(log["filtered"])),
         limited_commands=int(np.nansum(log["limited"])),
         max_lag_ms=_of_finite(np.max, log["lag_ms"]),
+        command_jitter_ms=1e3 * _of_finite(_p99, np.abs(np.diff(log["sent"]) - period)),
         detections=int((log["detection"] > 0).sum()),
         rejected_detections=int((log["detection"] == EVENTS.index("rejected")).sum()),
         recoveries=int((log["detection"] == EVENTS.index("recovered")).sum()),
@@ -219,6 +223,10 @@ def first_hold(inside: np.ndarray, steps: int) -> int | None:
 
 def _p95(values: np.ndarray) -> float:
     return float(np.percentile(values, 95))
+
+
+def _p99(values: np.ndarray) -> float:
+    return float(np.percentile(values, 99))
 
 
 def _of_finite(reduce: Callable[[np.ndarray], Any], values: np.ndarray) -> float:

@@ -66,6 +66,7 @@ class ControlStep:
         limited: Whether the change of the command was scaled down to the limits of acceleration and jerk.
         filtered: The command as the safety filter let it pass; ``None`` without a filter.
         peak_acceleration, peak_jerk: See :class:`oimppi_warp.plants.drive.Drive`.
+        sent: Time on the wall clock at which the command was sent, since the first [s]; NaN in lock step.
         halted: Why the arm of a real plant had to be at rest; empty if it might move.
     """
 
@@ -83,6 +84,7 @@ class ControlStep:
     filtered: Filtered | None = None
     peak_acceleration: float = math.nan
     peak_jerk: float = math.nan
+    sent: float = math.nan
     halted: str = ""
 
 
@@ -188,7 +190,7 @@ def real_time(
     own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if executor is None else None
     pool = executor or own
     assert pool is not None
-    due = clock()
+    due = began = clock()
     try:
         while True:
             timed_plan, missed, stopped = None, False, False
@@ -208,6 +210,7 @@ def real_time(
                 # Commands that are already decided are executed before those of the plan requested here.
                 pending = [*drive.pending(), (period, drive.allowed(filtered.joint_velocity))]
                 job = pool.submit(timed_planner.plan, estimator.predict(known, pending))
+            at = clock() - began
             sent = drive.apply(filtered.joint_velocity)
             due += period
             left = due - clock()
@@ -219,7 +222,9 @@ def real_time(
             known = estimator.update(observation)
             step = _control_step(drive, sent, timed_plan, observation, known, estimator)
             stopped = stopped or halted or filtered.stopped
-            yield replace(step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered, halted=reason)
+            yield replace(
+                step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered, sent=at, halted=reason
+            )
     finally:
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)

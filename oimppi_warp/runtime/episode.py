@@ -98,6 +98,7 @@ class Episode:
         plant: The plant.
         planner: The planner.
         log: The record so far.
+        watch: What stops the arm of a real plant; ``None`` in simulation.
 
     Raises:
         SceneError: The task cannot be done: its start or goal is in an obstacle, off the table or out of reach.
@@ -149,10 +150,10 @@ class Episode:
         )
         self._drive = Drive(self.plant, scene.robot.dof, config.safety)
         self._guard = SafetyFilter(scene, config.safety, config.control_period) if config.safety.filter else None
-        self._watch = None
+        self.watch: Watch | None = None
         if isinstance(self.plant, RealPlant):
             asked = enter_pressed if sys.stdin is not None and sys.stdin.isatty() else None
-            self._watch = Watch(self.plant, asked=asked, say=partial(print, file=sys.stderr))
+            self.watch = Watch(self.plant, asked=asked, say=partial(print, file=sys.stderr))
         self._control_steps = self._loop()
         self._plans = 0
         self._sideways: np.ndarray | None = None
@@ -232,7 +233,7 @@ class Episode:
                 step = next(self._control_steps)
                 position_error, yaw_error = self._record(step)
                 yield step
-                if self._watch is not None and self._watch.given_up:
+                if self.watch is not None and self.watch.given_up:
                     self.log.header["ended"] = "stopped"
                     break
                 if isinstance(self.plant, TruthfulPlant) and has_fallen(self.plant.truth()):
@@ -264,7 +265,7 @@ class Episode:
             estimator = Estimator(self.scene, self.config)
             expires = self.config.episode.plan_expires
             return real_time(
-                self._drive, self.planner, estimator, dof=dof, expires=expires, guard=guard, watch=self._watch
+                self._drive, self.planner, estimator, dof=dof, expires=expires, guard=guard, watch=self.watch
             )
         behind = self.plant.observe().object_time is not None or self._drive.latency > 0.0
         estimator = Estimator(self.scene, self.config) if behind else None
@@ -288,12 +289,16 @@ class Episode:
         self.plant.knock(force * share * self._sideways)
 
     def state_after(self, step: ControlStep) -> Observation:
-        """Returns the state after a control step: the exact one or, if the plant does not know it, the estimate."""
+        """Returns the state after a control step: the exact one or, if the plant does not know it, the estimate.
+
+        While there is no estimate, it has the pose that was detected last, or that of the start.
+        """
         if isinstance(self.plant, TruthfulPlant):
             return self.plant.truth()
-        x, y, yaw = step.estimate
+        known = (step.estimate, step.observed.object_pose, np.array(self.scene.start))
+        x, y, yaw = next(pose for pose in known if np.isfinite(pose).all())
         transform = planar_transform((x, y, yaw), self.scene.object.rest_height)
-        return replace(step.observed, object_pose=step.estimate, object_transform=transform)
+        return replace(step.observed, object_pose=np.array([x, y, yaw]), object_transform=transform)
 
     def _record(self, step: ControlStep) -> tuple[float, float]:
         """Logs a control step; returns the object's distance [m] and angle [rad] to its goal."""
@@ -346,6 +351,7 @@ class Episode:
             missed_deadline=float(step.missed),
             stopped=float(step.stopped),
             lag_ms=1e3 * step.lag,
+            sent=step.sent,
             limited=float(step.limited),
             filtered=float(bool(filtered)),
             joint_acceleration=step.peak_acceleration,

@@ -27,10 +27,12 @@ class Watch:
 
     Args:
         plant: The plant.
-        asked: Whether somebody has asked to go on, since the last call; ``None`` if nobody can.
+        asked: Whether somebody has asked to go on since the last call, for example on the terminal; ``None`` if nobody
+            can. :meth:`go_on` asks as well.
         say: Receives the reason of each stop, and what happens then.
 
     Attributes:
+        attended: Whether somebody can ask to go on; the viewer sets it.
         stops: Number of stops so far.
         given_up: Whether the arm is stopped and nobody can ask for it to go on.
     """
@@ -39,11 +41,16 @@ class Watch:
         self, plant: RealPlant, *, asked: Callable[[], bool] | None = None, say: Callable[[str], None] | None = None
     ) -> None:
         self._plant, self._asked, self._say = plant, asked, say or (lambda _: None)
+        self.attended = asked is not None
         self._reason = self._jumped = ""
         self._latest = self._tried = -math.inf  # times of the latest cause, and of the latest attempt to recover
         self._wish = False
         self.stops = 0
         self.given_up = False
+
+    def go_on(self) -> None:
+        """Asks to go on after a stop, once its reason is gone; it may be called from any thread."""
+        self._wish = True
 
     def reason(self, observation: Observation, known: Observation | None, event: Event, *, late: bool) -> str:
         """Returns why the arm must be at rest in the next control period; empty if it may move.
@@ -73,9 +80,9 @@ class Watch:
         self.stops += 1
         self._reason, self._wish, self._tried = cause, False, now
         resume = self._plant.rules.resume
-        self.given_up = not resume and self._asked is None
-        after = "the run ends" if self.given_up else "goes on by itself" if resume else "press Enter to go on"
-        self._say(f"the arm was stopped: {cause}\n  then:    {after}")
+        self.given_up = not resume and not self.attended
+        after = "it goes on by itself once the reason is gone" if resume else "press Enter, or Go on in the viewer"
+        self._say(f"the arm was stopped: {cause}\n  then:    {'the run ends' if self.given_up else after}")
 
     def _recover(self, now: float) -> None:
         self._tried = now

@@ -27,6 +27,8 @@ FPS = 20.0
 KNOCK = 0.4
 """Speed that a click imparts to the object [m/s]."""
 _SPEEDS = {"0.25": 0.25, "0.5": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "unlimited": float("inf")}
+_UNWATCHED = 0.2
+"""Time without a browser after which a real arm is stopped [s]."""
 _BARS = 10
 """Maximum number of cost terms shown."""
 
@@ -56,13 +58,20 @@ class LiveView:
         viewer.server.scene.on_click()(self._click)
 
     def run(self) -> None:
-        """Draws until the viewer is closed; the session starts when the first browser connects."""
-        begun = False
+        """Draws until the viewer is closed; the session starts when the first browser connects.
+
+        When the last browser is closed, a real arm is stopped for good.
+        """
+        begun, seen = False, 0.0
         while self._viewer.is_running():
             began = time.perf_counter()
-            if not begun and self._viewer.server.get_clients():
-                begun = True
-                self._session.start()
+            if self._viewer.server.get_clients():
+                seen = began
+                if not begun:
+                    begun = True
+                    self._session.start()
+            elif begun and self._session.real and began - seen > _UNWATCHED:
+                self._session.close()
             self.tick()
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 
@@ -117,6 +126,8 @@ class LiveView:
                 initial_value=False,
                 hint="A click on the object gives it a push in the viewing direction.",
             )
+            if session.real:
+                gui.add_button("Go on", hint="After a stop of the arm.").on_click(lambda _event: session.go_on())
             name = gui.add_text("Scene file", initial_value=f"my_{session.wanted.scene.name}.usda")
             gui.add_button("Save as scene").on_click(lambda event: self._save(event, name.value))
 

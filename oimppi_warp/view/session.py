@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.plants.plant import MovablePlant, TruthfulPlant
+from oimppi_warp.plants.plant import MovablePlant, RealPlant, TruthfulPlant
 from oimppi_warp.runtime.control import ControlStep
 from oimppi_warp.runtime.episode import Episode, Setup, problem_of
 from oimppi_warp.scene import PlanarPose
@@ -75,6 +75,8 @@ class Session:
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
+        if isinstance(self._episode.plant, RealPlant):
+            self._episode.plant.close()
         self._builder.shutdown(cancel_futures=True)
 
     @property
@@ -86,6 +88,16 @@ class Session:
     def over(self) -> bool:
         """Returns whether the episode has ended."""
         return self._over
+
+    @property
+    def real(self) -> bool:
+        """Returns whether a real arm is moved."""
+        return self._episode.watch is not None
+
+    def go_on(self) -> None:
+        """Asks a real arm to go on after a stop."""
+        if self._episode.watch is not None:
+            self._episode.watch.go_on()
 
     @property
     def rate(self) -> float:
@@ -100,6 +112,9 @@ class Session:
             fresh: Whether to restart from the beginning; otherwise the episode continues from its current state.
             **fields: As for :meth:`oimppi_warp.runtime.episode.Setup.changed`.
         """
+        if self.real:
+            self.problem = "a real arm carries out the task: to change it, stop the viewer and start again"
+            return
         with self._lock:
             self.wanted = self.wanted.changed(**fields)
             self._changed = True
@@ -157,10 +172,14 @@ class Session:
                 due = max(due + period, time.perf_counter() - period)
                 self._closing.wait(max(due - time.perf_counter(), 0.0))
         self._steps.close()
+        self._over = True
+        self.latest = replace(self.latest, status=self._status())
 
     def _begin(self, episode: Episode) -> None:
         self._episode = episode
         self._steps: Generator[ControlStep] = episode.steps()
+        if episode.watch is not None:
+            episode.watch.attended = True
         self._over = False
         self._last: Observation | None = None
         self._problem_of_step = self._filtered = ""

@@ -8,6 +8,7 @@ Three things stop the arm when something is wrong, each by itself. The controlle
 
 from __future__ import annotations
 
+import atexit
 import json
 import math
 import os
@@ -139,6 +140,7 @@ class XArmPlant:
         self._poses: PoseReceiver | None = None
         self._sender: threading.Thread | None = None
         self.arm = XArm(robot_address)
+        atexit.register(self.close)
         try:
             host, _ = split_address(robot_address, COMMAND_PORT)
             self._poses = PoseReceiver(pose_address or f"{host}:{POSE_PORT}")
@@ -254,7 +256,8 @@ class XArmPlant:
             self._fault = ""
 
     def close(self) -> None:
-        """Stops the arm and ends the connection."""
+        """Stops the arm and ends the connection; it is also called when the process ends."""
+        atexit.unregister(self.close)
         self._open = False
         if self._sender is not None and self._sender.is_alive():
             self._sender.join(timeout=1.0)
