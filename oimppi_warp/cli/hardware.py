@@ -75,12 +75,13 @@ class LabEmulator:
             pass
         finally:
             emulated.close()
-        forces = emulated.forces
+        forces, controller = emulated.forces, emulated.controller
         print(
             f"The largest forces were {forces.tool_object:.1f} N between tool and object, "
             f"{forces.object_obstacle:.1f} N between object and obstacles, "
             f"{forces.robot_obstacle:.1f} N between arm and obstacles or table. "
-            f"The simulation was at most {1e3 * emulated.late:.0f} ms late."
+            f"The simulation was at most {1e3 * emulated.late:.0f} ms late; the controller got "
+            f"{controller.moves} commands, {controller.refused} refused, {controller.expired} expired."
         )
         return 0
 

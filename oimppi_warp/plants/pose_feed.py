@@ -12,6 +12,7 @@ import math
 import socket
 import threading
 import time
+from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ from oimppi_warp.plants.listener import Listener
 
 PORT = 17501
 """Default port."""
+_KEPT = 4
+"""Number of the latest poses that are kept."""
 _RETRY = 0.5
 """Time between attempts to connect [s]."""
 _LONGEST_LINE = 4096
@@ -29,7 +32,7 @@ _LONGEST_LINE = 4096
 
 
 class PoseServer:
-    """Sends poses to every client, each from when it has connected.
+    """Sends poses to every client; one that connects gets the latest ones at once.
 
     Args:
         host: Address to listen on.
@@ -43,6 +46,7 @@ class PoseServer:
     """
 
     def __init__(self, host: str, port: int = PORT) -> None:
+        self._latest: deque[bytes] = deque(maxlen=_KEPT)
         self._listener = Listener(host, port, self._serve)
         self.port = self._listener.port
 
@@ -55,6 +59,7 @@ class PoseServer:
         """
         x, y, yaw = map(float, pose)
         line = json.dumps({"stamp": stamp, "x": x, "y": y, "yaw": yaw}).encode() + b"\n"
+        self._latest.append(line)
         for link in self._listener.connections():
             with suppress(OSError):
                 link.sendall(line)
@@ -64,6 +69,7 @@ class PoseServer:
         self._listener.close()
 
     def _serve(self, link: socket.socket) -> None:
+        link.sendall(b"".join(self._latest))
         while link.recv(4096):
             pass
 
@@ -101,7 +107,7 @@ class PoseReceiver:
 
     def __init__(self, address: str) -> None:
         self._host, self._port = split_address(address, PORT)
-        self._latest: StampedPose | None = None
+        self._poses: deque[StampedPose] = deque(maxlen=_KEPT)
         self._problem = f"no pose of the object has arrived from {self._host}:{self._port}"
         self._open = True
         self._thread = threading.Thread(target=self._run, name="oimppi-poses", daemon=True)
@@ -110,7 +116,12 @@ class PoseReceiver:
     @property
     def latest(self) -> StampedPose | None:
         """Returns the newest pose; ``None`` before the first one."""
-        return self._latest
+        return self._poses[-1] if self._poses else None
+
+    @property
+    def poses(self) -> list[StampedPose]:
+        """Returns the newest poses, the latest last."""
+        return list(self._poses)
 
     @property
     def problem(self) -> str:
@@ -161,7 +172,7 @@ class PoseReceiver:
             self._problem = f"{self._host}:{self._port} sent a line that is no pose: {line[:80]!r}"
             return
         self._problem = ""
-        self._latest = StampedPose(np.array(pose), time.monotonic(), time.time() - stamp)
+        self._poses.append(StampedPose(np.array(pose), time.monotonic(), time.time() - stamp))
 
 
 def split_address(address: str, port: int) -> tuple[str, int]:

@@ -139,8 +139,8 @@ def test_the_way_to_the_start_is_checked():
     between = np.array([*tip_frame(scene.robot, half)[1][:2], 0.0])
     around = away.path(beside, start, between)
     assert len(around) > 2, "the tool is lifted over the object"
-    assert min(away.clearance(joints, between) for joints in around) > 0.0
-    with pytest.raises(HardwareError, match="touches something"):
+    assert min(min(away.clearance(joints, between)) for joints in around) > 0.0
+    with pytest.raises(HardwareError, match="touches the object at its start"):
         away.path(beside, start, near)
 
 

@@ -39,13 +39,14 @@ class EmulatedController:
         sensitivity: Sensitivity of the collision detection, 0 (off) to 5.
         moves: Number of motion commands taken so far.
         refused: Number of motion commands refused so far.
+        expired: Number of times that it stopped a moving arm because no command had followed.
     """
 
     def __init__(self, robot: Robot, *, load: tuple[float, float, float, float] = (0.2, 0.0, 0.0, 90.0)) -> None:
         self.firmware = FIRMWARE
         self.axes = robot.dof
         self.sensitivity = 3
-        self.moves = self.refused = 0
+        self.moves = self.refused = self.expired = 0
         self._dof = robot.dof
         self._limits = np.array([(joint.lower, joint.upper) for joint in robot.joints]).T
         self._load = load
@@ -84,6 +85,7 @@ class EmulatedController:
         with self._lock:
             self._left -= dt
             if self._left < 1e-9:
+                self.expired += bool(np.any(self._wanted))
                 self._wanted, self._left = np.zeros(self._dof), np.inf
             most = ACCELERATION * dt
             self._driven = self._driven + np.clip(self._wanted - self._driven, -most, most)

@@ -18,6 +18,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from oimppi_warp.physics.world import World
 from oimppi_warp.plants.plant import StopRules, checked_stream
 from oimppi_warp.plants.pose_feed import PORT as POSE_PORT
 from oimppi_warp.plants.pose_feed import PoseReceiver, split_address
-from oimppi_warp.plants.xarm.arm import OLDEST, XArm, check_facts
+from oimppi_warp.plants.xarm.arm import EXPIRES, OLDEST, XArm, check_facts
 from oimppi_warp.plants.xarm.codes import describe
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, Mode, State
 from oimppi_warp.plants.xarm.start_move import StartMove
@@ -59,7 +60,11 @@ something holds it [rad]."""
 _RESPONSE, _SURELY = 0.06, 0.003
 """Time after which a command has surely moved the arm [s], and motion that its reports surely show [rad]."""
 _FIRST_POSE = 10.0
-"""Time to wait for the first pose of the object [s]."""
+"""Time to wait for a pose of the object before the arm moves [s]."""
+_AGREE = 0.03
+"""Distance of two detections that agree [m]."""
+_OLDEST_AT_REST = 60.0
+"""Age of a pose up to which the arm may go to its start posture: it may hide the object where it stands [s]."""
 
 
 class XArmPlant:
@@ -145,11 +150,12 @@ class XArmPlant:
             host, _ = split_address(robot_address, COMMAND_PORT)
             self._poses = PoseReceiver(pose_address or f"{host}:{POSE_PORT}")
             self._check()
-            pose = self._first_pose()
+            pose = self._pose_no_older_than(_OLDEST_AT_REST)
             self._sender = threading.Thread(target=self._send_all, name="oimppi-xarm", daemon=True)
             if not dry_run:
                 self._go_to_start(pose, confirmed=yes)
                 _remember(robot_address)
+            self._pose_no_older_than(pose_timeout)
         except BaseException:
             self.close()
             raise
@@ -282,8 +288,11 @@ class XArmPlant:
                 raise HardwareError(f"{self.arm.address}: {check.what}\n  to do:   {check.remedy}")
             _say(f"{self.arm.address}: {check.what}; to do: {check.remedy}")
 
-    def _first_pose(self) -> np.ndarray:
-        """Waits for the object's pose and returns it, shape [3] [m, m, rad].
+    def _pose_no_older_than(self, oldest: float) -> np.ndarray:
+        """Waits for two detections of the object that agree; returns the later pose, shape [3] [m, m, rad].
+
+        Args:
+            oldest: Largest age of the later one [s].
 
         Raises:
             HardwareError: None arrives, or its stamp is wrong.
@@ -291,11 +300,13 @@ class XArmPlant:
         assert self._poses is not None
         until = time.monotonic() + _FIRST_POSE
         while True:
-            seen = self._poses.latest
-            if seen is not None and not self.blind:
-                return seen.pose
+            for before, seen in pairwise(self._poses.poses):
+                timely = seen.age >= -_FUTURE and time.monotonic() - seen.taken <= oldest
+                if timely and np.hypot(*(seen.pose - before.pose)[:2]) < _AGREE:
+                    return seen.pose
             if time.monotonic() > until:
-                raise HardwareError(f"{self.blind}\n  to do:   start what detects the object (docs/hardware.md)")
+                remedy = "start what detects the object (docs/hardware.md), and move the arm out of the camera's view"
+                raise HardwareError(f"{self.blind or 'no two detections of the object agree'}\n  to do:   {remedy}")
             time.sleep(0.02)
 
     def _go_to_start(self, object_pose: np.ndarray, *, confirmed: bool) -> None:
@@ -420,8 +431,10 @@ class XArmPlant:
         sent = list(self._sent)
         if not sent or sent[0][0] > begin:
             return None
-        starts = np.clip([at for at, _ in sent], begin, end)
-        return np.diff([*starts, end]) @ np.array([command for _, command in sent])
+        starts = np.array([at for at, _ in sent])
+        ends = np.minimum([*starts[1:], np.inf], starts + EXPIRES)
+        durations = np.clip(ends, begin, end) - np.clip(starts, begin, end)
+        return durations @ np.array([command for _, command in sent])
 
     def _frozen(self) -> str:
         """Returns a fault if the joint reports have not changed although the arm was told to move."""

@@ -14,6 +14,10 @@ from oimppi_warp.physics.world import World
 
 MARGIN = 0.01
 """Distance that the arm keeps on its way, unless it begins or ends closer [m]."""
+_SOFT = 0.001
+"""Amount by which distances may be wrong [m]."""
+_BLURRED = 0.015
+"""Amount by which the object may seem to overlap the tool, since its detected pose is not exact [m]."""
 _STEP = 0.02
 """Largest change of a joint between two postures that are checked [rad]."""
 _LIFTS = (0.05, 0.1, 0.2)
@@ -38,12 +42,15 @@ class StartMove:
         self._joints, self._object = made.joint_qpos, made.object_qpos
         roles = np.array([ROLES[role] for role in made.roles])
         moving = np.flatnonzero(np.isin(roles, ["arm", "tool"]))
-        still = np.flatnonzero(np.isin(roles, ["table", "obstacle", "object"]))
-        self._pairs = [(int(a), int(b)) for a in moving for b in still]
+        fixed, loose = (np.flatnonzero(np.isin(roles, kinds)) for kinds in (["table", "obstacle"], ["object"]))
+        self._fixed = [(int(a), int(b)) for a in moving for b in fixed]
+        self._loose = [(int(a), int(b)) for a in moving for b in loose]
         self._limits = np.array([(joint.lower, joint.upper) for joint in world.scene.robot.joints]).T
 
-    def clearance(self, joints: np.ndarray, object_pose: np.ndarray) -> float:
-        """Returns the distance of arm and tool to everything else [m], negative where they overlap.
+    def clearance(self, joints: np.ndarray, object_pose: np.ndarray) -> tuple[float, float]:
+        """Returns the distances of arm and tool to table and obstacles, and to the object [m]; negative in an overlap.
+
+        They are given up to twice the margin.
 
         Args:
             joints: Joint positions, shape [dof] [rad].
@@ -54,15 +61,14 @@ class StartMove:
         placed = planar_transform((x, y, yaw), self._scene.object.rest_height)
         self._data.qpos[self._object] = placed[[0, 1, 2, 6, 3, 4, 5]]
         self._mujoco.mj_kinematics(self._model, self._data)
-        ends = np.zeros(6)
-        return min(
-            self._mujoco.mj_geomDistance(self._model, self._data, a, b, 2.0 * MARGIN, ends) for a, b in self._pairs
-        )
+        return self._least(self._fixed), self._least(self._loose)
 
     def path(self, begin: np.ndarray, end: np.ndarray, object_pose: np.ndarray) -> np.ndarray:
         """Returns postures from one to another, straight in between, shape [n, dof] [rad].
 
-        If the straight way is not free, the tool is lifted first, and lowered at the end.
+        If the straight way is not free, the tool is lifted first, and lowered at the end. Where the arm begins or ends
+        closer than the margin to something, such as the object that it has just pushed, it only moves away from it, or
+        towards it, there.
 
         Args:
             begin: Joint positions, shape [dof] [rad].
@@ -72,30 +78,41 @@ class StartMove:
         Raises:
             HardwareError: No such way is free.
         """
-        least = min(MARGIN, self.clearance(begin, object_pose) - 1e-4, self.clearance(end, object_pose) - 1e-4)
-        if least < 0.0:
-            raise HardwareError(
-                "the arm touches something, here or at its start posture\n"
-                "  to do:   move it and the object apart by hand, and check the scene's measures"
-            )
+        for joints, where in ((begin, "here"), (end, "at its start posture")):
+            fixed, loose = self.clearance(joints, object_pose)
+            if fixed < -_SOFT or loose < -_BLURRED:
+                what = "table or obstacles" if fixed < -_SOFT else "the object"
+                raise HardwareError(
+                    f"the arm touches {what} {where}\n"
+                    "  to do:   move the arm and the object apart by hand, and check the measures in the scene"
+                )
         for height in (0.0, *_LIFTS):
             legs = [begin, end] if height == 0.0 else [*self._lifted(begin, height), *self._lifted(end, height)[::-1]]
-            if self._free(np.array(legs), object_pose, least):
+            if self._free(np.array(legs), object_pose):
                 return np.array(legs)
         raise HardwareError(
-            f"no straight way from here to the start posture keeps {1e3 * least:.0f} mm from everything\n"
+            f"no straight way from here to the start posture keeps {1e3 * MARGIN:.0f} mm from everything\n"
             "  to do:   move the arm nearer to its start posture by hand (manual mode)"
         )
 
-    def _free(self, path: np.ndarray, object_pose: np.ndarray, least: float) -> bool:
+    def _free(self, path: np.ndarray, object_pose: np.ndarray) -> bool:
+        """Returns whether a way is within the joints' limits and keeps the margin, except near its ends."""
         lower, upper = self._limits
         if (path < lower - 1e-6).any() or (path > upper + 1e-6).any():
             return False
+        between = [path[:1]]
         for a, b in pairwise(path):
-            count = int(np.ceil(np.abs(b - a).max() / _STEP)) + 1
-            if any(self.clearance(a + share * (b - a), object_pose) < least for share in np.linspace(0.0, 1.0, count)):
-                return False
-        return True
+            count = int(np.ceil(np.abs(b - a).max() / _STEP))
+            between.append(a + np.linspace(0.0, 1.0, count + 1)[1:, None] * (b - a))
+        gaps = np.array([self.clearance(joints, object_pose) for joints in np.concatenate(between)])
+        so_far = np.maximum.accumulate(gaps, axis=0)
+        from_here = np.maximum.accumulate(gaps[::-1], axis=0)[::-1]
+        return bool((gaps >= np.minimum(MARGIN, np.minimum(so_far, from_here) - _SOFT)).all())
+
+    def _least(self, pairs: list[tuple[int, int]]) -> float:
+        ends = np.zeros(6)
+        distances = (self._mujoco.mj_geomDistance(self._model, self._data, a, b, 2.0 * MARGIN, ends) for a, b in pairs)
+        return min(distances, default=2.0 * MARGIN)
 
     def _lifted(self, joints: np.ndarray, height: float) -> list[np.ndarray]:
         """Returns the postures while the tool is lifted without turning, from a posture [dof] to the highest."""

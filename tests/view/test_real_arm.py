@@ -1,0 +1,100 @@
+"""The viewer's session with a real arm: what it may not change, and what ends it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+from support import small_tasks
+from support.emulated_lab import COMMAND_PORT, POSE_PORT, OtherClient, emulated, speed, time_to_rest, wait_until
+
+from oimppi_warp.config.presets import lab
+from oimppi_warp.config.run_spec import RunSpec
+from oimppi_warp.plants.xarm.emulator import LabEmulator
+from oimppi_warp.plants.xarm.protocol import Register
+from oimppi_warp.runtime.episode import Setup
+from oimppi_warp.view import live
+from oimppi_warp.view.live import LiveView
+from oimppi_warp.view.session import Session
+
+
+@pytest.fixture
+def made() -> Iterator[LabEmulator]:
+    with emulated(lab=lab().lab, seed=1) as lab_made:
+        yield lab_made
+
+
+@pytest.fixture
+def session(made) -> Iterator[Session]:
+    options = (f"robot_address={made.host}:{COMMAND_PORT}", f"pose_address={made.host}:{POSE_PORT}", "yes=true")
+    spec = RunSpec(plant="xarm", plant_options=options, device="cpu", engine="quasistatic")
+    started = Session(Setup(small_tasks.shipped("lab01"), lab(), spec))
+    try:
+        yield started
+    finally:
+        started.close()
+
+
+class Page:
+    """A viewer without a picture, which a browser watches or not."""
+
+    def __init__(self) -> None:
+        self.browsers, self.open = 1, True
+        self.server = self
+
+    def get_clients(self) -> dict[int, None]:
+        return dict.fromkeys(range(self.browsers))
+
+    def is_running(self) -> bool:
+        return self.open
+
+
+def test_closing_the_last_browser_stops_the_arm(made, session, monkeypatch):
+    page = Page()
+    view = LiveView.__new__(LiveView)
+    view._viewer, view._session = page, session
+    ticks: list[float] = []
+
+    def tick(_view: LiveView) -> None:
+        ticks.append(time.monotonic())
+        if speed(made) > 0.05 and page.browsers:
+            page.browsers = 0
+            page.closed = time.monotonic()  # pyright: ignore
+        page.open = page.browsers > 0 or time.monotonic() < page.closed + 1.0  # pyright: ignore
+
+    monkeypatch.setattr(LiveView, "tick", tick)
+    view.run()
+    assert speed(made) < 1e-6
+    assert made.controller.snapshot().state == 4
+    assert session.over
+    assert live._UNWATCHED <= 0.25
+
+
+def test_a_session_with_an_arm_cannot_be_changed_and_ends_at_rest(made, session):
+    session.start()
+    wait_until(lambda: speed(made) > 0.05, 30.0)
+    session.change(method="soi")
+    assert "real arm" in session.problem
+    assert session.wanted.spec.method == "cloi"
+    session.paused = True
+    assert time_to_rest(made) < 0.3
+    session.paused = False
+    wait_until(lambda: speed(made) > 0.05, 30.0)
+    session.close()
+    assert made.controller.snapshot().state == 4
+    assert speed(made) < 1e-6
+
+
+def test_go_on_in_the_viewer(made, session):
+    session.start()
+    wait_until(lambda: speed(made) > 0.05, 30.0)
+    made.controller.raise_error(31)
+    wait_until(lambda: "C31" in session.latest.status, 10.0)
+    assert not session.over, "somebody can ask to go on"
+    client = OtherClient(made.host)
+    client.command(Register.CLEAR_ERROR)
+    client.close()
+    time.sleep(1.2)
+    session.go_on()
+    wait_until(lambda: speed(made) > 0.05, 30.0)
