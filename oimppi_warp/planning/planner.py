@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from functools import cached_property
+from weakref import ref
 
 import numpy as np
 import warp as wp
@@ -177,7 +177,7 @@ class Planner:
             period=config.control_period,
         )
         self._tracked = self.goal[None]
-        self._latest: Callable[[], PlanDetails] | None = None
+        self._latest: ref[Later] | None = None  # weak: it refers to this planner
 
     @cached_property
     def steps(self) -> tuple[Step, Step, Step]:
@@ -260,14 +260,16 @@ class Planner:
         levels.wait()
         self.dynamics.check()
         trace.begin()
-        self._latest = Later(self._details)
-        return Plan(self._command(rates), self.object_finished() - began, self._latest)
+        details = Later(self._details)
+        self._latest = ref(details)
+        return Plan(self._command(rates), self.object_finished() - began, details)
 
     def _settle(self) -> None:
-        """Fetches the details of the latest plan, which the next one overwrites."""
+        """Fetches the details of the latest plan, which the next one overwrites, if somebody still has that plan."""
         latest, self._latest = self._latest, None
-        if latest is not None:
-            latest()
+        details = None if latest is None else latest()
+        if details is not None:
+            details()
 
     def _details(self) -> PlanDetails:
         """Returns the details of the latest plan."""
