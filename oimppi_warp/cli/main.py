@@ -11,6 +11,7 @@ import atexit
 import gc
 import math
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -73,6 +74,8 @@ class Run(TaskOptions):
         record = self.record
         if record is None and isinstance(episode.plant, RealPlant):  # whatever happens, there is a record of it
             record = Path("runs") / time.strftime(f"{setup.spec.plant}-%Y-%m-%d-%H-%M-%S")
+        if isinstance(episode.plant, RealPlant):  # a signal to end stops the arm like Ctrl-C
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
         with _progress(episode.config.episode.max_sim_seconds, console) as on_step:
             log = episode.run(on_step=on_step)
         metrics = summarize(log)

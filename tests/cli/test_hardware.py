@@ -40,7 +40,7 @@ def emulator(host: str, *arguments: str, log: Path) -> Iterator[None]:
                 time.sleep(0.1)
             yield
         finally:
-            process.send_signal(signal.SIGINT)
+            process.terminate()
             process.wait(timeout=30.0)
 
 
@@ -82,7 +82,7 @@ def test_the_can_of_lab01_is_pushed_to_its_goal_over_tcp(tmp_path, capsys):
 
 
 @pytest.mark.timeout(600)
-def test_ctrl_c_stops_the_arm_and_leaves_the_record(tmp_path):
+def test_a_signal_to_end_stops_the_arm_and_leaves_the_record(tmp_path):
     host = address()
     with emulator(host, "lab01", "--start", "0", log=tmp_path / "emulator.txt"):
         addresses = ("--robot-address", f"{host}:{COMMAND_PORT}", "--pose-address", f"{host}:{POSE_PORT}")
@@ -100,7 +100,7 @@ def test_ctrl_c_stops_the_arm_and_leaves_the_record(tmp_path):
             assert time.monotonic() < until
             time.sleep(0.1)
         time.sleep(8.0)  # it is at its start posture by now, and pushes
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
         said, _ = process.communicate(timeout=60.0)
         assert client.command(Register.GET_STATE)[1] == 4
         client.close()

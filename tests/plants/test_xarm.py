@@ -193,6 +193,27 @@ def test_no_poses_no_start(made, monkeypatch):
         pass
 
 
+def test_an_arm_that_hides_the_object_lifts_its_tool_first(made):
+    made.seeing = False
+    made.poses.publish(np.array([0.4, 0.0, 0.0]), time.time())
+    made.poses.publish(np.array([0.5, 0.1, 0.0]), time.time())
+    heights: list[float] = []
+
+    def see_once_lifted() -> None:
+        robot = small_tasks.shipped("lab01").robot
+        while not heights or heights[-1] < heights[0] + 0.1:
+            heights.append(float(tip_frame(robot, made.state()[0])[1][2]))
+            time.sleep(0.02)
+        made.seeing = True
+
+    watching = threading.Thread(target=see_once_lifted)
+    watching.start()
+    with connected(made.host) as plant:
+        watching.join()
+        assert not plant.fault
+        assert np.abs(made.state()[0] - small_tasks.shipped("lab01").robot.start).max() < 0.02
+
+
 def test_the_first_run_at_a_new_address_is_slow(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     assert xarm._speed("192.168.1.7", 0.0) == 0.1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -44,7 +43,7 @@ def hour(host: str, seconds: float) -> None:
                 len(memory), log.header["ended"], len(log), f"{memory[-1]:.0f} MB", log.header["problems"], flush=True
             )
     finally:
-        emulator.send_signal(signal.SIGINT)
+        emulator.terminate()
         said = emulator.communicate(timeout=30.0)[0]
     taken, refused, expired = map(int, re.findall(r"(\d+) commands, (\d+) refused, (\d+) expired", said)[0])
     settled = memory[min(3, len(memory) - 1)]

@@ -59,7 +59,7 @@ _ASTRAY, _ASTRAY_SECONDS = 0.06, 0.4
 something holds it [rad]."""
 _RESPONSE, _SURELY = 0.06, 0.003
 """Time after which a command has surely moved the arm [s], and motion that its reports surely show [rad]."""
-_FIRST_POSE = 10.0
+_FIRST_POSE = 5.0
 """Time to wait for a pose of the object before the arm moves [s]."""
 _AGREE = 0.03
 """Distance of two detections that agree [m]."""
@@ -139,7 +139,6 @@ class XArmPlant:
         self._lock = threading.RLock()
         self._queue: deque[tuple[float, np.ndarray]] = deque()
         self._sent: deque[tuple[float, np.ndarray]] = deque(maxlen=200)
-        self._moving = False
         self._open = True
         self._since = 0.0
         self._poses: PoseReceiver | None = None
@@ -150,12 +149,12 @@ class XArmPlant:
             host, _ = split_address(robot_address, COMMAND_PORT)
             self._poses = PoseReceiver(pose_address or f"{host}:{POSE_PORT}")
             self._check()
-            pose = self._pose_no_older_than(_OLDEST_AT_REST)
             self._sender = threading.Thread(target=self._send_all, name="oimppi-xarm", daemon=True)
             if not dry_run:
-                self._go_to_start(pose, confirmed=yes)
+                self._go_to_start(confirmed=yes)
                 _remember(robot_address)
-            self._pose_no_older_than(pose_timeout)
+            if self._agreed_pose(oldest=pose_timeout, wait=_FIRST_POSE) is None:
+                raise self._unseen()
         except BaseException:
             self.close()
             raise
@@ -288,57 +287,81 @@ class XArmPlant:
                 raise HardwareError(f"{self.arm.address}: {check.what}\n  to do:   {check.remedy}")
             _say(f"{self.arm.address}: {check.what}; to do: {check.remedy}")
 
-    def _pose_no_older_than(self, oldest: float) -> np.ndarray:
+    def _agreed_pose(self, *, oldest: float, wait: float) -> np.ndarray | None:
         """Waits for two detections of the object that agree; returns the later pose, shape [3] [m, m, rad].
 
         Args:
             oldest: Largest age of the later one [s].
-
-        Raises:
-            HardwareError: None arrives, or its stamp is wrong.
+            wait: Time after which ``None`` is returned [s].
         """
         assert self._poses is not None
-        until = time.monotonic() + _FIRST_POSE
-        while True:
+        until = time.monotonic() + wait
+        while time.monotonic() < until:
             for before, seen in pairwise(self._poses.poses):
                 timely = seen.age >= -_FUTURE and time.monotonic() - seen.taken <= oldest
                 if timely and np.hypot(*(seen.pose - before.pose)[:2]) < _AGREE:
                     return seen.pose
-            if time.monotonic() > until:
-                remedy = "start what detects the object (docs/hardware.md), and move the arm out of the camera's view"
-                raise HardwareError(f"{self.blind or 'no two detections of the object agree'}\n  to do:   {remedy}")
             time.sleep(0.02)
+        return None
 
-    def _go_to_start(self, object_pose: np.ndarray, *, confirmed: bool) -> None:
+    def _unseen(self) -> HardwareError:
+        """Returns the error of an object that is not seen."""
+        why = self.blind or "no two detections of the object agree"
+        remedy = "" if "to do:" in why else "\n  to do:   start what detects the object, and let nothing hide it"
+        return HardwareError(f"{why}{remedy} (docs/hardware.md)")
+
+    def _go_to_start(self, *, confirmed: bool) -> None:
         """Moves the arm to the start posture, after a confirmation.
 
+        Where the object is not seen, the arm may hide it: the tool is lifted first, straight up.
+
         Raises:
-            HardwareError: The way is not free, the answer is no, or a fault stops the arm.
+            HardwareError: The object is not seen, the way is not free, the answer is no, or a fault stops the arm.
         """
         assert self._sender is not None
-        start = np.asarray(self._scene.robot.start, dtype=float)
-        here = self.arm.joints()[1][: self._dof]
-        path = StartMove(World(self._scene)).path(here, start, object_pose)
+        start, way = np.asarray(self._scene.robot.start, dtype=float), StartMove(World(self._scene))
+        pose = self._agreed_pose(oldest=_OLDEST_AT_REST, wait=_FIRST_POSE)
+        hidden = pose is None
+        if hidden and (self._poses is None or not self._poses.poses):
+            raise self._unseen()
+        here = self._joints()
+        path = way.lift(here) if pose is None else way.path(here, start, pose)
         degrees = math.degrees(float(np.abs(start - here).max()))
-        pace = self.speed * _START_SPEED
+        pace = math.degrees(self.speed * _START_SPEED)
         if not confirmed and not _ask(
-            f"The arm will move to its start posture (joints turn by up to {degrees:.0f} degrees, at "
-            f"{math.degrees(pace):.0f} degrees/s), and then push at {100 * self.speed:.0f} % of the usual speed. "
+            f"The arm will {'lift its tool, ' if hidden else ''}move to its start posture (joints turn by up to "
+            f"{degrees:.0f} degrees, {pace:.0f} degrees/s), and push at {100 * self.speed:.0f} % of the usual speed. "
             "Is everybody out of its reach, and the emergency stop at hand?"
         ):
             raise HardwareError("the arm was not moved\n  to do:   confirm the move, or use --yes in a script")
         self.arm.enable()
-        self._moving = True
         self._sender.start()
-        lengths = np.abs(np.diff(path, axis=0)).max(axis=1)
+        self._follow(path)
+        if hidden:
+            pose = self._agreed_pose(oldest=_OLDEST_AT_REST, wait=_FIRST_POSE)
+            if pose is None:
+                raise self._unseen()
+            self._follow(way.path(self._joints(), start, pose))
+
+    def _joints(self) -> np.ndarray:
+        """Returns the newest joint positions, shape [dof] [rad]."""
+        return self.arm.joints()[1][: self._dof]
+
+    def _follow(self, path: np.ndarray) -> None:
+        """Moves slowly through postures, shape [n, dof] [rad], and stops at the last one.
+
+        Raises:
+            HardwareError: A fault stopped the arm.
+        """
+        pace = self.speed * _START_SPEED
+        knots = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1))])
         at, speed, target = 0.0, 0.0, path[0]
-        knots = np.concatenate([[0.0], np.cumsum(lengths)])
         while True:
             if self.fault:
                 raise HardwareError(f"on the way to its start posture the arm was stopped: {self.fault}")
-            here = self.arm.joints()[1][: self._dof]
+            here = self._joints()
             left = knots[-1] - at
-            if left <= 0.0 and np.abs(start - here).max() < _AT_START:
+            if left <= 0.0 and np.abs(path[-1] - here).max() < _AT_START:
                 break
             # Accelerates and brakes with 0.5 rad/s^2; what is left of an error is reduced in proportion to it.
             speed = min(speed + 0.5 * self.control_period, pace, math.sqrt(max(left, 0.0)))

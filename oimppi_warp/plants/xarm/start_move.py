@@ -22,6 +22,8 @@ _STEP = 0.02
 """Largest change of a joint between two postures that are checked [rad]."""
 _LIFTS = (0.05, 0.1, 0.2)
 """Heights over which the tool is lifted first, if the straight way is not free [m]."""
+_FAR = 5.0
+"""Distance at which the object is out of the way [m]."""
 _LIFT_STEP = 0.005
 _DAMPING = 1e-3
 
@@ -94,6 +96,22 @@ class StartMove:
             f"no straight way from here to the start posture keeps {1e3 * MARGIN:.0f} mm from everything\n"
             "  to do:   move the arm nearer to its start posture by hand (manual mode)"
         )
+
+    def lift(self, begin: np.ndarray) -> np.ndarray:
+        """Returns postures that lift the tool straight up, wherever the object is, shape [n, dof] [rad].
+
+        Args:
+            begin: Joint positions, shape [dof] [rad].
+
+        Raises:
+            HardwareError: Table, obstacles or the joints' limits are in the way.
+        """
+        away = np.array([_FAR, _FAR, 0.0])
+        for height in _LIFTS[::-1]:
+            path = np.array(self._lifted(begin, height))
+            if self._free(path, away):
+                return path
+        raise HardwareError("the tool cannot be lifted here\n  to do:   move the arm up by hand (manual mode)")
 
     def _free(self, path: np.ndarray, object_pose: np.ndarray) -> bool:
         """Returns whether a way is within the joints' limits and keeps the margin, except near its ends."""
