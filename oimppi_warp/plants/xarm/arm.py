@@ -24,7 +24,7 @@ from oimppi_warp.scene import Robot
 
 OLDEST = 0.2
 """Age of the joint reports from which on the arm must not move [s]; it is at rest before they are 0.25 s old."""
-EXPIRES = 0.12
+EXPIRES = 0.1
 """Time after which the controller stops the arm by itself if no further command arrives [s]."""
 OLDEST_FIRMWARE = (1, 9, 0)
 """Oldest firmware that can be used: it stops by itself, and reports torques."""

@@ -52,6 +52,8 @@ _LATENCY = 0.02
 """Time from a command to its effect: sending, the controller's cycle, and the arm's response [s]."""
 _FUTURE = 0.2
 """How far a pose may be stamped in the future [s]."""
+_PATIENCE = 0.5
+"""Control periods by which the control loop may be late before the arm is let stop."""
 _POLLS = 5
 """Ticks between two readings of the controller's error, and between two of the torques."""
 _ASTRAY, _ASTRAY_SECONDS = 0.06, 0.4
@@ -403,7 +405,7 @@ class XArmPlant:
         with self._lock:
             while len(self._queue) > 1 and self._queue[1][0] <= now + 0.5 * TICK:
                 self._queue.popleft()
-            if not self._queue or now > self._queue[-1][0] + TICK + self.control_period:
+            if not self._queue or now > self._queue[-1][0] + TICK + _PATIENCE * self.control_period:
                 return None
             return self._queue[0][1]
 
