@@ -142,16 +142,16 @@ def wait_until(reached: Callable[[], bool], seconds: float = 15.0) -> float:
 
 
 def time_to_rest(made: LabEmulator) -> float:
-    """Time for which the arm goes on at its present speed until it is at rest, by how far it moves [s].
+    """Time that the arm takes to come to rest, by how far it moves at its largest speed [s].
 
     The simulation stands still where this machine is too slow, so that the result does not depend on that.
     """
-    joints, velocities, _ = made.state()
+    joints, largest = made.state()[0], np.full(6, 0.05)
     until, last = time.monotonic() + 10.0, time.monotonic()
     while time.monotonic() < last + 0.3:
         assert time.monotonic() < until, "the arm does not stop"
+        largest = np.maximum(largest, np.abs(made.state()[1]))
         if speed(made) > 1e-3:
             last = time.monotonic()
         time.sleep(0.002)
-    fastest = int(np.argmax(np.abs(velocities)))
-    return float(abs(made.state()[0][fastest] - joints[fastest]) / max(abs(velocities[fastest]), 0.05))
+    return float((np.abs(made.state()[0] - joints) / largest).max())

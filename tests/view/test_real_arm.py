@@ -13,7 +13,8 @@ from oimppi_warp.config.presets import lab
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.plants.xarm.emulator import LabEmulator
 from oimppi_warp.plants.xarm.protocol import Register
-from oimppi_warp.runtime.episode import Setup
+from oimppi_warp.record.log import EpisodeLog
+from oimppi_warp.runtime.episode import Episode, Setup
 from oimppi_warp.view import live
 from oimppi_warp.view.live import LiveView
 from oimppi_warp.view.session import Session
@@ -84,6 +85,23 @@ def test_a_session_with_an_arm_cannot_be_changed_and_ends_at_rest(made, session)
     session.close()
     assert made.controller.snapshot().state == 4
     assert speed(made) < 1e-6
+
+
+def test_an_exception_in_the_middle_of_a_push_stops_the_arm(made):
+    options = (f"robot_address={made.host}:{COMMAND_PORT}", f"pose_address={made.host}:{POSE_PORT}", "yes=true")
+    scene = small_tasks.shipped("lab01")
+    episode = Episode(scene, lab(), plant="xarm", plant_options=options, device="cpu", engine="quasistatic")
+    assert episode.spec.mode == "realtime"
+
+    def fail(_log: EpisodeLog) -> None:
+        if speed(made) > 0.05:
+            raise ValueError("somebody's mistake")
+
+    with pytest.raises(ValueError, match="somebody's mistake"):
+        episode.run(on_step=fail)
+    assert made.controller.snapshot().state == 4
+    wait_until(lambda: speed(made) < 1e-6)
+    assert len(episode.log) > 0, "the log is whole"
 
 
 def test_go_on_in_the_viewer(made, session):
