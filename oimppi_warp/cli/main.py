@@ -11,7 +11,6 @@ import atexit
 import gc
 import math
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -72,12 +71,15 @@ class Run(TaskOptions):
         if episode.planner.engine_reason:
             console.print(f"engine {episode.planner.engine}: {episode.planner.engine_reason}", soft_wrap=True)
         record = self.record
-        if record is None and isinstance(episode.plant, RealPlant):  # whatever happens, there is a record of it
+        if record is None and isinstance(episode.plant, RealPlant):  # there is a record of every run
             record = Path("runs") / time.strftime(f"{setup.spec.plant}-%Y-%m-%d-%H-%M-%S")
-        if isinstance(episode.plant, RealPlant):  # a signal to end stops the arm like Ctrl-C
-            signal.signal(signal.SIGTERM, signal.default_int_handler)
         with _progress(episode.config.episode.max_sim_seconds, console) as on_step:
-            log = episode.run(on_step=on_step)
+            try:
+                log = episode.run(on_step=on_step)
+            except Exception:
+                if record is not None:
+                    episode.log.save(record)
+                raise
         metrics = summarize(log)
         for step, reason in log.header.get("problems", []):
             console.print(f"step {step}: the arm was stopped: {reason}", soft_wrap=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -32,7 +33,7 @@ class HardwareOptions:
     """Options of a real arm, with --plant xarm; docs/hardware.md says what to do before it moves."""
 
     robot_address: Annotated[str | None, arg(metavar="HOST", help_behavior_hint="")] = None
-    """Address of the xArm's controller, HOST or HOST:PORT; that of `oimppi lab-emulator` is 127.0.0.2."""
+    """IPv4 address or name of the xArm's controller, HOST or HOST:PORT; that of `oimppi lab-emulator` is 127.0.0.2."""
 
     pose_address: Annotated[
         str | None, arg(metavar="HOST:PORT", help_behavior_hint="(default: that of the robot, port 17501)")
@@ -46,10 +47,10 @@ class HardwareOptions:
     """Share of the usual speed, from 0.01 to 1. The first run at a new address is limited to 0.1."""
 
     yes: FlagCreatePairsOff[bool] = False
-    """Move the arm to its start posture without asking."""
+    """Move the arm to its start posture, and push, without asking."""
 
     resume: FlagCreatePairsOff[bool] = False
-    """After a stop, go on as soon as its reason is gone, without asking."""
+    """After a stop for a reason that passes by itself, such as an object that is hidden, go on without asking."""
 
     dry_run: FlagCreatePairsOff[bool] = False
     """Do everything but move: connect, check, plan and record."""
@@ -128,6 +129,9 @@ class TaskOptions:
         """
         config = self.settings()
         self.hardware.assignments(self.run.plant)
+        if self.run.plant in _REAL:  # signals to end stop the arm like Ctrl-C
+            for each in (signal.SIGTERM, signal.SIGHUP):
+                signal.signal(each, signal.default_int_handler)
         start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
 
         console = notices()

@@ -20,7 +20,7 @@ from oimppi_warp.errors import ConfigError
 class View(TaskOptions):
     """Watch planning and pushing in a browser and change the task while it runs, or replay a record.
 
-    Closing the browser does not stop the run; Ctrl-C does. Exit status: 0, or 2 for bad input.
+    Closing the browser does not stop the run (a real arm it does); Ctrl-C does. Exit status: 0, or 2 for bad input.
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"

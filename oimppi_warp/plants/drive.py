@@ -145,6 +145,12 @@ class Drive:
             self.plant.apply(still)
             raise
 
+    def rest(self) -> None:
+        """Notes that the arm is at rest, whatever it was commanded; sends nothing."""
+        self._command = np.zeros_like(self._command)
+        self._changes.clear()
+        self._sent[:] = 0.0
+
     def _velocities(self, ticks: int) -> np.ndarray:
         """Returns the joint velocities at the ends of the next ticks, for the commands so far, shape [ticks, dof]."""
         times = self._time + self._tick * np.arange(1, ticks + 1)

@@ -171,8 +171,8 @@ class StopRules:
     Attributes:
         pose_timeout: Age of the object's pose from which on the arm is stopped [s].
         jump: Distance from where the object is believed, from which on a detection stops the arm [m].
-        resume: Whether the arm goes on by itself once the reason for a stop has been gone for a while; if not, somebody
-            has to ask for it.
+        resume: Whether the arm goes on by itself once the reason for a stop has been gone for a while, if the reason is
+            one that passes by itself: poses, plans and reports that did not come. If not, somebody has to ask for it.
     """
 
     pose_timeout: float = 2.5
@@ -212,6 +212,11 @@ class RealPlant(Protocol):
         """Returns why poses of the object do not arrive, or cannot be used; empty if nothing is known of it."""
         ...
 
+    @property
+    def fault_passes(self) -> bool:
+        """Returns whether the present fault may pass by itself; after any other one, a person has to ask to go on."""
+        ...
+
     def recover(self) -> None:
         """Gets ready to move again after a fault.
 
@@ -223,6 +228,11 @@ class RealPlant(Protocol):
     def close(self) -> None:
         """Stops the arm for good, whatever state it is in, and ends the connection. It raises nothing."""
         ...
+
+
+def is_real(plant: object) -> bool:
+    """Returns whether a plant, or its class, is a :class:`RealPlant`."""
+    return isinstance(getattr(plant, "rules", None), StopRules)
 
 
 def has_own_world(plant: object) -> bool:

@@ -27,6 +27,8 @@ _KEPT = 4
 """Number of the latest poses that are kept."""
 _RETRY = 0.5
 """Time between attempts to connect [s]."""
+_SILENCE = 10.0
+"""Time without a pose after which the connection is made anew [s]."""
 _LONGEST_LINE = 4096
 """Longest line that is read [B]."""
 
@@ -83,11 +85,13 @@ class StampedPose:
         arrived: Time at which it arrived, of ``time.monotonic`` [s].
         age: Time since the object had this pose when it arrived, by the clocks of both machines [s]; negative if the
             sender's clock is ahead.
+        stamp: As sent, in seconds since 1970.
     """
 
     pose: np.ndarray
     arrived: float
     age: float
+    stamp: float
 
     @property
     def taken(self) -> float:
@@ -147,12 +151,15 @@ class PoseReceiver:
                 time.sleep(_RETRY)
 
     def _receive(self, link: socket.socket) -> None:
-        received = b""
+        received, heard = b"", time.monotonic()
         while self._open:
             try:
                 data = link.recv(4096)
             except TimeoutError:
+                if time.monotonic() > heard + _SILENCE:
+                    return  # the cable may have been cut
                 continue
+            heard = time.monotonic()
             if not data:
                 return
             *lines, received = (received + data).split(b"\n")
@@ -168,11 +175,12 @@ class PoseReceiver:
             stamp, *pose = (float(found[name]) for name in ("stamp", "x", "y", "yaw"))
             if not all(map(math.isfinite, (stamp, *pose))):
                 raise ValueError
-        except (ValueError, KeyError, TypeError):
+        except Exception:  # whatever it is, it is no pose
             self._problem = f"{self._host}:{self._port} sent a line that is no pose: {line[:80]!r}"
             return
         self._problem = ""
-        self._poses.append(StampedPose(np.array(pose), time.monotonic(), time.time() - stamp))
+        if not any(known.stamp == stamp for known in self._poses):  # a server repeats its latest ones to new clients
+            self._poses.append(StampedPose(np.array(pose), time.monotonic(), time.time() - stamp, stamp))
 
 
 def split_address(address: str, port: int) -> tuple[str, int]:

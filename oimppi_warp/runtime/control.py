@@ -20,7 +20,7 @@ import numpy as np
 from oimppi_warp.observation import Observation, check_shapes
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.plants.drive import Drive
-from oimppi_warp.plants.plant import Plant
+from oimppi_warp.plants.plant import Plant, RealPlant
 from oimppi_warp.plants.safety_filter import Filtered, SafetyFilter
 from oimppi_warp.runtime.estimator import Estimator, Event
 from oimppi_warp.runtime.watch import Watch
@@ -194,6 +194,13 @@ def real_time(
     try:
         while True:
             timed_plan, missed, stopped = None, False, False
+            if watch is not None and clock() - due > period:
+                # Somebody held up the loop: a real arm has stopped by itself, and plans from before are out of date.
+                drive.rest()
+                command, planned, due = still, False, clock()
+                if job is not None:
+                    job.result()
+                    job = None
             if job is not None and job.done():
                 timed_plan, job = job.result(), None
                 command, age, planned = timed_plan.plan.command, 0, True
@@ -205,7 +212,8 @@ def real_time(
             reason = "" if watch is None else watch.reason(observation, known, estimator.event, late=stopped)
             if reason:
                 command, stopped = still, True
-            filtered = filtered_command(guard, drive, observation, command)
+            at_rest = reason and not np.any(drive.command)  # then the filter must not move the arm either
+            filtered = Filtered(command) if at_rest else filtered_command(guard, drive, observation, command)
             if job is None and known is not None:
                 # Commands that are already decided are executed before those of the plan requested here.
                 pending = [*drive.pending(), (period, drive.allowed(filtered.joint_velocity))]
@@ -226,6 +234,8 @@ def real_time(
                 step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered, sent=at, halted=reason
             )
     finally:
+        if isinstance(plant, RealPlant):
+            plant.close()  # before anything that takes time
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -11,6 +11,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from oimppi_warp.compute.device import await_loaded, loading
 from oimppi_warp.compute.step import core_count
@@ -37,11 +38,13 @@ from oimppi_warp.plants.plant import (
     TruthfulPlant,
     has_own_world,
     has_tipped,
+    is_real,
     latency_of,
 )
 from oimppi_warp.plants.safety_filter import SafetyFilter
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
+from oimppi_warp.registries import PLANTS
 from oimppi_warp.runtime.control import ControlStep, lock_step, real_time
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.runtime.watch import Watch, enter_pressed
@@ -122,6 +125,8 @@ class Episode:
         validate(config)
         if any(config.episode.tolerance):
             scene = scene.with_tolerance(*config.episode.tolerance)
+        if is_real(PLANTS.get_checked(spec.plant) if plant is None else plant):
+            spec = replace(spec, mode="realtime")
         if spec.threads is None and spec.mode == "realtime":
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
@@ -129,24 +134,33 @@ class Episode:
         # In a first run, these kernels are compiled while Newton's are, and while fields are computed.
         with loading([*early, *step_kernels(config, spec)]):
             self.plant: Plant = make_plant(scene, config, spec) if plant is None else plant
-            await_loaded(early)
-            if has_own_world(self.plant):
-                x, y, yaw = map(float, self.plant.observe().object_pose)
-                self.scene = scene = scene.with_start((x, y, yaw))
-            check_plant(self.plant, spec, passed=plant is not None)
-            if isinstance(self.plant, RealPlant):
-                config, spec = self.plant.limited(config), replace(spec, mode="realtime")
-            resolved = resolve(config, scene, control_period=self.plant.control_period)
-            self.config = config = validate(resolved.config)
-            self._clearance = ExactClearance(scene)
-            self.planner = make_planner(scene, config, spec)
-            self.planner.warm_up()
+            try:
+                self._make(scene, config, spec, passed=plant is not None, early=early)
+            except BaseException:
+                if isinstance(self.plant, RealPlant):
+                    self.plant.close()
+                raise
+
+    def _make(self, scene: Scene, config: Config, spec: RunSpec, *, passed: bool, early: Sequence[wp.Module]) -> None:
+        """Makes everything else, once there is a plant."""
+        await_loaded(early)
+        if has_own_world(self.plant):
+            x, y, yaw = map(float, self.plant.observe().object_pose)
+            self.scene = scene = scene.with_start((x, y, yaw))
+        check_plant(self.plant, spec, passed=passed)
+        if isinstance(self.plant, RealPlant):
+            config = self.plant.limited(config)
+        resolved = resolve(config, scene, control_period=self.plant.control_period)
+        self.config = config = validate(resolved.config)
+        self._clearance = ExactClearance(scene)
+        self.planner = make_planner(scene, config, spec)
+        self.planner.warm_up()
         self.spec = replace(
             spec,
             engine=self.planner.engine,
             device=self.planner.compute.name,
             threads=self.planner.compute.threads,
-            plant=spec.plant if plant is None else type(plant).__name__,
+            plant=type(self.plant).__name__ if passed else spec.plant,
         )
         self._drive = Drive(self.plant, scene.robot.dof, config.safety)
         self._guard = SafetyFilter(scene, config.safety, config.control_period) if config.safety.filter else None
@@ -251,11 +265,12 @@ class Episode:
                     break
             else:
                 self.log.header["ended"] = "time limit"
-        finally:
-            with suppress(Exception):  # stop the arm first, however the episode ended
-                self._drive.stop()
+        finally:  # stop the arm first, however the episode ended
             if isinstance(self.plant, RealPlant):
                 self.plant.close()
+            else:
+                with suppress(Exception):
+                    self._drive.stop()
             self._control_steps.close()
 
     def _loop(self) -> Generator[ControlStep]:

@@ -23,7 +23,8 @@ class Watch:
 
     It is stopped at the plant's faults, when the object's pose is too old, when a detection is far from where the
     object is believed, and when no plan is ready in time. It goes on once the reason has been gone for :data:`QUIET`,
-    by itself or after somebody has asked for it (:attr:`oimppi_warp.plants.plant.StopRules.resume`).
+    by itself or after somebody has asked for it (:attr:`oimppi_warp.plants.plant.StopRules.resume`). Who asks while the
+    reason is still there is told so, and has to ask again.
 
     Args:
         plant: The plant.
@@ -44,7 +45,7 @@ class Watch:
         self.attended = asked is not None
         self._reason = self._jumped = ""
         self._latest = self._tried = -math.inf  # times of the latest cause, and of the latest attempt to recover
-        self._wish = False
+        self._wish, self._passes = False, True
         self.stops = 0
         self.given_up = False
 
@@ -61,30 +62,37 @@ class Watch:
             event: What became of the latest detection.
             late: Whether the plan has expired and no new one is ready.
         """
-        now, rules = self._plant.now, self._plant.rules
+        now = self._plant.now
         self._wish |= self._asked is not None and self._asked()
-        may_go = bool(self._reason) and (rules.resume or self._wish)
-        if may_go and self._plant.fault and now - self._tried >= QUIET:
+        stopped = bool(self._reason)
+        alone = self._plant.rules.resume and self._passes
+        if stopped and self._plant.fault and (alone or self._wish) and now - self._tried >= QUIET:
             self._recover(now)
         cause = self._plant.fault or self._cause(observation, known, event, late=late)
         if cause:
             self._latest = now
-            if not self._reason:
+            self._passes &= not self._plant.fault or self._plant.fault_passes
+            if not stopped:
                 self._stop(cause, now)
-        elif may_go and now - self._latest >= QUIET:
+            elif self._wish:
+                self._say(f"the arm cannot go on yet: {cause}")
+            self._wish = False
+        elif stopped and (alone or self._wish) and now - self._latest >= QUIET:
             self._say("the arm goes on")
             self._reason, self._wish = "", False
         return self._reason
 
     def _stop(self, cause: str, now: float) -> None:
         self.stops += 1
-        self._reason, self._wish, self._tried = cause, False, now
-        resume = self._plant.rules.resume
-        self.given_up = not resume and not self.attended
-        after = "it goes on by itself once the reason is gone" if resume else "press Enter, or Go on in the viewer"
+        self._reason, self._tried = cause, now
+        self._passes = not self._plant.fault or self._plant.fault_passes
+        alone = self._plant.rules.resume and self._passes
+        self.given_up = not alone and not self.attended
+        after = "it goes on by itself once the reason is gone" if alone else "press Enter, or Go on in the viewer"
         self._say(f"the arm was stopped: {cause}\n  then:    {'the run ends' if self.given_up else after}")
 
     def _recover(self, now: float) -> None:
+        """Asks the plant to get ready to move; what it says otherwise is its cause again."""
         self._tried = now
         try:
             self._plant.recover()

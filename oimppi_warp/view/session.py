@@ -140,6 +140,14 @@ class Session:
             self._knock = impulse
 
     def _loop(self) -> None:
+        try:
+            self._run()
+        finally:
+            self._steps.close()
+            self._over = True
+            self.latest = replace(self.latest, status=self._status())
+
+    def _run(self) -> None:
         due = time.perf_counter()
         while not self._closing.is_set():
             self._apply_requests()
@@ -171,9 +179,6 @@ class Session:
                 period = self._episode.config.control_period / self.speed
                 due = max(due + period, time.perf_counter() - period)
                 self._closing.wait(max(due - time.perf_counter(), 0.0))
-        self._steps.close()
-        self._over = True
-        self.latest = replace(self.latest, status=self._status())
 
     def _begin(self, episode: Episode) -> None:
         self._episode = episode
@@ -270,6 +275,8 @@ class Session:
 
     def _status(self) -> str:
         """Returns a one-line status message."""
+        if self._over and self.real:
+            return f"the run has ended ({self._episode.log.header['ended']}): to go on, start the viewer again"
         if self._over:
             return {
                 "success": "goal reached: move the goal or the object, or press Reset",

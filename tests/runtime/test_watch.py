@@ -21,6 +21,7 @@ class Plant:
 
     def __init__(self) -> None:
         self.now, self.fault, self.blind = 10.0, "", ""
+        self.fault_passes = True
         self.recovers, self.recovered = True, 0
 
     def recover(self) -> None:
@@ -130,6 +131,32 @@ def test_a_fault_of_the_plant_is_recovered_from_first():
     after = bench.steps(2.0 * QUIET + 0.3)
     assert bench.plant.recovered == 1
     assert not after[-1]
+
+
+def test_after_a_fault_that_does_not_pass_a_person_has_to_ask_even_with_resume():
+    bench = Bench(resume=True, asked=[])
+    bench.plant.fault, bench.plant.fault_passes = "somebody pressed stop", False
+    assert bench.step()
+    assert not bench.watch.given_up
+    assert "press Enter" in bench.said[0]
+    assert all(bench.steps(5.0))
+    assert bench.plant.recovered == 0
+    bench.watch.go_on()
+    assert not bench.steps(QUIET + 0.2)[-1]
+    assert bench.plant.recovered == 1
+    alone = Bench(resume=True)
+    alone.plant.fault, alone.plant.fault_passes = "somebody pressed stop", False
+    assert alone.step()
+    assert alone.watch.given_up
+
+
+def test_a_wish_while_the_reason_is_still_there_is_answered_and_forgotten():
+    bench = Bench(asked=[])
+    assert bench.step(late=True)
+    bench.watch.go_on()
+    assert bench.step(late=True)
+    assert "cannot go on yet: no plan was ready" in bench.said[-1]
+    assert all(bench.steps(5.0))
 
 
 def test_a_wish_that_cannot_be_granted_is_answered():

@@ -28,6 +28,8 @@ EXPIRES = 0.1
 """Time after which the controller stops the arm by itself if no further command arrives [s]."""
 OLDEST_FIRMWARE = (1, 9, 0)
 """Oldest firmware that can be used: it stops by itself, and reports torques."""
+_ANSWER = 0.3
+"""Time to wait for the reply to a command [s]; the SDK's 2 s are too long while the arm moves."""
 RATE = 100.0
 """Rate of the joint reports [1/s]."""
 _KEPT = 400
@@ -191,10 +193,14 @@ class XArm:
         sockets: Any = XCONF.SocketConf  # the SDK has no other way to choose a port
         sockets.TCP_CONTROL_PORT = port
         self.count = 0
-        self._sdk, self._host = sdk, host
+        try:
+            self._sdk, self._host = sdk, socket.gethostbyname(host)  # the SDK takes no names
+        except OSError as error:
+            raise HardwareError(f"{host} cannot be found in the network: {error.strerror or error}") from None
         self._reports: deque[tuple[float, np.ndarray]] = deque(maxlen=_KEPT)
         self._lock = threading.Lock()
         self._arm = self._connect("real")
+        self._arm.set_timeout(_ANSWER)
         self._arm.register_report_location_callback(self._take_report, report_cartesian=False, report_joints=True)
         self._wait_for(lambda: len(self._reports) > 1, 3.0, "the controller sends no joint reports")
 
@@ -216,9 +222,7 @@ class XArm:
         trips, error, warning = [], 0, 0
         while time.monotonic() < began + 0.5:
             asked = time.perf_counter()
-            code, (error, warning) = self._arm.get_err_warn_code()
-            if code < 0:
-                raise HardwareError(f"the controller at {self.address} does not answer (code {code})")
+            error, warning = self._codes()
             trips.append(time.perf_counter() - asked)
             time.sleep(0.02)
         rate = (self.count - before) / (time.monotonic() - began)
@@ -240,9 +244,13 @@ class XArm:
         """Switches the motors on and gets ready to take joint velocities.
 
         Raises:
-            HardwareError: The controller refuses.
+            HardwareError: The controller has an error, is in manual mode, or refuses.
         """
         self.check_error()
+        if self._arm.mode == Mode.TEACHING:
+            raise HardwareError(
+                f"the arm at {self.address} is in manual mode\n  to do:   leave manual mode in UFACTORY Studio"
+            )
         self._arm.motion_enable(True)
         self._arm.set_mode(int(Mode.JOINT_VELOCITY))
         self._arm.set_state(0)
@@ -286,15 +294,18 @@ class XArm:
         Raises:
             HardwareError: It does not answer.
         """
-        code, found = self._arm.get_err_warn_code()
-        if code < 0 or code == 3:
-            raise HardwareError(f"the controller at {self.address} does not answer")
-        return int(found[0])
+        return self._codes()[0]
 
     def torques(self) -> np.ndarray:
-        """Returns the joint torques, shape [7] [N m]; NaN if the controller does not tell."""
+        """Returns the joint torques, shape [7] [N m].
+
+        Raises:
+            HardwareError: The controller does not answer.
+        """
         code, found = self._arm.get_joints_torque()
-        return np.array(found, dtype=float) if code == 0 else np.full(7, np.nan)
+        if code != 0:
+            raise HardwareError(f"the controller at {self.address} does not tell the joint torques (code {code})")
+        return np.array(found, dtype=float)
 
     def joints(self) -> tuple[float, np.ndarray]:
         """Returns the newest joint report: its time of arrival, of ``time.monotonic`` [s], and positions [7] [rad]."""
@@ -329,6 +340,17 @@ class XArm:
     def disconnect(self) -> None:
         """Ends the connection."""
         self._arm.disconnect()
+
+    def _codes(self) -> tuple[int, int]:
+        """Returns the codes of the controller's error and warning; 0 for none.
+
+        Raises:
+            HardwareError: It does not answer.
+        """
+        code, found = self._arm.get_err_warn_code()
+        if code != 0:
+            raise HardwareError(f"the controller at {self.address} does not answer (code {code} of the SDK)")
+        return int(found[0]), int(found[1])
 
     def _connect(self, reports: str) -> Any:
         try:

@@ -1,6 +1,7 @@
 """Errors of the xArm's controller in words, each with what to do.
 
-The codes and their meanings are those of the vendor's manual. The controller is never asked to clear one by itself.
+What the codes mean is taken from the vendor's SDK and manual; the words and the advice are ours. The controller is
+never asked to clear one.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 COLLISION, SELF_COLLISION, JOINT_LIMIT, TOO_FAST = 31, 22, 23, 24
 """Codes of errors that the emulation raises by itself."""
 
+_SUPPORT = "press the emergency stop, and contact the vendor's support"
 _ERRORS: dict[int, tuple[str, str]] = {
     1: ("the emergency stop is pressed", "release it"),
     2: ("the emergency stop input of the control box is triggered", "release it"),
@@ -19,28 +21,35 @@ _ERRORS: dict[int, tuple[str, str]] = {
     15: ("motor 5 has an error", "look up its code in UFACTORY Studio"),
     16: ("motor 6 has an error", "look up its code in UFACTORY Studio"),
     17: ("motor 7 has an error", "look up its code in UFACTORY Studio"),
+    18: ("the force sensor does not answer", "switch it off in UFACTORY Studio, it is not used"),
     19: ("the tool's communication fails", "check the plug at the wrist"),
     21: ("the kinematics of a command have no solution", "move the arm away from where it is stretched"),
     22: ("the arm would collide with itself", "move it apart by hand (manual mode)"),
     23: ("a joint is at its limit", "move it back by hand (manual mode)"),
     24: ("a joint was commanded to move too fast", "use a lower --speed, and report it: plans keep the arm's limits"),
     25: ("planning failed in the controller", "restart the control box"),
-    26: ("the controller's clock failed", "restart the control box"),
-    27: ("a command could not be carried out", "update the firmware"),
+    26: ("the controller's real-time system failed", _SUPPORT),
+    27: ("the controller did not answer a command", "try again, then restart the control box"),
+    28: ("the module at the end of the arm does not answer", "restart the control box"),
+    30: ("a joint reported a speed above its limit", _SUPPORT),
     31: (
-        "a collision was detected: a motor's torque differs from what the controller expects",
+        "a collision was detected: a motor's current differs from what the controller expects",
         "look what the arm touches and move it free by hand; if it touches nothing, set the payload (docs/hardware.md)",
     ),
-    32: ("the payload that is set is too heavy", "set the payload of the stick (docs/hardware.md)"),
-    33: ("the payload that is set differs too much from the real one", "set the payload of the stick"),
-    35: ("the arm left the safety boundary that is set in the controller", "move it back by hand, or widen it"),
-    36: ("commands arrive faster than the controller takes them", "close other programs that command the arm"),
-    37: ("manual mode is on at the end of the arm", "switch it off"),
-    38: ("a joint's angle is not what was commanded", "move the arm away from its limits by hand"),
-    39: ("the controller lost its link to the arm's power", "check the cable between control box and arm"),
-    50: ("the force sensor has an error", "switch it off in UFACTORY Studio, it is not used"),
-    60: ("the tool was commanded to move too fast", "use a lower --speed"),
-    110: ("the robot's base board does not answer", "restart the control box"),
+    33: ("the controller's input and output module fails", "check its plugs, and restart the control box"),
+    35: ("the arm is at the safety boundary that is set in the controller", "move it back by hand, or widen it"),
+    36: ("too many delayed commands are waiting in the controller", "close other programs that command the arm"),
+    37: ("the arm moved abnormally in manual mode", "set payload and mounting in UFACTORY Studio"),
+    38: ("a joint's angle is abnormal", _SUPPORT),
+    39: ("the power board of the controller fails", _SUPPORT),
+    40: ("a trajectory of the joints could not be solved", "move the arm to another posture by hand"),
+    50: ("the force sensor cannot be read", "switch it off in UFACTORY Studio, it is not used"),
+    51: ("the force sensor's mode cannot be set", "switch it off in UFACTORY Studio, it is not used"),
+    52: ("the force sensor cannot be zeroed", "switch it off in UFACTORY Studio, it is not used"),
+    53: ("the force sensor is overloaded", "see what presses on the tool"),
+    60: ("the tool was too fast in servo mode", "close other programs that command the arm"),
+    110: ("the robot's base board does not answer", _SUPPORT),
+    111: ("the external device at the control box does not answer", "check its plug"),
 }
 
 

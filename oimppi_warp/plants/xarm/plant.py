@@ -12,13 +12,16 @@ import atexit
 import json
 import math
 import os
+import signal
 import sys
+import termios
 import threading
 import time
 from collections import deque
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from itertools import pairwise
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -54,17 +57,25 @@ _FUTURE = 0.2
 """How far a pose may be stamped in the future [s]."""
 _PATIENCE = 0.5
 """Control periods by which the control loop may be late before the arm is let stop."""
+_SLOWEST_TOUCH = 1e-3
+"""Least value of the setting `robot.touch_speed` [m/s]."""
 _POLLS = 5
 """Ticks between two readings of the controller's error, and between two of the torques."""
 _ASTRAY, _ASTRAY_SECONDS = 0.06, 0.4
 """Deviation of the motion within this time [s] from what was commanded, from which on somebody else moves the arm or
 something holds it [rad]."""
+_LEAST_ASTRAY = 0.3
+"""Least share of this deviation that counts, at a low speed."""
 _RESPONSE, _SURELY = 0.06, 0.003
 """Time after which a command has surely moved the arm [s], and motion that its reports surely show [rad]."""
+_GET_THERE = 5.0
+"""Time that the way to the start posture may take beyond twice the planned one [s]."""
 _FIRST_POSE = 5.0
 """Time to wait for a pose of the object before the arm moves [s]."""
 _AGREE = 0.03
 """Distance of two detections that agree [m]."""
+_FIRST_RUN = 100
+"""Control periods after which a run without a fault counts as one with this arm."""
 _OLDEST_AT_REST = 60.0
 """Age of a pose up to which the arm may go to its start posture: it may hide the object where it stands [s]."""
 
@@ -103,6 +114,7 @@ class XArmPlant:
 
     latency = _LATENCY
     own_world = True
+    rules = StopRules()
 
     def __init__(
         self,
@@ -137,7 +149,8 @@ class XArmPlant:
         self.rules = StopRules(pose_timeout=pose_timeout, resume=resume)
         self.speed = _speed(robot_address, speed)
         self._origin = time.monotonic()
-        self._fault = ""
+        self._fault, self._fault_passes = "", False
+        self._streamed = 0
         self._lock = threading.RLock()
         self._queue: deque[tuple[float, np.ndarray]] = deque()
         self._sent: deque[tuple[float, np.ndarray]] = deque(maxlen=200)
@@ -154,7 +167,8 @@ class XArmPlant:
             self._sender = threading.Thread(target=self._send_all, name="oimppi-xarm", daemon=True)
             if not dry_run:
                 self._go_to_start(confirmed=yes)
-                _remember(robot_address)
+            else:
+                self._sender.start()
             if self._agreed_pose(oldest=pose_timeout, wait=_FIRST_POSE) is None:
                 raise self._unseen()
         except BaseException:
@@ -172,7 +186,7 @@ class XArmPlant:
                 tip_speed_limit=s * robot.tip_speed_limit,
                 joint_velocity_limit=s * robot.joint_velocity_limit,
                 tip_noise=s * robot.tip_noise,
-                touch_speed=s * robot.touch_speed,
+                touch_speed=max(s * robot.touch_speed, _SLOWEST_TOUCH),
             ),
             object=replace(level, speed_limit=tuple(s * v for v in level.speed_limit)),
             episode=replace(episode, max_sim_seconds=episode.max_sim_seconds / s),
@@ -221,6 +235,7 @@ class XArmPlant:
         """
         commands = checked_stream(joint_velocities, self.ticks)
         began = time.monotonic()
+        self._streamed += 1
         with self._lock:
             self._queue.clear()
             self._queue.extend((began + i * TICK, command) for i, command in enumerate(commands))
@@ -262,19 +277,27 @@ class XArmPlant:
             self._sent.clear()
             self._fault = ""
 
+    @property
+    def fault_passes(self) -> bool:
+        """Returns whether the present fault may pass by itself: joint reports that come again."""
+        return not self._fault or self._fault_passes
+
     def close(self) -> None:
         """Stops the arm and ends the connection; it is also called when the process ends."""
-        atexit.unregister(self.close)
-        self._open = False
-        if self._sender is not None and self._sender.is_alive():
-            self._sender.join(timeout=1.0)
-        with suppress(Exception):
-            if self._dry_run:
-                self.arm.disconnect()
-            else:
-                self.arm.close()
-        if self._poses is not None:
-            self._poses.close()
+        with uninterrupted():
+            self._open = False
+            if self._sender is not None and self._sender.is_alive():
+                self._sender.join(timeout=1.0)
+            with suppress(Exception):
+                if self._dry_run:
+                    self.arm.disconnect()
+                else:
+                    self.arm.close()
+            if self._poses is not None:
+                self._poses.close()
+            if self._streamed > _FIRST_RUN and not self._fault and not self._dry_run:
+                _remember(self.arm.address)
+            atexit.unregister(self.close)
 
     def _check(self) -> None:
         """Checks the controller, and says what is not as it should be.
@@ -290,7 +313,7 @@ class XArmPlant:
             _say(f"{self.arm.address}: {check.what}; to do: {check.remedy}")
 
     def _agreed_pose(self, *, oldest: float, wait: float) -> np.ndarray | None:
-        """Waits for two detections of the object that agree; returns the later pose, shape [3] [m, m, rad].
+        """Waits until the latest two detections of the object agree; returns the later pose, shape [3] [m, m, rad].
 
         Args:
             oldest: Largest age of the later one [s].
@@ -299,7 +322,9 @@ class XArmPlant:
         assert self._poses is not None
         until = time.monotonic() + wait
         while time.monotonic() < until:
-            for before, seen in pairwise(self._poses.poses):
+            latest = self._poses.poses[-2:]
+            if len(latest) == 2:
+                before, seen = latest
                 timely = seen.age >= -_FUTURE and time.monotonic() - seen.taken <= oldest
                 if timely and np.hypot(*(seen.pose - before.pose)[:2]) < _AGREE:
                     return seen.pose
@@ -315,35 +340,47 @@ class XArmPlant:
     def _go_to_start(self, *, confirmed: bool) -> None:
         """Moves the arm to the start posture, after a confirmation.
 
-        Where the object is not seen, the arm may hide it: the tool is lifted first, straight up.
+        Where the object is not seen, the arm may hide it, and where it seems to be in the tool, its pose is not exact:
+        the tool is lifted first, straight up, wherever the object is.
 
         Raises:
             HardwareError: The object is not seen, the way is not free, the answer is no, or a fault stops the arm.
         """
         assert self._sender is not None
         start, way = np.asarray(self._scene.robot.start, dtype=float), StartMove(World(self._scene))
-        pose = self._agreed_pose(oldest=_OLDEST_AT_REST, wait=_FIRST_POSE)
-        hidden = pose is None
-        if hidden and (self._poses is None or not self._poses.poses):
+        if self._agreed_pose(oldest=_OLDEST_AT_REST, wait=_FIRST_POSE) is None and not self._ever_seen:
             raise self._unseen()
-        here = self._joints()
-        path = way.lift(here) if pose is None else way.path(here, start, pose)
-        degrees = math.degrees(float(np.abs(start - here).max()))
+        degrees = math.degrees(float(np.abs(start - self._joints()).max()))
         pace = math.degrees(self.speed * _START_SPEED)
         if not confirmed and not _ask(
-            f"The arm will {'lift its tool, ' if hidden else ''}move to its start posture (joints turn by up to "
-            f"{degrees:.0f} degrees, {pace:.0f} degrees/s), and push at {100 * self.speed:.0f} % of the usual speed. "
-            "Is everybody out of its reach, and the emergency stop at hand?"
+            "The arm will lift its tool if need be, and move to its start posture (joints turn by up to "
+            f"{degrees:.0f} degrees, at {pace:.0f} degrees/s). Then it pushes at {100 * self.speed:.0f} % of the usual "
+            "speed. Is everybody out of its reach, and the emergency stop at hand?"
         ):
             raise HardwareError("the arm was not moved\n  to do:   confirm the move, or use --yes in a script")
-        self.arm.enable()
-        self._sender.start()
-        self._follow(path)
-        if hidden:
+        # Everything is looked at again: nobody knows how long the answer took.
+        self._check()
+        pose = self._agreed_pose(oldest=_OLDEST_AT_REST, wait=_FIRST_POSE)
+        here = self._joints()
+        if pose is None or way.clearance(here, pose)[1] < 0.0:
+            path = way.lift(here)
+            self.arm.enable()
+            self._sender.start()
+            self._follow(path)
             pose = self._agreed_pose(oldest=_OLDEST_AT_REST, wait=_FIRST_POSE)
             if pose is None:
                 raise self._unseen()
             self._follow(way.path(self._joints(), start, pose))
+            return
+        path = way.path(here, start, pose)
+        self.arm.enable()
+        self._sender.start()
+        self._follow(path)
+
+    @property
+    def _ever_seen(self) -> bool:
+        """Returns whether any pose of the object has arrived."""
+        return self._poses is not None and bool(self._poses.poses)
 
     def _joints(self) -> np.ndarray:
         """Returns the newest joint positions, shape [dof] [rad]."""
@@ -353,12 +390,19 @@ class XArmPlant:
         """Moves slowly through postures, shape [n, dof] [rad], and stops at the last one.
 
         Raises:
-            HardwareError: A fault stopped the arm.
+            HardwareError: A fault stopped the arm, it is not where the way begins, or it does not get to its end.
         """
+        if np.abs(path[0] - self._joints()).max() > _AT_START:
+            raise HardwareError("the arm was moved meanwhile\n  to do:   let it stand still, and start again")
         pace = self.speed * _START_SPEED
         knots = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1))])
         at, speed, target = 0.0, 0.0, path[0]
+        until = time.monotonic() + 2.0 * knots[-1] / pace + _GET_THERE
         while True:
+            if time.monotonic() > until:
+                raise HardwareError(
+                    "the arm does not get to its start posture\n  to do:   see what holds it, or use a larger --speed"
+                )
             if self.fault:
                 raise HardwareError(f"on the way to its start posture the arm was stopped: {self.fault}")
             here = self._joints()
@@ -371,7 +415,7 @@ class XArmPlant:
             wanted = np.array([np.interp(ahead, knots, column) for column in path.T])
             velocity = (wanted - target) / self.control_period + _GAIN * (target - here)
             at, target = ahead, wanted
-            self.apply(np.clip(velocity, -2.0 * pace, 2.0 * pace))
+            self.apply(np.clip(velocity, -1.2 * pace, 1.2 * pace))
             time.sleep(self.control_period)
         self.apply(np.zeros(self._dof))
 
@@ -384,8 +428,11 @@ class XArmPlant:
             tick += 1
             if self._fault:
                 continue  # until somebody calls `recover`
+            passes = False
             try:
-                fault = self._find_fault(tick)
+                fault = self._lost()
+                passes = bool(fault)
+                fault = fault or self._find_fault(tick)
                 if not fault:
                     command = self._next_command()
                     if command is not None and not self._dry_run:
@@ -395,7 +442,7 @@ class XArmPlant:
             except Exception as error:  # whatever it is, the arm must not go on
                 fault = str(error) or type(error).__name__
             if fault:
-                self._fault = fault
+                self._fault, self._fault_passes = fault, passes
                 if not self._dry_run:
                     self.arm.stop()
 
@@ -411,8 +458,6 @@ class XArmPlant:
 
     def _find_fault(self, tick: int) -> str:
         """Returns why the arm must not move, by what is known now and by what the controller is asked in this tick."""
-        if lost := self._lost():
-            return lost
         if tick % _POLLS == 0 and (code := self.arm.error()):
             return describe(code)
         if tick % _POLLS == 2:
@@ -463,10 +508,13 @@ class XArmPlant:
 
     def _frozen(self) -> str:
         """Returns a fault if the joint reports have not changed although the arm was told to move."""
-        now = time.monotonic()
-        told = self._told(now - OLDEST, now - _RESPONSE)
-        positions = np.array([joints for _, joints in self.arm.since(now - OLDEST)])
-        if told is None or np.abs(told).max() < _SURELY or not len(positions) or np.ptp(positions, axis=0).any():
+        reports = self.arm.since(0.0)
+        same = takewhile(lambda report: np.array_equal(report[1], reports[-1][1]), reversed(reports))
+        now, since = time.monotonic(), min(at for at, _ in same)
+        if now - since < OLDEST - TICK:
+            return ""
+        told = self._told(max(since, self._sent[0][0]), now - _RESPONSE)
+        if told is None or np.abs(told).max() < _SURELY:
             return ""
         return (
             "the joint reports do not change although the arm was told to move\n"
@@ -484,7 +532,7 @@ class XArmPlant:
         moved = (reports[-1][1] - reports[0][1])[: self._dof]
         off = np.abs(told - moved)
         worst = int(np.argmax(off))
-        if off[worst] < _ASTRAY:
+        if off[worst] < _ASTRAY * max(self.speed, _LEAST_ASTRAY):
             return ""
         return (
             f"joint {worst + 1} moved {moved[worst]:+.2f} rad in {_ASTRAY_SECONDS:g} s, not {told[worst]:+.2f} rad as "
@@ -495,8 +543,8 @@ class XArmPlant:
         """Returns the fault that follows from the SDK's return code of a motion command."""
         if code in (0, 2):
             return ""
-        if code == 1:
-            return describe(self.arm.error())
+        if code == 1 and (error := self.arm.error()):
+            return describe(error)
         if code == 9:
             stopped = self.arm.state in (State.STOPPED, State.PAUSED, State.MODE_CHANGED)
             return (
@@ -506,11 +554,23 @@ class XArmPlant:
         return f"a command failed (code {code} of the SDK)\n  to do:   check the cable and the control box"
 
 
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Holds back Ctrl-C, and signals to end, until the block is over."""
+    held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, held)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _ask(question: str) -> bool:
     """Asks a question on the terminal; without one, the answer is no."""
     if not sys.stdin.isatty():
         return False
     print(question, end=" [y/N] ", file=sys.stderr, flush=True)
+    termios.tcflush(sys.stdin, termios.TCIFLUSH)  # an answer from before the question does not count
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
