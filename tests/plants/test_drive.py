@@ -270,3 +270,15 @@ def test_an_episode_keeps_the_limits_and_its_record_says_so(method: str, device:
     # The command in the record is what the arm was given.
     np.testing.assert_allclose(log["command"], [stream[-1] for stream in driven[: len(log)]], atol=1e-9)
     np.testing.assert_allclose(sent[-1], STILL, atol=1e-9)
+
+
+def test_after_a_rest_it_goes_on_from_rest():
+    plant = Noting()
+    drive = Drive(plant, 6, XARM)
+    for _ in range(5):
+        drive.apply(np.full(6, 0.3))
+    drive.rest()
+    plant.velocities = np.zeros((0, 6))
+    drive.apply(STILL)
+    assert not plant.velocities.any()
+    assert not np.any(drive.command)
