@@ -42,6 +42,7 @@ class Stage:
 
     def setup(self, scene: Any, config: Any, spec: RunSpec) -> Any:
         self.asked = {"scene": scene, "config": config, **asdict(spec)}
+        self.config, self.plant = config, None
         return SimpleNamespace(scene=scene, config=config, spec=spec, episode=lambda: self)
 
     def run(self, on_step: Any = None) -> EpisodeLog:

@@ -31,6 +31,8 @@ FINE, COARSER = 10_000, 40
 """A part with more triangles is remeshed by CoACD, with this many cells along its longest side, before it is cut:
 cutting it directly would take minutes."""
 
+_FLAT = 1e-4
+"""Thickness, summed over its points, below which a piece is flat [m]."""
 _POINTS = 60_000  # for sampling a volume
 _ON_SURFACE = 8000  # for sampling a distance
 
@@ -114,7 +116,16 @@ def _cut(solid: trimesh.Trimesh, threshold: float, max_pieces: int) -> list[Hull
         preprocess_resolution=COARSER,
         seed=0,
     )
-    return [_hull(np.asarray(corners)) for corners, _ in parts]
+    solid_parts = [np.asarray(corners) for corners, _ in parts if _spans_volume(np.asarray(corners))]
+    return [_hull(corners) for corners in solid_parts] or [_hull(solid.vertices)]
+
+
+def _spans_volume(points: np.ndarray) -> bool:
+    """Returns whether points, as they are written, span a volume; the cutting may leave flat slivers."""
+    rounded = np.round(points, 5)
+    if len(rounded) < 4:
+        return False
+    return bool(np.linalg.svd(rounded - rounded.mean(axis=0), compute_uv=False)[-1] > _FLAT)
 
 
 def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:

@@ -33,7 +33,7 @@ from oimppi_warp.physics.world import World
 from oimppi_warp.plants.plant import StopRules, checked_stream
 from oimppi_warp.plants.pose_feed import PORT as POSE_PORT
 from oimppi_warp.plants.pose_feed import PoseReceiver, split_address
-from oimppi_warp.plants.xarm.arm import EXPIRES, OLDEST, XArm, check_facts
+from oimppi_warp.plants.xarm.arm import EXPIRES, OLDEST, RATE, XArm, check_facts
 from oimppi_warp.plants.xarm.codes import describe
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, Mode, State
 from oimppi_warp.plants.xarm.start_move import StartMove
@@ -64,6 +64,8 @@ _POLLS = 5
 _ASTRAY, _ASTRAY_SECONDS = 0.06, 0.4
 """Deviation of the motion within this time [s] from what was commanded, from which on somebody else moves the arm or
 something holds it [rad]."""
+_MOST_REPORTS = 0.85
+"""Share of the usual number of joint reports that have to be there for this to be judged."""
 _LEAST_ASTRAY = 0.3
 """Least share of this deviation that counts, at a low speed."""
 _RESPONSE, _SURELY = 0.06, 0.003
@@ -527,8 +529,8 @@ class XArmPlant:
         begin = now - _ASTRAY_SECONDS
         told = self._told(begin - _LATENCY, now - _LATENCY)
         reports = self.arm.since(begin)
-        if told is None or len(reports) < 2:
-            return ""
+        if told is None or len(reports) < _MOST_REPORTS * RATE * _ASTRAY_SECONDS:
+            return ""  # reports were held up: it is not known when the arm was where
         moved = (reports[-1][1] - reports[0][1])[: self._dof]
         off = np.abs(told - moved)
         worst = int(np.argmax(off))
