@@ -22,7 +22,7 @@ from oimppi_warp.view.session import Session
 
 @pytest.fixture
 def made() -> Iterator[LabEmulator]:
-    with emulated(lab=lab().lab, seed=1) as lab_made:
+    with emulated() as lab_made:
         yield lab_made
 
 

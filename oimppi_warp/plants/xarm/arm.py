@@ -28,8 +28,8 @@ EXPIRES = 0.1
 """Time after which the controller stops the arm by itself if no further command arrives [s]."""
 OLDEST_FIRMWARE = (1, 9, 0)
 """Oldest firmware that can be used: it stops by itself, and reports torques."""
-_ANSWER = 0.3
-"""Time to wait for the reply to a command [s]; the SDK's 2 s are too long while the arm moves."""
+_ANSWER = 1.0
+"""Time to wait for the reply to a command while the arm moves [s]; by then it has long stopped by itself."""
 RATE = 100.0
 """Rate of the joint reports [1/s]."""
 _KEPT = 400
@@ -157,11 +157,13 @@ def check_facts(facts: ArmFacts, robot: Robot) -> list[Check]:
             f"joint reports at {facts.report_rate:.0f} Hz",
             facts.report_rate >= 0.9 * RATE,
             "connect by cable, not by wireless, and close other programs that use the arm",
+            needed=facts.report_rate < 0.5 * RATE,
         ),
         Check(
             f"a command takes {1e3 * facts.round_trip:.1f} ms",
             facts.round_trip <= 0.02,
             "connect by cable, directly or over one switch",
+            needed=facts.round_trip > EXPIRES,
         ),
     ]
 
@@ -200,7 +202,6 @@ class XArm:
         self._reports: deque[tuple[float, np.ndarray]] = deque(maxlen=_KEPT)
         self._lock = threading.Lock()
         self._arm = self._connect("real")
-        self._arm.set_timeout(_ANSWER)
         self._arm.register_report_location_callback(self._take_report, report_cartesian=False, report_joints=True)
         self._wait_for(lambda: len(self._reports) > 1, 3.0, "the controller sends no joint reports")
 
@@ -251,6 +252,7 @@ class XArm:
             raise HardwareError(
                 f"the arm at {self.address} is in manual mode\n  to do:   leave manual mode in UFACTORY Studio"
             )
+        self._arm.set_timeout(_ANSWER)
         self._arm.motion_enable(True)
         self._arm.set_mode(int(Mode.JOINT_VELOCITY))
         self._arm.set_state(0)
