@@ -113,6 +113,7 @@ class Cable:
 
     def _serve(self, near: socket.socket, port: int) -> None:
         with socket.create_connection((self._to, port)) as far:
+            far.settimeout(None)  # whatever the default of this process: the xArm's SDK changes it
             back = threading.Thread(target=self._pass, args=(far, near), daemon=True)
             back.start()
             self._pass(near, far)
