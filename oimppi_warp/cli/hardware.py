@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,10 +72,9 @@ class LabEmulator:
         print(f"An emulated xArm listens at {address}, the camera at {self.host}:{self.pose_port}; Ctrl-C ends both.")
         print(f"In another terminal: oimppi run {self.scene} --plant xarm --robot-address {address}", flush=True)
         try:
-            while emulated.running:
-                time.sleep(0.2)
-        except KeyboardInterrupt:
-            pass
+            with suppress(KeyboardInterrupt):
+                while emulated.running:
+                    time.sleep(0.2)
         finally:
             emulated.close()
         forces, controller = emulated.forces, emulated.controller

@@ -74,6 +74,8 @@ class Watch:
             self._passes &= not self._plant.fault or self._plant.fault_passes
             if not stopped:
                 self._stop(cause, now)
+            elif alone and not self._passes:  # something worse than what the arm was stopped for
+                self._tell(cause)
             elif self._wish:
                 self._say(f"the arm cannot go on yet: {cause}")
             self._wish = False
@@ -86,6 +88,10 @@ class Watch:
         self.stops += 1
         self._reason, self._tried = cause, now
         self._passes = not self._plant.fault or self._plant.fault_passes
+        self._tell(cause)
+
+    def _tell(self, cause: str) -> None:
+        """Says why the arm is stopped and what happens then."""
         alone = self._plant.rules.resume and self._passes
         self.given_up = not alone and not self.attended
         after = "it goes on by itself once the reason is gone" if alone else "press Enter, or Go on in the viewer"

@@ -150,6 +150,17 @@ def test_after_a_fault_that_does_not_pass_a_person_has_to_ask_even_with_resume()
     assert alone.watch.given_up
 
 
+def test_a_worse_reason_during_a_stop_is_told_and_takes_a_person():
+    bench = Bench(resume=True)
+    assert bench.step(late=True)
+    assert not bench.watch.given_up
+    bench.plant.fault, bench.plant.fault_passes = "C31", False
+    assert bench.step()
+    assert "C31" in bench.said[-1]
+    assert bench.watch.given_up
+    assert bench.watch.stops == 1
+
+
 def test_a_wish_while_the_reason_is_still_there_is_answered_and_forgotten():
     bench = Bench(asked=[])
     assert bench.step(late=True)

@@ -64,7 +64,7 @@ def _say_nothing(*_args: object, **_options: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class ArmFacts:
-    """What a controller says of itself and its arm.
+    """State and settings of a controller and its arm, as the controller reports them.
 
     Attributes:
         axes: Number of joints.

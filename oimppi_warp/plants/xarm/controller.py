@@ -20,7 +20,7 @@ none, so these are guesses."""
 FIRMWARE = (2, 5, 0)
 """Version of the firmware that is emulated."""
 _BEYOND = 0.02
-"""How far a joint may be outside its limits before it is an error [rad]."""
+"""Largest distance of a joint outside its limits that is no error [rad]."""
 
 
 class EmulatedController:

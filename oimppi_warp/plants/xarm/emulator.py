@@ -27,7 +27,7 @@ CYCLE = 0.004
 _SUBSTEPS = 2
 """Physics steps per cycle."""
 _LATE = 0.1
-"""How far the simulation may be behind the clock before it gives up catching up [s]."""
+"""Largest delay behind the clock that the simulation catches up; beyond it, simulated time stands still [s]."""
 
 
 class LabEmulator:

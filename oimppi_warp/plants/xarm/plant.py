@@ -54,7 +54,7 @@ _GAIN = 2.0
 _LATENCY = 0.02
 """Time from a command to its effect: sending, the controller's cycle, and the arm's response [s]."""
 _FUTURE = 0.2
-"""How far a pose may be stamped in the future [s]."""
+"""Largest time by which the stamp of a pose may be in the future [s]."""
 _PATIENCE = 0.5
 """Control periods by which the control loop may be late before the arm is let stop."""
 _SLOWEST_TOUCH = 1e-3

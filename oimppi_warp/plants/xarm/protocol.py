@@ -148,7 +148,7 @@ def seven(values: Sequence[float] | np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What the controller reports.
+    """State of the controller and its arm at one instant, as it is reported.
 
     Attributes:
         mode: One of :class:`Mode`.
