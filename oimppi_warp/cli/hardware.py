@@ -100,7 +100,8 @@ def check_setup(address: str, poses: str | None, scene: str) -> list[Check]:
         ConfigError: The SDK is not installed, or an address cannot be read.
         SceneError: The scene cannot be read.
     """
-    from oimppi_warp.plants.pose_feed import PORT, PoseReceiver, split_address
+    from oimppi_warp.network import split_address
+    from oimppi_warp.perception.pose_feed import PORT, PoseReceiver
     from oimppi_warp.plants.xarm.arm import Check, XArm, check_facts
     from oimppi_warp.plants.xarm.protocol import COMMAND_PORT
     from oimppi_warp.usd import load_scene

@@ -443,7 +443,7 @@ def test_poses_are_lost_and_found_again(made):
     with connected(made.host, dry_run=True) as plant:
         made.poses.close()
         wait_until(lambda: "closed the connection" in plant.blind or "cannot be received" in plant.blind)
-        from oimppi_warp.plants.pose_feed import PoseServer
+        from oimppi_warp.perception.pose_feed import PoseServer
 
         server = PoseServer(made.host, POSE_PORT)
         made.poses = server

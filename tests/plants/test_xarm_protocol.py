@@ -9,7 +9,7 @@ import pytest
 from support import small_tasks
 
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.plants.pose_feed import split_address
+from oimppi_warp.network import split_address
 from oimppi_warp.plants.xarm.codes import describe
 from oimppi_warp.plants.xarm.controller import ACCELERATION, EmulatedController
 from oimppi_warp.plants.xarm.protocol import Mode, Register, Request, State, floats, report, seven, take_requests

@@ -17,9 +17,9 @@ import numpy as np
 from support import small_tasks
 
 from oimppi_warp.config.presets import lab
+from oimppi_warp.network import Listener
 from oimppi_warp.observation import Observation
 from oimppi_warp.planning.plan import Plan
-from oimppi_warp.plants.listener import Listener
 from oimppi_warp.plants.xarm.emulator import LabEmulator
 from oimppi_warp.plants.xarm.plant import XArmPlant
 from oimppi_warp.plants.xarm.protocol import REPORT_PORTS, Register, floats, seven

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.errors import ConfigError, HardwareError
-from oimppi_warp.plants.pose_feed import split_address
+from oimppi_warp.network import split_address
 from oimppi_warp.plants.xarm.codes import describe
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, REPORT_PORTS, Mode, State
 from oimppi_warp.scene import Robot

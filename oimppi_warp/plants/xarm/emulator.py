@@ -12,11 +12,11 @@ import numpy as np
 from oimppi_warp.config.lab import LabConfig
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import planar_transform
+from oimppi_warp.perception import pose_feed
+from oimppi_warp.perception.pose_feed import PoseServer
 from oimppi_warp.physics.world import World
-from oimppi_warp.plants import pose_feed
 from oimppi_warp.plants.detector import Detection, Detector
 from oimppi_warp.plants.plant import Contacts, SimulatedPlant
-from oimppi_warp.plants.pose_feed import PoseServer
 from oimppi_warp.plants.xarm.controller import EmulatedController
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, REPORT_PORTS
 from oimppi_warp.plants.xarm.server import ControllerServer

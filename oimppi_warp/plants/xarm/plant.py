@@ -28,11 +28,12 @@ import numpy as np
 
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError, HardwareError
+from oimppi_warp.network import split_address
 from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.perception.pose_feed import PORT as POSE_PORT
+from oimppi_warp.perception.pose_feed import PoseReceiver
 from oimppi_warp.physics.world import World
 from oimppi_warp.plants.plant import StopRules, checked_stream
-from oimppi_warp.plants.pose_feed import PORT as POSE_PORT
-from oimppi_warp.plants.pose_feed import PoseReceiver, split_address
 from oimppi_warp.plants.xarm.arm import EXPIRES, OLDEST, RATE, XArm, check_facts
 from oimppi_warp.plants.xarm.codes import describe
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, Mode, State
@@ -93,7 +94,7 @@ class XArmPlant:
         config: All settings.
         seed: Not used.
         robot_address: Address of the controller, ``HOST`` or ``HOST:PORT``.
-        pose_address: Address of the object's poses (:mod:`oimppi_warp.plants.pose_feed`); empty: that of the
+        pose_address: Address of the object's poses (:mod:`oimppi_warp.perception.pose_feed`); empty: that of the
             controller, as with the emulator.
         speed: Share of the usual speed, 0.01 to 1; 0 for 1, or :data:`FIRST_SPEED` at an address that is new.
         yes: Whether the arm moves to its start posture without asking.

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 
 from oimppi_warp.errors import HardwareError
-from oimppi_warp.plants.listener import Listener
+from oimppi_warp.network import Listener
 from oimppi_warp.plants.xarm.controller import EmulatedController
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, REPORT_PERIODS, REPORT_PORTS, report, take_requests
 

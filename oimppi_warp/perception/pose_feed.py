@@ -14,12 +14,11 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
-from oimppi_warp.errors import ConfigError
-from oimppi_warp.plants.listener import Listener
+from oimppi_warp.network import Listener, split_address
+from oimppi_warp.perception.pose_source import StampedPose
 
 PORT = 17501
 """Default port."""
@@ -74,29 +73,6 @@ class PoseServer:
         link.sendall(b"".join(self._latest))
         while link.recv(4096):
             pass
-
-
-@dataclass(frozen=True, eq=False)
-class StampedPose:
-    """A pose as it was received.
-
-    Attributes:
-        pose: Planar pose, shape [3] [m, m, rad].
-        arrived: Time at which it arrived, of ``time.monotonic`` [s].
-        age: Time since the object had this pose when it arrived, by the clocks of both machines [s]; negative if the
-            sender's clock is ahead.
-        stamp: As sent, in seconds since 1970.
-    """
-
-    pose: np.ndarray
-    arrived: float
-    age: float
-    stamp: float
-
-    @property
-    def taken(self) -> float:
-        """Returns the time at which the object had the pose, of ``time.monotonic`` [s]."""
-        return self.arrived - self.age
 
 
 class PoseReceiver:
@@ -181,22 +157,3 @@ class PoseReceiver:
         self._problem = ""
         if not any(known.stamp == stamp for known in self._poses):  # a server repeats its latest ones to new clients
             self._poses.append(StampedPose(np.array(pose), time.monotonic(), time.time() - stamp, stamp))
-
-
-def split_address(address: str, port: int) -> tuple[str, int]:
-    """Splits an address into host and port.
-
-    Args:
-        address: ``HOST`` or ``HOST:PORT``; an IPv6 address with a port is in brackets.
-        port: Port if none is given.
-
-    Raises:
-        ConfigError: The port is no number from 1 to 65535, or there is no host.
-    """
-    host, colon, given = address.rpartition(":")
-    if not colon or (":" in host and not host.endswith("]")):
-        host, given = address, str(port)
-    host = host.strip("[]")
-    if not host or not given.isdecimal() or not 1 <= int(given) <= 65535:
-        raise ConfigError(f"{address} is no address\n  allowed: HOST or HOST:PORT, with a port from 1 to 65535")
-    return host, int(given)

@@ -1,4 +1,4 @@
-"""A TCP server that serves each connection in a thread."""
+"""Addresses, and a TCP server that serves each connection in a thread."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-from oimppi_warp.errors import HardwareError
+from oimppi_warp.errors import ConfigError, HardwareError
 
 
 class Listener:
@@ -68,3 +68,22 @@ class Listener:
             self._serve(connection)
         with self._lock:
             self._connections.discard(connection)
+
+
+def split_address(address: str, port: int) -> tuple[str, int]:
+    """Splits an address into host and port.
+
+    Args:
+        address: ``HOST`` or ``HOST:PORT``; an IPv6 address with a port is in brackets.
+        port: Port if none is given.
+
+    Raises:
+        ConfigError: The port is no number from 1 to 65535, or there is no host.
+    """
+    host, colon, given = address.rpartition(":")
+    if not colon or (":" in host and not host.endswith("]")):
+        host, given = address, str(port)
+    host = host.strip("[]")
+    if not host or not given.isdecimal() or not 1 <= int(given) <= 65535:
+        raise ConfigError(f"{address} is no address\n  allowed: HOST or HOST:PORT, with a port from 1 to 65535")
+    return host, int(given)

@@ -1,0 +1,1 @@
+"""Where a real plant gets the object's pose from."""
