@@ -14,7 +14,7 @@ from oimppi_warp.cli.options import notices
 from oimppi_warp.errors import ConfigError, HardwareError
 
 if TYPE_CHECKING:
-    from oimppi_warp.plants.xarm.arm import Check
+    from oimppi_warp.plants.real.arm import Check
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,8 @@ def check_setup(address: str, poses: str | None, scene: str) -> list[Check]:
     """
     from oimppi_warp.network import split_address
     from oimppi_warp.perception.pose_feed import PORT, PoseReceiver
-    from oimppi_warp.plants.xarm.arm import Check, XArm, check_facts
+    from oimppi_warp.plants.real.arm import Check
+    from oimppi_warp.plants.xarm.arm import XArm
     from oimppi_warp.plants.xarm.protocol import COMMAND_PORT
     from oimppi_warp.usd import load_scene
 
@@ -111,7 +112,7 @@ def check_setup(address: str, poses: str | None, scene: str) -> list[Check]:
     try:
         arm = XArm(address)
         try:
-            found += [Check(f"controller at {address}", True), *check_facts(arm.facts(), robot)]
+            found += [Check(f"controller at {address}", True), *arm.check(robot)]
         finally:
             arm.disconnect()
     except HardwareError as error:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,12 +33,14 @@ from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.physics.world import World
 from oimppi_warp.plants.drive import Drive
-from oimppi_warp.plants.xarm import plant as xarm
+from oimppi_warp.plants.real import start
+from oimppi_warp.plants.real.known import allowed_speed, remember
+from oimppi_warp.plants.real.start_move import StartMove
+from oimppi_warp.plants.xarm import arm as xarm_arm
 from oimppi_warp.plants.xarm.arm import XArm, check_facts
 from oimppi_warp.plants.xarm.emulator import LabEmulator
 from oimppi_warp.plants.xarm.plant import XArmPlant
 from oimppi_warp.plants.xarm.protocol import Register
-from oimppi_warp.plants.xarm.start_move import StartMove
 from oimppi_warp.runtime.control import ControlStep, real_time
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.runtime.watch import Watch
@@ -113,7 +116,7 @@ def test_the_arm_goes_to_its_start_and_follows_commands_at_their_pace(made):
 
 def test_nothing_moves_without_a_yes(made, monkeypatch):
     asked = []
-    monkeypatch.setattr(xarm, "_ask", lambda question: asked.append(question))
+    monkeypatch.setattr(start, "_ask", lambda question: asked.append(question))
     with pytest.raises(HardwareError, match="--yes"), connected(made.host, yes=False):
         pass
     assert "100 % of the usual speed" in asked[0]
@@ -126,7 +129,7 @@ def test_what_happens_while_the_question_waits_is_looked_at_again(made, monkeypa
         made.controller.raise_error(23)
         return True
 
-    monkeypatch.setattr(xarm, "_ask", answer)
+    monkeypatch.setattr(start, "_ask", answer)
     with pytest.raises(HardwareError, match="C23"), connected(made.host, yes=False):
         pass
     assert made.controller.moves == 0
@@ -150,17 +153,17 @@ def test_an_arm_that_was_moved_while_the_question_waited_goes_from_where_it_is(m
                 fastest.append(speed(other))
                 time.sleep(0.005)
 
-        monkeypatch.setattr(xarm, "_ask", answer)
+        monkeypatch.setattr(start, "_ask", answer)
         with connected(other.host, yes=False):
             assert np.abs(other.state()[0] - scene.robot.start).max() < 0.02
-        assert 0.1 < max(fastest) < 1.3 * xarm._START_SPEED
+        assert 0.1 < max(fastest) < 1.3 * start._SPEED
 
 
 def test_manual_mode_is_left_by_a_person_only(made):
     with connected(made.host) as plant:
         client = OtherClient(made.host)
         client.command(Register.SET_MODE, b"\x02\x00")
-        wait_until(lambda: plant.arm.mode == 2)
+        wait_until(lambda: plant.arm.facts().mode == 2)
         with pytest.raises(HardwareError, match="manual mode"):
             plant.recover()
         assert made.controller.snapshot().mode == 2
@@ -235,7 +238,7 @@ def test_an_address_without_a_controller():
 
 
 def test_no_poses_no_start(made, monkeypatch):
-    monkeypatch.setattr(xarm, "_FIRST_POSE", 0.5)
+    monkeypatch.setattr(start, "FIRST_POSE", 0.5)
     with pytest.raises(HardwareError, match="cannot be received"), connected(made.host, pose_address="127.0.0.1:9"):
         pass
 
@@ -263,13 +266,14 @@ def test_an_arm_that_hides_the_object_lifts_its_tool_first(made):
 
 def test_the_first_run_at_a_new_address_is_slow(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    assert xarm._speed("192.168.1.7", 0.0) == 0.1
-    assert xarm._speed("192.168.1.7:502", 0.5) == 0.1
+    new, here = (SimpleNamespace(place=host, simulated=host == "127.0.0.2") for host in ("192.168.1.7", "127.0.0.2"))
+    assert allowed_speed(new, 0.0) == 0.1
+    assert allowed_speed(new, 0.5) == 0.1
     assert "192.168.1.7 is new here" in capsys.readouterr().err
-    assert xarm._speed("192.168.1.7", 0.05) == 0.05
-    xarm._remember("192.168.1.7:502")  # after a run of some length without a fault
-    assert xarm._speed("192.168.1.7", 0.0) == 1.0
-    assert xarm._speed("127.0.0.2", 0.0) == 1.0
+    assert allowed_speed(new, 0.05) == 0.05
+    remember(new)  # after a run of some length without a fault
+    assert allowed_speed(new, 0.0) == 1.0
+    assert allowed_speed(here, 0.0) == 1.0
 
 
 def test_a_lower_speed_scales_what_plans_may_do(made):
@@ -384,7 +388,7 @@ def test_a_second_client_that_moves_the_arm(made):
 def test_a_torque_above_its_bound(made, monkeypatch):
     with connected(made.host) as plant, Pushing(plant) as pushing:
         begun(made)
-        monkeypatch.setattr(xarm, "TORQUES", np.full(7, 1.0))
+        monkeypatch.setattr(xarm_arm, "TORQUES", np.full(7, 1.0))
         stops(made, plant, pushing, "N m")
 
 

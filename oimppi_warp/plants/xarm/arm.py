@@ -9,7 +9,6 @@ import statistics
 import sys
 import threading
 import time
-from collections import deque
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import Any
@@ -18,12 +17,11 @@ import numpy as np
 
 from oimppi_warp.errors import ConfigError, HardwareError
 from oimppi_warp.network import split_address
+from oimppi_warp.plants.real.arm import Check, JointReports, check_limits
 from oimppi_warp.plants.xarm.codes import describe
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, REPORT_PORTS, Mode, State
 from oimppi_warp.scene import Robot
 
-OLDEST = 0.2
-"""Age of the joint reports from which on the arm must not move [s]; it is at rest before they are 0.25 s old."""
 EXPIRES = 0.1
 """Time after which the controller stops the arm by itself if no further command arrives [s]."""
 OLDEST_FIRMWARE = (1, 9, 0)
@@ -32,8 +30,10 @@ _ANSWER = 1.0
 """Time to wait for the reply to a command while the arm moves [s]; by then it has long stopped by itself."""
 RATE = 100.0
 """Rate of the joint reports [1/s]."""
-_KEPT = 400
-"""Number of joint reports that are kept."""
+TORQUES = np.array([40.0, 40.0, 26.0, 26.0, 26.0, 16.0, 16.0])
+"""Joint torques from which on the arm is stopped: 0.8 of those of the vendor's description, 50 to 20 N m."""
+_POLLS = 5
+"""Ticks between two readings of the controller's error, and between two of the torques."""
 
 
 def _sdk() -> Any:
@@ -91,23 +91,6 @@ class ArmFacts:
     round_trip: float
 
 
-@dataclass(frozen=True)
-class Check:
-    """One item of a check.
-
-    Attributes:
-        what: What was checked, with the value found.
-        good: Whether it is as it should be.
-        remedy: What to do if it is not.
-        needed: Whether the arm must not move otherwise.
-    """
-
-    what: str
-    good: bool
-    remedy: str = ""
-    needed: bool = True
-
-
 def check_facts(facts: ArmFacts, robot: Robot) -> list[Check]:
     """Checks what a controller says against the arm of a scene.
 
@@ -116,9 +99,6 @@ def check_facts(facts: ArmFacts, robot: Robot) -> list[Check]:
         robot: The arm of the scene.
     """
     firmware, oldest = (".".join(map(str, version)) for version in (facts.firmware, OLDEST_FIRMWARE))
-    joints = facts.joints[: robot.dof]
-    lower, upper = np.array([(joint.lower, joint.upper) for joint in robot.joints]).T
-    outside = [f"joint {i + 1}" for i in np.flatnonzero((joints < lower) | (joints > upper))]
     return [
         Check(
             f"{facts.axes} joints; the scene's robot has {robot.dof}",
@@ -136,11 +116,7 @@ def check_facts(facts: ArmFacts, robot: Robot) -> list[Check]:
             facts.mode != Mode.TEACHING,
             "leave manual mode in UFACTORY Studio",
         ),
-        Check(
-            f"{', '.join(outside)} beyond its limits" if outside else "joints within the scene's limits",
-            not outside,
-            "move the arm by hand (manual mode)",
-        ),
+        check_limits(facts.joints[: robot.dof], robot),
         Check(
             f"payload {facts.load:.2f} kg",
             0.02 <= facts.load <= 2.0,
@@ -169,9 +145,7 @@ def check_facts(facts: ArmFacts, robot: Robot) -> list[Check]:
 
 
 class XArm:
-    """A connection to a controller.
-
-    The arm does not move before :meth:`enable`. :meth:`stop` may be called from any thread, at any time.
+    """A connection to a controller (:class:`oimppi_warp.plants.real.arm.Arm`).
 
     Args:
         address: Address of the controller, as ``HOST`` or ``HOST:PORT``, with the port of the commands; the SDK cannot
@@ -179,12 +153,19 @@ class XArm:
 
     Attributes:
         address: As given.
-        count: Number of joint reports so far.
+        place: The host.
+        simulated: Whether the controller is on this machine, as an emulated one is.
+        reports: Its joint reports, of 7 joints.
+        report_rate: :data:`RATE`.
+        expires: :data:`EXPIRES`.
 
     Raises:
         ConfigError: The SDK is not installed, or the address cannot be read.
         HardwareError: There is no controller at the address.
     """
+
+    report_rate = RATE
+    expires = EXPIRES
 
     def __init__(self, address: str) -> None:
         sdk = _sdk()
@@ -194,16 +175,16 @@ class XArm:
         host, port = split_address(address, COMMAND_PORT)
         sockets: Any = XCONF.SocketConf  # the SDK has no other way to choose a port
         sockets.TCP_CONTROL_PORT = port
-        self.count = 0
+        self.place = host
+        self.simulated = host.startswith("127.") or host == "localhost"
+        self.reports = JointReports()
         try:
             self._sdk, self._host = sdk, socket.gethostbyname(host)  # the SDK takes no names
         except OSError as error:
             raise HardwareError(f"{host} cannot be found in the network: {error.strerror or error}") from None
-        self._reports: deque[tuple[float, np.ndarray]] = deque(maxlen=_KEPT)
-        self._lock = threading.Lock()
         self._arm = self._connect("real")
         self._arm.register_report_location_callback(self._take_report, report_cartesian=False, report_joints=True)
-        self._wait_for(lambda: len(self._reports) > 1, 3.0, "the controller sends no joint reports")
+        self._wait_for(lambda: self.reports.count > 1, 3.0, "the controller sends no joint reports")
 
     def facts(self) -> ArmFacts:
         """Asks the controller about itself; it takes half a second.
@@ -219,14 +200,14 @@ class XArm:
         rich.disconnect()
         if not came:
             raise HardwareError(f"the controller at {self.address} sends no reports on port {REPORT_PORTS['rich']}")
-        began, before = time.monotonic(), self.count
+        began, before = time.monotonic(), self.reports.count
         trips, error, warning = [], 0, 0
         while time.monotonic() < began + 0.5:
             asked = time.perf_counter()
             error, warning = self._codes()
             trips.append(time.perf_counter() - asked)
             time.sleep(0.02)
-        rate = (self.count - before) / (time.monotonic() - began)
+        rate = (self.reports.count - before) / (time.monotonic() - began)
         return ArmFacts(
             axes=self._arm.axis,
             firmware=tuple(self._arm.version_number),
@@ -234,7 +215,7 @@ class XArm:
             state=self._arm.state,
             error=error,
             warning=warning,
-            joints=self.joints()[1],
+            joints=self.reports.latest()[1],
             load=load,
             sensitivity=sensitivity,
             report_rate=rate,
@@ -262,11 +243,56 @@ class XArm:
             "the controller does not get ready to move: is it enabled in UFACTORY Studio?",
         )
 
-    def send(self, joint_velocity: np.ndarray) -> int:
-        """Sends joint velocities, shape [dof] [rad/s], which expire after :data:`EXPIRES`; returns the SDK's code."""
-        return self._arm.vc_set_joint_velocity(
+    def check(self, robot: Robot) -> list[Check]:
+        """Checks what the controller says against the arm of a scene; it takes half a second.
+
+        Raises:
+            HardwareError: The connection is lost.
+        """
+        return check_facts(self.facts(), robot)
+
+    def send(self, joint_velocity: np.ndarray) -> str:
+        """Sends joint velocities, shape [dof] [rad/s], which expire; returns why they are refused, empty if not."""
+        code = self._arm.vc_set_joint_velocity(
             joint_velocity.tolist(), is_radian=True, is_sync=False, check_mode=False, duration=EXPIRES
         )
+        return self._refusal(code)
+
+    def rest(self) -> None:
+        """Does nothing: the controller stops the arm by itself."""
+
+    def lost(self) -> str:
+        """Returns in words that the connection for commands is lost; empty if it is not."""
+        if self._arm.connected:
+            return ""
+        return (
+            f"the connection to {self.address} is lost\n"
+            "  to do:   check cable and control box; the controller has stopped the arm by itself"
+        )
+
+    def fault(self, tick: int, *, moving: bool) -> str:
+        """Returns why the arm must not move: an error, a torque beyond :data:`TORQUES`, or another mode while it moves.
+
+        Raises:
+            HardwareError: The controller does not answer.
+        """
+        if tick % _POLLS == 0 and (code := self.error()):
+            return describe(code)
+        if tick % _POLLS == 2:
+            torques = self.torques()
+            over = np.flatnonzero(np.abs(torques) > TORQUES)
+            if len(over):
+                joint = int(over[0])
+                return (
+                    f"joint {joint + 1} bears {abs(torques[joint]):.0f} N m (at most {TORQUES[joint]:.0f} N m)\n"
+                    "  to do:   look what the arm presses on"
+                )
+        if moving and self._arm.mode != Mode.JOINT_VELOCITY:
+            return (
+                f"the controller is in mode {self._arm.mode} now\n"
+                "  to do:   another program has changed it; close that program (UFACTORY Studio included)"
+            )
+        return ""
 
     def stop(self) -> None:
         """Stops the arm: velocity zero, and state 4, in which the controller takes no command."""
@@ -309,36 +335,6 @@ class XArm:
             raise HardwareError(f"the controller at {self.address} does not tell the joint torques (code {code})")
         return np.array(found, dtype=float)
 
-    def joints(self) -> tuple[float, np.ndarray]:
-        """Returns the newest joint report: its time of arrival, of ``time.monotonic`` [s], and positions [7] [rad]."""
-        with self._lock:
-            return self._reports[-1]
-
-    def since(self, time: float) -> list[tuple[float, np.ndarray]]:
-        """Returns the joint reports that arrived at or after a time; see :meth:`joints`."""
-        with self._lock:
-            return [report for report in self._reports if report[0] >= time]
-
-    @property
-    def mode(self) -> int:
-        """Returns the controller's mode, by its latest report."""
-        return self._arm.mode
-
-    @property
-    def state(self) -> int:
-        """Returns the controller's state, by its latest report."""
-        return self._arm.state
-
-    @property
-    def connected(self) -> bool:
-        """Returns whether the connection for commands is open."""
-        return self._arm.connected
-
-    def close(self) -> None:
-        """Stops the arm and ends the connection."""
-        self.stop()
-        self.disconnect()
-
     def disconnect(self) -> None:
         """Ends the connection."""
         self._arm.disconnect()
@@ -374,9 +370,22 @@ class XArm:
         return arm
 
     def _take_report(self, found: dict[str, Any]) -> None:
-        with self._lock:
-            self.count += 1
-            self._reports.append((time.monotonic(), np.array(found["joints"], dtype=float)))
+        self.reports.take(np.array(found["joints"], dtype=float))
+
+    def _refusal(self, code: int) -> str:
+        """Returns the fault that follows from the SDK's return code of a motion command."""
+        if code in (0, 2):
+            return ""
+        if code == 1 and (error := self.error()):
+            return describe(error)
+        if code == 9:
+            state = self._arm.state
+            stopped = state in (State.STOPPED, State.PAUSED, State.MODE_CHANGED)
+            return (
+                f"the controller does not take motion commands{f' (state {state})' if stopped else ''}\n"
+                "  to do:   another program or the emergency stop has stopped it; see UFACTORY Studio"
+            )
+        return f"a command failed (code {code} of the SDK)\n  to do:   check the cable and the control box"
 
     def _wait_for(self, reached: Any, seconds: float, problem: str) -> None:
         until = time.monotonic() + seconds
