@@ -43,6 +43,7 @@ PLANTS: Registry[Any] = Registry(
         "lab": "oimppi_warp.plants.lab:lab_plant",
         "pusht": "oimppi_warp.plants.pusht:PushT",
         "xarm": "oimppi_warp.plants.xarm.plant:XArmPlant",
+        "ros2": "oimppi_warp.plants.ros2.plant:Ros2Plant",
     },
 )
 """Functions or classes that make a plant to control, ``(scene, config, *, seed) -> Plant``

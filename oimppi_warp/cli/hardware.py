@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
@@ -14,6 +14,8 @@ from oimppi_warp.cli.options import notices
 from oimppi_warp.errors import ConfigError, HardwareError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from oimppi_warp.plants.real.arm import Check
 
 
@@ -86,6 +88,30 @@ class LabEmulator:
             f"{controller.moves} commands, {controller.refused} refused, {controller.expired} expired."
         )
         return 0
+
+
+def print_checks(checks: Sequence[Check], *, json: bool) -> int:
+    """Prints checks, item by item, and returns the exit status: 1 if something that is needed is missing.
+
+    Args:
+        checks: The checks.
+        json: Whether to print them as JSON.
+    """
+    if json:
+        import json as text
+
+        print(text.dumps([asdict(check) for check in checks], indent=2))
+    else:
+        from rich.console import Console
+
+        console = Console(highlight=False)
+        for check in checks:
+            if check.good:
+                console.print(f"[green]good[/]     {check.what}", soft_wrap=True)
+                continue
+            mark = "[bold red]problem[/]" if check.needed else "[yellow]advice[/] "
+            console.print(f"{mark}  {check.what}\n         to do: {check.remedy}", soft_wrap=True)
+    return 0 if all(check.good or not check.needed for check in checks) else 1
 
 
 def check_setup(address: str, poses: str | None, scene: str) -> list[Check]:

@@ -28,6 +28,7 @@ from oimppi_warp.cli.demos import Demos
 from oimppi_warp.cli.hardware import LabEmulator
 from oimppi_warp.cli.options import TaskOptions
 from oimppi_warp.cli.robot import AddRobot
+from oimppi_warp.cli.ros2 import Ros2Check, Ros2Plant
 from oimppi_warp.cli.scene import Import, New
 from oimppi_warp.cli.system import Doctor, Warmup
 from oimppi_warp.cli.view import Export, View
@@ -131,6 +132,12 @@ SceneCommand = (
 )
 """The subcommands of ``oimppi scene``."""
 
+Ros2Command = (
+    Annotated[Ros2Plant, subcommand("plant", prefix_name=False)]
+    | Annotated[Ros2Check, subcommand("check", prefix_name=False)]
+)
+"""The subcommands of ``oimppi ros2``."""
+
 Command = (
     Annotated[Run, subcommand("run", prefix_name=False)]
     | Annotated[Bench, subcommand("bench", prefix_name=False)]
@@ -149,6 +156,10 @@ Command = (
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
     | Annotated[LabEmulator, subcommand("lab-emulator", prefix_name=False)]
+    | Annotated[
+        Ros2Command,
+        subcommand("ros2", prefix_name=False, description="Simulate a lab on ROS 2 topics, and check a real one."),
+    ]
 )
 """All commands; to add one, add its dataclass to this union."""
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
 
-_REAL = ("xarm",)
+_REAL = ("xarm", "ros2")
 """Plants that are real arms."""
 
 

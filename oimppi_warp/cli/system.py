@@ -108,8 +108,8 @@ class Warmup:
 class Doctor:
     """Report the hardware and software of this machine, the resources that a run will use, and any problems.
 
-    With --robot-address, check an xArm and the camera instead; nothing moves. Exit status: 0 no problems found, 1
-    problems found.
+    With --robot-address, check an xArm and the camera instead, with --ros2 an arm on ROS 2; nothing moves. Exit status:
+    0 no problems found, 1 problems found.
     """
 
     robot_address: Annotated[str | None, arg(metavar="HOST", help_behavior_hint="")] = None
@@ -120,6 +120,12 @@ class Doctor:
     ] = None
     """Address of the server that sends the object's poses."""
 
+    ros2: FlagCreatePairsOff[bool] = False
+    """Check what is on the ROS 2 topics of an arm, like `oimppi ros2 check`."""
+
+    plant_options: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE", help_behavior_hint="(repeatable)")] = ()
+    """With --ros2: options of the plant ros2, such as domain=3."""
+
     scene: Annotated[str, arg(metavar="SCENE")] = "lab01"
     """Scene whose robot the arm is compared with."""
 
@@ -129,7 +135,13 @@ class Doctor:
     def execute(self) -> int:
         """Prints the report and returns the exit status."""
         if self.robot_address is not None:
-            return self._check_arm(self.robot_address)
+            from oimppi_warp.cli.hardware import check_setup, print_checks
+
+            return print_checks(check_setup(self.robot_address, self.pose_address, self.scene), json=self.json)
+        if self.ros2:
+            from oimppi_warp.cli.ros2 import Ros2Check
+
+            return Ros2Check(self.scene, self.plant_options, self.json).execute()
         from oimppi_warp.system.doctor import diagnose, gather_facts
 
         facts = gather_facts()
@@ -169,25 +181,6 @@ class Doctor:
         if not findings:
             console.print("[bold green]no problems found")
         return 1 if findings else 0
-
-    def _check_arm(self, address: str) -> int:
-        """Prints the check of an arm, item by item, and returns the exit status."""
-        from rich.console import Console
-
-        from oimppi_warp.cli.hardware import check_setup
-
-        checks = check_setup(address, self.pose_address, self.scene)
-        if self.json:
-            print(json.dumps([asdict(check) for check in checks], indent=2))
-        else:
-            console = Console(highlight=False)
-            for check in checks:
-                if check.good:
-                    console.print(f"[green]good[/]     {check.what}", soft_wrap=True)
-                    continue
-                mark = "[bold red]problem[/]" if check.needed else "[yellow]advice[/] "
-                console.print(f"{mark}  {check.what}\n         to do: {check.remedy}", soft_wrap=True)
-        return 0 if all(check.good or not check.needed for check in checks) else 1
 
 
 def _with_package(entries: dict[str, str]) -> Iterator[str]:

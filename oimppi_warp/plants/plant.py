@@ -194,6 +194,10 @@ class RealPlant(Protocol):
         """Returns settings with which plans keep to the speed that the plant allows."""
         ...
 
+    def surveyed(self, scene: Scene) -> Scene:
+        """Returns a task with the obstacles where the plant found them."""
+        ...
+
     @property
     def now(self) -> float:
         """Returns the present time, on the clock of its observations [s]."""

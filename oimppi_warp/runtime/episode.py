@@ -146,7 +146,13 @@ class Episode:
         await_loaded(early)
         if has_own_world(self.plant):
             x, y, yaw = map(float, self.plant.observe().object_pose)
-            self.scene = scene = scene.with_start((x, y, yaw))
+            scene = scene.with_start((x, y, yaw))
+        if isinstance(self.plant, RealPlant):
+            found = self.plant.surveyed(scene)
+            if found is not scene:
+                check_task(found)
+            scene = found
+        self.scene = scene
         check_plant(self.plant, spec, passed=passed)
         if isinstance(self.plant, RealPlant):
             config = self.plant.limited(config)

@@ -140,7 +140,7 @@ def test_a_plant_is_registered_by_name_and_removed_again(device: str):
             PLANTS.register("lab", kinematic)
     finally:
         PLANTS.unregister("kinematic")
-    assert list(PLANTS) == ["ideal", "lab", "pusht", "xarm"]
+    assert list(PLANTS) == ["ideal", "lab", "pusht", "xarm", "ros2"]
 
 
 def test_the_simulated_plant_takes_part_in_every_protocol():

@@ -19,13 +19,10 @@ from support.emulated_lab import (
     POSE_PORT,
     Cable,
     OtherClient,
-    Repeats,
     connected,
     emulated,
-    speed,
-    time_to_rest,
-    wait_until,
 )
+from support.pushing import REST, TURN, Pushing, Repeats, begun, speed, stops, time_to_rest, wait_until
 
 from oimppi_warp.config.presets import lab
 from oimppi_warp.errors import ConfigError, HardwareError
@@ -41,57 +38,15 @@ from oimppi_warp.plants.xarm.arm import XArm, check_facts
 from oimppi_warp.plants.xarm.emulator import LabEmulator
 from oimppi_warp.plants.xarm.plant import XArmPlant
 from oimppi_warp.plants.xarm.protocol import Register
-from oimppi_warp.runtime.control import ControlStep, real_time
+from oimppi_warp.runtime.control import real_time
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.runtime.watch import Watch
-
-REST = 0.25
-"""Time within which the arm is at rest after whatever happens [s]."""
-TURN = np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 @pytest.fixture
 def made() -> Iterator[LabEmulator]:
     with emulated() as lab_made:
         yield lab_made
-
-
-class Pushing:
-    """The control loop with a plant, in a thread; the planner turns the arm's base at a constant speed.
-
-    Attributes:
-        steps: What happened so far.
-        said: What the watch said.
-        stuck: Seconds that the next step takes longer, as with a viewer that hangs.
-    """
-
-    def __init__(self, plant: XArmPlant) -> None:
-        scene, config = small_tasks.shipped("lab01"), lab()
-        self.steps: list[ControlStep] = []
-        self.said: list[str] = []
-        self.stuck = 0.0
-        self.watch = Watch(plant, say=self.said.append)
-        drive = Drive(plant, scene.robot.dof, config.safety)
-        loop = real_time(drive, Repeats(TURN), Estimator(scene, config), dof=6, expires=0.25, watch=self.watch)
-        self._loop, self._open = loop, True
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        for step in self._loop:
-            self.steps.append(step)
-            time.sleep(self.stuck)
-            self.stuck = 0.0
-            if not self._open:
-                break
-        self._loop.close()
-
-    def __enter__(self) -> Pushing:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._open = False
-        self._thread.join()
 
 
 def test_the_arm_goes_to_its_start_and_follows_commands_at_their_pace(made):
@@ -311,29 +266,12 @@ def test_a_planner_that_is_killed(made):
     planner.wait()
 
 
-def stops(made: LabEmulator, plant: XArmPlant, pushing: Pushing, message: str, *, within: float = REST) -> None:
-    """Checks that the arm comes to rest in time, and that the loop says why."""
-    assert time_to_rest(made) < within
-    wait_until(lambda: bool(pushing.said))
-    assert message in pushing.said[0]
-    assert "to do:" in pushing.said[0]
-    wait_until(lambda: bool(pushing.steps[-1].halted))
-    assert pushing.steps[-1].stopped
-    assert not np.any(pushing.steps[-1].command) or np.abs(pushing.steps[-1].command).max() < 0.2
-    assert pushing.watch.stops == 1
-
-
-def begun(made: LabEmulator) -> None:
-    wait_until(lambda: speed(made) > 0.15)
-    time.sleep(0.5)  # until it is clear what the arm does
-
-
 def test_a_connection_that_is_cut(made):
     cable = Cable(made.host)
     with connected(cable.host) as plant, Pushing(plant) as pushing:
         begun(made)
         cable.cut = True
-        stops(made, plant, pushing, "joint report")
+        stops(made, pushing, "joint report")
     cable.close()
 
 
@@ -342,7 +280,7 @@ def test_an_error_of_the_controller(made):
         begun(made)
         pushing.watch.attended = True
         made.controller.raise_error(31)
-        stops(made, plant, pushing, "C31: a collision was detected")
+        stops(made, pushing, "C31: a collision was detected")
         time.sleep(1.5)
         assert made.controller.snapshot().error == 31, "it is never cleared from here"
         assert speed(made) < 1e-3
@@ -358,7 +296,7 @@ def test_joint_reports_that_are_frozen(made):
     with connected(made.host) as plant, Pushing(plant) as pushing:
         begun(made)
         made.server.frozen = True
-        stops(made, plant, pushing, "do not change")
+        stops(made, pushing, "do not change")
 
 
 def test_a_second_client_that_changes_the_mode(made):
@@ -366,7 +304,7 @@ def test_a_second_client_that_changes_the_mode(made):
         begun(made)
         other = OtherClient(made.host)
         other.command(Register.SET_MODE, b"\0\0")
-        stops(made, plant, pushing, "another program")
+        stops(made, pushing, "another program")
         other.close()
 
 
@@ -389,7 +327,7 @@ def test_a_torque_above_its_bound(made, monkeypatch):
     with connected(made.host) as plant, Pushing(plant) as pushing:
         begun(made)
         monkeypatch.setattr(xarm_arm, "TORQUES", np.full(7, 1.0))
-        stops(made, plant, pushing, "N m")
+        stops(made, pushing, "N m")
 
 
 def test_perception_that_is_lost(made):

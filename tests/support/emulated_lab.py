@@ -1,4 +1,4 @@
-"""An emulated lab on loopback for tests, a planner that only repeats a command, and a cable that can be cut."""
+"""An emulated lab on loopback for tests, another client of its controller, and a cable that can be cut."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import os
 import socket
 import struct
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
@@ -18,8 +17,6 @@ from support import small_tasks
 
 from oimppi_warp.config.presets import lab
 from oimppi_warp.network import Listener
-from oimppi_warp.observation import Observation
-from oimppi_warp.planning.plan import Plan
 from oimppi_warp.plants.xarm.emulator import LabEmulator
 from oimppi_warp.plants.xarm.plant import XArmPlant
 from oimppi_warp.plants.xarm.protocol import REPORT_PORTS, Register, floats, seven
@@ -67,19 +64,6 @@ def connected(host: str, **options: Any) -> Iterator[XArmPlant]:
         plant.close()
 
 
-class Repeats:
-    """A planner whose every plan is the same command."""
-
-    def __init__(self, command: np.ndarray) -> None:
-        self.command = command
-
-    def start(self, observation: Observation) -> float:
-        return 0.0
-
-    def plan(self, observation: Observation) -> Plan:
-        return Plan(self.command, np.nan, lambda: None)  # pyright: ignore
-
-
 class OtherClient:
     """Another program that is connected to a controller; it speaks the protocol itself."""
 
@@ -125,34 +109,3 @@ class Cable:
                 if not self.cut:
                     sink.sendall(data)
             sink.shutdown(socket.SHUT_RDWR)
-
-
-def speed(made: LabEmulator) -> float:
-    """Speed of the fastest joint, by the simulation itself [rad/s]."""
-    return float(np.abs(made.state()[1]).max())
-
-
-def wait_until(reached: Callable[[], bool], seconds: float = 15.0) -> float:
-    """Waits for something; the time that it took [s]."""
-    began = time.monotonic()
-    while not reached():
-        if time.monotonic() > began + seconds:
-            raise AssertionError(f"not within {seconds:g} s")
-        time.sleep(0.002)
-    return time.monotonic() - began
-
-
-def time_to_rest(made: LabEmulator) -> float:
-    """Time that the arm takes to come to rest, by how far it moves at its largest speed [s].
-
-    The simulation stands still where this machine is too slow, so that the result does not depend on that.
-    """
-    joints, largest = made.state()[0], np.full(6, 0.05)
-    until, last = time.monotonic() + 10.0, time.monotonic()
-    while time.monotonic() < last + 0.3:
-        assert time.monotonic() < until, "the arm does not stop"
-        largest = np.maximum(largest, np.abs(made.state()[1]))
-        if speed(made) > 1e-3:
-            last = time.monotonic()
-        time.sleep(0.002)
-    return float((np.abs(made.state()[0] - joints) / largest).max())

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 from support import small_tasks
-from support.emulated_lab import COMMAND_PORT, POSE_PORT, OtherClient, emulated, speed, time_to_rest, wait_until
+from support.emulated_lab import COMMAND_PORT, POSE_PORT, OtherClient, emulated
+from support.pushing import speed, time_to_rest, wait_until
 
 from oimppi_warp.config.presets import lab
 from oimppi_warp.config.run_spec import RunSpec

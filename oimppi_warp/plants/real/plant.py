@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
@@ -29,7 +29,7 @@ from oimppi_warp.plants.real.commands import LATENCY, TICK, Commands
 from oimppi_warp.plants.real.known import allowed_speed, remember
 from oimppi_warp.plants.real.sight import Sight
 from oimppi_warp.plants.real.start import FIRST_POSE, StartProcedure
-from oimppi_warp.scene import Scene
+from oimppi_warp.scene import PlanarPose, Scene
 
 _SLOWEST_TOUCH = 1e-3
 """Least value of the setting `robot.touch_speed` [m/s]."""
@@ -93,6 +93,8 @@ class ArmPlant:
         arm: The connection to the arm; the plant ends it.
         poses: The source of the object's pose; the plant ends it.
         options: Options.
+        moves: By how much obstacles are away from where the scene has them, by their paths
+            (:meth:`oimppi_warp.scene.Obstacle.moved`).
 
     Raises:
         ConfigError: The control period cannot be used.
@@ -112,10 +114,20 @@ class ArmPlant:
     own_world = True
     rules = StopRules()
 
-    def __init__(self, scene: Scene, config: Config, arm: Arm, poses: PoseSource, options: ArmOptions) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        config: Config,
+        arm: Arm,
+        poses: PoseSource,
+        options: ArmOptions,
+        *,
+        moves: Mapping[str, PlanarPose] | None = None,
+    ) -> None:
         self.control_period, self.ticks = config.control_period, ticks_of(config)
         self.rules = StopRules(pose_timeout=options.pose_timeout, resume=options.resume)
-        self._scene, self._dof, self._dry_run = scene, scene.robot.dof, options.dry_run
+        self._moves = dict(moves or {})
+        self._scene, self._dof, self._dry_run = self.surveyed(scene), scene.robot.dof, options.dry_run
         self._origin = time.monotonic()
         self._fault, self._fault_passes = "", False
         self._streamed = 0
@@ -131,7 +143,7 @@ class ArmPlant:
             if options.dry_run:
                 self._sender.start()
             else:
-                StartProcedure(self, scene).run(confirmed=options.yes)
+                StartProcedure(self, self._scene).run(confirmed=options.yes)
             if self.sight.agreed(oldest=options.pose_timeout, wait=FIRST_POSE) is None:
                 raise self.sight.error()
         except BaseException:
@@ -155,6 +167,12 @@ class ArmPlant:
             episode=replace(episode, max_sim_seconds=episode.max_sim_seconds / s),
             reposition=replace(move, stall_seconds=move.stall_seconds / s, longest_seconds=move.longest_seconds / s),
         )
+
+    def surveyed(self, scene: Scene) -> Scene:
+        """Returns a task with the obstacles where they were found when the plant was made."""
+        for path, by in self._moves.items():
+            scene = scene.with_obstacle_moved(path, by)
+        return scene
 
     @property
     def now(self) -> float:

@@ -2,46 +2,29 @@
 
 from __future__ import annotations
 
-import threading
-import time
-from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
 
 from oimppi_warp.config.lab import LabConfig
 from oimppi_warp.geometry.kinematics import tip_frame
-from oimppi_warp.observation import planar_transform
+from oimppi_warp.observation import Observation
 from oimppi_warp.perception import pose_feed
 from oimppi_warp.perception.pose_feed import PoseServer
-from oimppi_warp.physics.world import World
-from oimppi_warp.plants.detector import Detection, Detector
-from oimppi_warp.plants.plant import Contacts, SimulatedPlant
+from oimppi_warp.plants.realtime_lab import CYCLE, RealTimeLab
 from oimppi_warp.plants.xarm.controller import EmulatedController
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT, REPORT_PORTS
 from oimppi_warp.plants.xarm.server import ControllerServer
 from oimppi_warp.scene import PlanarPose, Scene
 
-CYCLE = 0.004
-"""Cycle of the controller [s]."""
-_SUBSTEPS = 2
-"""Physics steps per cycle."""
-_LATE = 0.1
-"""Largest delay behind the clock that the simulation catches up; beyond it, simulated time stands still [s]."""
 
+class LabEmulator(RealTimeLab):
+    """A simulated laboratory whose arm and camera are reachable over TCP like those of a real one.
 
-class LabEmulator:
-    """A scene's arm and object, simulated in real time and reachable over TCP like the arm and the camera of a lab.
-
-    The vendor's SDK connects to it as to a real controller. It runs in a thread from :meth:`start` to :meth:`close`,
-    and can be watched and disturbed meanwhile.
+    The vendor's SDK connects to it as to a real controller.
 
     Args:
-        scene: The task.
-        lab: Errors of the camera.
-        start: Start pose of the object; ``None``: the scene's.
-        joints: Joint positions to begin with, shape [dof] [rad]; ``None``: the scene's start pose of the arm.
-        seed: Seed of the camera's errors.
+        scene, lab, start, joints, seed: See :class:`oimppi_warp.plants.realtime_lab.RealTimeLab`.
         host: Address to listen on.
         command_port: Port of the controller's commands.
         report_ports: Ports of its reports, by kind.
@@ -51,12 +34,6 @@ class LabEmulator:
         controller: The controller.
         server: Its servers.
         poses: The server of the object's poses.
-        plant: The simulated arm and object.
-        seeing: Whether the camera works; to be switched off as a fault.
-        shift: Offset that the camera adds to every pose, shape [3] [m, m, rad], as a fault.
-        clock_error: Offset of the camera's clock [s], as a fault.
-        forces: Largest contact forces so far.
-        late: Longest time that the simulation was behind the clock [s].
 
     Raises:
         HardwareError: An address cannot be listened on.
@@ -75,92 +52,33 @@ class LabEmulator:
         report_ports: Mapping[str, int] = REPORT_PORTS,
         pose_port: int = pose_feed.PORT,
     ) -> None:
-        world = World(scene)
-        self._scene, self._lab = scene, lab
-        self.plant = SimulatedPlant(world, start=start, control_period=CYCLE, substeps=_SUBSTEPS)
-        if joints is not None:
-            pose = scene.start if start is None else start
-            self.plant.place(joints, planar_transform(pose, scene.object.rest_height))
-        self._dofs = world.mujoco.joint_qvel
-        self._detector = Detector(world, lab, seed=seed)
+        super().__init__(scene, lab, start=start, joints=joints, seed=seed)
         self.controller = EmulatedController(scene.robot)
-        self._measure()
+        self.sense(self.plant.observe())
         self.server = ControllerServer(self.controller, host, command_port=command_port, report_ports=report_ports)
         try:
             self.poses = PoseServer(host, pose_port)
         except Exception:
             self.server.close()
             raise
-        self.seeing, self.shift, self.clock_error = True, np.zeros(3), 0.0
-        self.forces = Contacts(0.0, 0.0, 0.0, 0.0)
-        self.late = 0.0
-        self._open = True
-        self._failure: BaseException | None = None
-        self._lock = threading.Lock()
-        self._thread = threading.Thread(target=self._run, name="oimppi-lab", daemon=True)
 
-    def start(self) -> None:
-        """Begins to simulate."""
-        self._thread.start()
+    def drive(self) -> np.ndarray:
+        """Returns the joint velocities of the next cycle, as the controller drives them, shape [dof] [rad/s]."""
+        return self.controller.tick(CYCLE)
 
-    def close(self) -> None:
-        """Stops simulating and serving.
-
-        Raises:
-            FloatingPointError: The simulation had diverged.
-        """
-        self._open = False
-        if self._thread.is_alive():
-            self._thread.join()
-        self.server.close()
-        self.poses.close()
-        if self._failure is not None:
-            raise self._failure
-
-    @property
-    def running(self) -> bool:
-        """Returns whether the simulation goes on."""
-        return self._thread.is_alive()
-
-    def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns joint positions [dof], joint velocities [dof] and the object's planar pose [3], all exact."""
-        with self._lock:
-            seen = self.plant.observe()
-        return seen.joint_position, seen.joint_velocity, seen.object_pose
-
-    def _run(self) -> None:
-        began = time.monotonic()
-        cycle, next_picture = 0, 0.0
-        pictures: deque[tuple[Detection, float]] = deque()
-        try:
-            while self._open:
-                now = cycle * CYCLE
-                with self._lock:
-                    self.plant.apply(self.controller.tick(CYCLE))
-                    self._measure()
-                    forces, before = vars(self.plant.contacts), vars(self.forces)
-                self.forces = Contacts(**{name: max(before[name], forces[name]) for name in before})
-                if now >= next_picture - 1e-9:
-                    next_picture += 1.0 / self._lab.rate
-                    found = self._detector.detect(self.plant.observe(), now)
-                    if found is not None and self.seeing:
-                        pictures.append((found, time.time()))
-                while pictures and pictures[0][0].due <= now:
-                    found, stamp = pictures.popleft()
-                    self.poses.publish(found.pose + self.shift, stamp + self.clock_error)
-                cycle += 1
-                left = began + cycle * CYCLE - time.monotonic()
-                self.late = max(self.late, -left)
-                if left > 0.0:
-                    time.sleep(left)
-                elif left < -_LATE:  # this machine was too slow: time stood still meanwhile
-                    began -= left
-        except FloatingPointError as error:
-            self._failure = error
-
-    def _measure(self) -> None:
-        data, seen = self.plant.data, self.plant.observe()
+    def sense(self, state: Observation) -> None:
+        """Tells the controller what the arm's sensors measure."""
+        data = self.plant.data
         torques = data.qfrc_gravcomp[self._dofs] + data.qfrc_actuator[self._dofs]
         contact = data.qfrc_constraint[self._dofs]
-        tip = tip_frame(self._scene.robot, seen.joint_position)[1]
-        self.controller.sense(seen.joint_position, seen.joint_velocity, torques, contact, tip)
+        tip = tip_frame(self._scene.robot, state.joint_position)[1]
+        self.controller.sense(state.joint_position, state.joint_velocity, torques, contact, tip)
+
+    def see(self, pose: np.ndarray, stamp: float) -> None:
+        """Serves a detection."""
+        self.poses.publish(pose, stamp)
+
+    def disconnect(self) -> None:
+        """Ends the servers."""
+        self.server.close()
+        self.poses.close()

@@ -1,0 +1,163 @@
+"""A laboratory simulated in real time on ROS 2 topics."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from oimppi_warp.config import ros2_topics
+from oimppi_warp.config.lab import LabConfig
+from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.plants.realtime_lab import CYCLE, RealTimeLab
+from oimppi_warp.plants.ros2.arm import WATCHDOG
+from oimppi_warp.plants.ros2.link import Link
+from oimppi_warp.plants.ros2.messages import (
+    CLOCK,
+    JOINT_JOG,
+    JOINT_STATE,
+    NUMBERS,
+    POSE,
+    TRAJECTORY,
+    TRANSFORMS,
+    header,
+    seconds,
+    time_fields,
+)
+from oimppi_warp.scene import PlanarPose, Scene
+
+ACCELERATION = 10.0
+"""Largest acceleration of a joint [rad/s^2]."""
+_STATES = 2
+"""Cycles per joint state: 125 of them a second."""
+_HOLD = 0.05
+"""Time by which the watchdog is early, so that the arm is at rest when it should be [s]."""
+
+
+class Ros2Lab(RealTimeLab):
+    """A simulated laboratory that publishes joint states, clock and the object's pose, and takes joint velocities.
+
+    Commands of all three types are taken, each on a topic of its own. A watchdog stops the arm :data:`WATCHDOG` after
+    the last command.
+
+    Args:
+        scene, lab, start, joints, seed: See :class:`oimppi_warp.plants.realtime_lab.RealTimeLab`.
+        link: The connection; the lab ends it.
+        joint_names: Names of the joints.
+        commands: Topic of the commands as ``std_msgs/msg/Float64MultiArray``; those of the other types are below it.
+
+    Attributes:
+        taken: Number of commands taken so far.
+        refused: Number of commands that were not finite, or of other joints.
+        expired: Number of times that the watchdog stopped a moving arm.
+        frozen: Whether joint states are no longer published, as a fault.
+        stamp_error: Offset of the joint states' stamps [s], as a fault.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        lab: LabConfig,
+        link: Link,
+        *,
+        start: PlanarPose | None = None,
+        joints: np.ndarray | None = None,
+        seed: int = 0,
+        joint_names: list[str] | None = None,
+        commands: str = ros2_topics.NOMINAL_COMMANDS,
+    ) -> None:
+        super().__init__(scene, lab, start=start, joints=joints, seed=seed)
+        dof = scene.robot.dof
+        self.names = joint_names or [f"joint{i + 1}" for i in range(dof)]
+        self.taken = self.refused = self.expired = 0
+        self.frozen, self.stamp_error = False, 0.0
+        self._link, self._cycles = link, 0
+        self._command_lock = threading.Lock()
+        self._wanted, self._driven, self._heard = np.zeros(dof), np.zeros(dof), -math.inf
+        self._states = link.advertise(ros2_topics.JOINT_STATES, JOINT_STATE)
+        self._poses = link.advertise(ros2_topics.OBJECT_POSE, POSE)
+        self._frames = link.advertise(ros2_topics.TF, TRANSFORMS)
+        self._clock = link.advertise(ros2_topics.CLOCK, CLOCK, reliable=False)
+        link.subscribe(commands, NUMBERS, lambda message: self._take(message.data))
+        link.subscribe(f"{commands}/joint_jog", JOINT_JOG, self._take_jog)
+        link.subscribe(f"{commands}/joint_trajectory", TRAJECTORY, self._take_trajectory)
+
+    def drive(self) -> np.ndarray:
+        """Returns the joint velocities of the next cycle: as commanded, with limited acceleration, [dof] [rad/s]."""
+        with self._command_lock:
+            if time.monotonic() > self._heard + WATCHDOG - _HOLD:
+                self.expired += bool(np.any(self._wanted))
+                self._wanted = np.zeros_like(self._wanted)
+            wanted = self._wanted
+        most = ACCELERATION * CYCLE
+        self._driven = self._driven + np.clip(wanted - self._driven, -most, most)
+        return self._driven
+
+    def sense(self, state: Observation) -> None:
+        """Publishes joint state and clock."""
+        self._cycles += 1
+        if self._cycles % _STATES or self.frozen:
+            return
+        now = time.time()
+        self._clock({"clock": time_fields(now)})
+        self._states(
+            {
+                "header": header(now + self.stamp_error, ""),
+                "name": self.names,
+                "position": state.joint_position.tolist(),
+                "velocity": state.joint_velocity.tolist(),
+            }
+        )
+
+    def see(self, pose: np.ndarray, stamp: float) -> None:
+        """Publishes a detection, on a topic and as a frame."""
+        x, y, yaw = map(float, pose)
+        px, py, pz, qx, qy, qz, qw = planar_transform((x, y, yaw), self._scene.object.rest_height).tolist()
+        head, turned = header(stamp, ros2_topics.WORLD_FRAME), {"x": qx, "y": qy, "z": qz, "w": qw}
+        place = {"x": px, "y": py, "z": pz}
+        self._poses({"header": head, "pose": {"position": place, "orientation": turned}})
+        frame = {
+            "header": head,
+            "child_frame_id": ros2_topics.OBJECT_FRAME,
+            "transform": {"translation": place, "rotation": turned},
+        }
+        self._frames({"transforms": [frame]})
+
+    def disconnect(self) -> None:
+        """Ends the connection."""
+        self._link.close()
+
+    def _take(self, velocities: Any) -> None:
+        """Takes joint velocities in the order of the joints."""
+        wanted = np.array(velocities, dtype=float)
+        with self._command_lock:
+            if wanted.shape != self._wanted.shape or not np.isfinite(wanted).all():
+                self.refused += 1
+                return
+            self.taken += 1
+            self._wanted, self._heard = wanted, time.monotonic()
+
+    def _take_jog(self, message: Any) -> None:
+        self._take(self._sorted(message.joint_names, message.velocities))
+
+    def _take_trajectory(self, message: Any) -> None:
+        """Takes the velocity with which a trajectory leads from here to its first point."""
+        if not message.points:
+            self._take([])
+            return
+        first = message.points[0]
+        target = np.array(self._sorted(message.joint_names, first.positions))
+        within = seconds(first.time_from_start)
+        if len(target) != len(self.names) or within <= 0.0:
+            self._take([])
+            return
+        self._take((target - self.plant.observe().joint_position) / within)
+
+    def _sorted(self, names: list[str], values: list[float]) -> list[float]:
+        """Returns values in the order of the joints; none if they are of other joints."""
+        if sorted(names) != sorted(self.names) or len(values) != len(names):
+            return []
+        return [values[names.index(name)] for name in self.names]
