@@ -102,7 +102,11 @@ def test_everything_on_the_page_is_run_together_by_its_names(site: Path, tmp_pat
 
 def test_help_suites_and_the_doctor_know_installed_entries(site: Path, tmp_path: Path):
     said = oimppi(site, "run", "--help", folder=tmp_path).stdout
-    for choice in ("{mppi,soi,cloi,straight}", "{auto,quasistatic,newton,careful}", "{ideal,lab,pusht,xarm,ros2,kinematic}"):
+    for choice in (
+        "{mppi,soi,cloi,straight}",
+        "{auto,quasistatic,newton,careful}",
+        "{ideal,lab,pusht,xarm,ros2,kinematic}",
+    ):
         assert choice in said
     doctor = oimppi(site, "doctor", "--json", folder=tmp_path).stdout
     assert all(f'"{name}": "my-pushing"' in doctor for _, name in NAMES)

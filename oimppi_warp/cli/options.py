@@ -26,11 +26,13 @@ Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)"
 
 _REAL = ("xarm", "ros2")
 """Plants that are real arms."""
+_ADDRESSES = ("robot_address", "pose_address")
+"""Options of the plant xarm alone."""
 
 
 @dataclass(frozen=True)
 class HardwareOptions:
-    """Options of a real arm, with --plant xarm; docs/hardware.md says what to do before it moves."""
+    """Options of a real arm, with --plant xarm or ros2; docs/hardware.md says what to do before it moves."""
 
     robot_address: Annotated[str | None, arg(metavar="HOST", help_behavior_hint="")] = None
     """IPv4 address or name of the xArm's controller, HOST or HOST:PORT; that of `oimppi lab-emulator` is 127.0.0.2."""
@@ -64,7 +66,10 @@ class HardwareOptions:
         given = {name: value for name, value in vars(self).items() if value is not None and value is not False}
         if given and plant not in _REAL:
             option = next(iter(given)).replace("_", "-")
-            raise ConfigError(f"--{option}: the plant {plant} is no real arm\n  to do:   --plant {_REAL[0]}")
+            raise ConfigError(f"--{option}: the plant {plant} is no real arm\n  to do:   --plant {' or '.join(_REAL)}")
+        if plant != "xarm" and (given.keys() & _ADDRESSES):
+            option = next(name for name in _ADDRESSES if name in given).replace("_", "-")
+            raise ConfigError(f"--{option}: the plant {plant} has no address\n  to do:   --plant-options domain=N")
         return tuple(f"{name}={value}" for name, value in given.items())
 
 
@@ -91,7 +96,7 @@ class TaskOptions:
     preset: Literal["auto", "best", "paper", "paper-printed", "lab"] = "auto"
     """Settings to start from. best: our best. paper: the paper's, and values found by search where it prints none.
     paper-printed: the paper's, and those of its baseline where it prints none. lab: for the simulated laboratory.
-    auto selects lab with --plant lab and --plant xarm, otherwise best."""
+    auto selects lab with --plant lab, xarm and ros2, otherwise best."""
 
     assignments: Annotated[UseAppendAction[tuple[tuple[str, ...], ...]], Values] = ()
     """Change settings, e.g. --set cost.w_align=2 robot.optimizer.samples=512; docs/settings.md lists the names."""

@@ -125,16 +125,18 @@ def check_topics(assignments: Sequence[str], scene: str) -> list[Check]:
     task = load_scene(scene)
     given = plant_options(Ros2Plant, "ros2", assignments)
     link = connect(domain=given.pop("domain", -1), peers=given.pop("peers", ""), through=given.pop("through", "auto"))
-    found = [Check(f"connected to {link.name}; topics there: {', '.join(link.topics()) or 'none'}", True)]
+    setup = Setup(**{name: value for name, value in given.items() if name in vars(Setup())})
     try:
-        arm, poses, _ = Setup(**{name: value for name, value in given.items() if name in vars(Setup())}).find(
-            link, task
-        )
+        arm, poses, _ = setup.find(link, task)
     except HardwareError as error:
         link.close()
         what, _, remedy = str(error).partition("\n  to do:   ")
-        return [*found, Check(what, False, remedy)]
+        return [Check(what, False, remedy)]
+    except BaseException:
+        link.close()
+        raise
     try:
+        found = [Check(f"connected to {link.name}; topics there: {', '.join(link.topics())}", True)]
         found += arm.check(task.robot)
         until = time.monotonic() + 4.0
         while not poses.poses and time.monotonic() < until:

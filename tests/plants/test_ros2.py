@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support import small_tasks
+from support import fake_rclpy, small_tasks
 from support.pushing import REST, TURN, Pushing, begun, speed, stops, time_to_rest, wait_until
 from support.ros2_lab import HERE, connected, new_domain, other_node, simulated
 
@@ -26,6 +26,7 @@ from oimppi_warp.plants.ros2.link import Endpoint, Qos, why_no_messages, why_nob
 from oimppi_warp.plants.ros2.messages import header
 from oimppi_warp.plants.ros2.plant import Ros2Plant
 from oimppi_warp.plants.ros2.poses import Ros2Poses
+from oimppi_warp.plants.ros2.rclpy_link import RclpyLink
 
 COMMANDS = ros2_topics.NOMINAL_COMMANDS
 
@@ -355,3 +356,22 @@ def test_the_lab_refuses_what_is_no_command(made):
     assert made.refused == 4
     assert made.taken == 0
     assert WATCHDOG == REST
+
+
+def test_the_same_through_rclpy(monkeypatch):
+    fake_rclpy.install(monkeypatch)
+    with simulated(link=RclpyLink(7), domain=7) as made, connected(made, domain=7, through="rclpy") as plant:
+        assert "ROS domain 7" in plant.arm.address
+        with Pushing(plant) as pushing:
+            begun(made)
+            other = RclpyLink(7)
+            other.advertise(COMMANDS, messages.NUMBERS)
+            stops(made, pushing, "another program publishes")
+            other.close()
+    with pytest.raises(ConfigError, match="install the ROS package vision_msgs"):
+        RclpyLink(7).advertise("/a", messages.DETECTION)
+
+
+def test_without_ros_installed():
+    with pytest.raises(ConfigError, match="rclpy cannot be imported"):
+        RclpyLink()

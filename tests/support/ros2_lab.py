@@ -32,7 +32,8 @@ def simulated(**options: Any) -> Iterator[Ros2Lab]:
     config = lab().lab
     exact = replace(config, rate=10.0, delay=0.05, position_noise=0.0, yaw_noise=0.0, outlier_probability=0.0)
     domain = options.pop("domain", None) or new_domain()
-    made = Ros2Lab(small_tasks.shipped("lab01"), exact, DdsLink(domain, HERE), **options)
+    link = options.pop("link", None) or DdsLink(domain, HERE)
+    made = Ros2Lab(small_tasks.shipped("lab01"), exact, link, **options)
     made.domain = domain  # pyright: ignore
     made.start()
     try:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import threading
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from oimppi_warp.config import ros2_topics
 from oimppi_warp.config.lab import LabConfig
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plants.realtime_lab import CYCLE, RealTimeLab
 from oimppi_warp.plants.ros2.arm import WATCHDOG
@@ -82,8 +84,9 @@ class Ros2Lab(RealTimeLab):
         self._frames = link.advertise(ros2_topics.TF, TRANSFORMS)
         self._clock = link.advertise(ros2_topics.CLOCK, CLOCK, reliable=False)
         link.subscribe(commands, NUMBERS, lambda message: self._take(message.data))
-        link.subscribe(f"{commands}/joint_jog", JOINT_JOG, self._take_jog)
-        link.subscribe(f"{commands}/joint_trajectory", TRAJECTORY, self._take_trajectory)
+        with suppress(ConfigError):  # of messages that a ROS installation may lack
+            link.subscribe(f"{commands}/joint_trajectory", TRAJECTORY, self._take_trajectory)
+            link.subscribe(f"{commands}/joint_jog", JOINT_JOG, self._take_jog)
 
     def drive(self) -> np.ndarray:
         """Returns the joint velocities of the next cycle: as commanded, with limited acceleration, [dof] [rad/s]."""
