@@ -118,9 +118,11 @@ class Ros2Arm:
                 silent.partition("to do:   ")[2],
             ),
             Check(
-                f"nobody but the receiver of {self._topic} stops the arm if this planner dies",
+                "the simulated arm has a watchdog"
+                if self.simulated
+                else f"if this planner dies, only what receives {self._topic} can stop the arm",
                 self.simulated,
-                f"make sure that it stops the arm within {WATCHDOG:g} s without commands; velocity controllers of "
+                f"make sure that it does, {WATCHDOG:g} s after the last command: velocity controllers of "
                 "ros2_controllers keep the last velocity for ever (docs/ros2.md)",
                 needed=False,
             ),
