@@ -35,7 +35,7 @@ $(EXTRAS_ENV): $(LOCK_ENV) requirements-extras.lock
 	@touch $@
 
 demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
-	$(BIN)/oimppi run task02 --start 1 --record runs/demo
+	$(BIN)/oimppi run task02 --start 1 --record runs/demo --force
 
 view: $(LOCK_ENV) ## watch the task of `make demo` in a browser, and change the task while it runs
 	$(BIN)/oimppi view task02 --start 1

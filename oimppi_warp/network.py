@@ -1,7 +1,8 @@
-"""Addresses, and a TCP server that serves each connection in a thread."""
+"""Addresses, the URL of a page, and a TCP server that serves each connection in a thread."""
 
 from __future__ import annotations
 
+import errno
 import socket
 import threading
 from collections.abc import Callable
@@ -87,3 +88,39 @@ def split_address(address: str, port: int) -> tuple[str, int]:
     if not host or not given.isdecimal() or not 1 <= int(given) <= 65535:
         raise ConfigError(f"{address} is no address\n  allowed: HOST or HOST:PORT, with a port from 1 to 65535")
     return host, int(given)
+
+
+def check_listening(host: str, port: int) -> None:
+    """Checks that this machine can listen at an address, on a port or, if that is taken, on another one.
+
+    Args:
+        host: Address or name of this machine, or ``0.0.0.0`` or ``::`` for all of its addresses.
+        port: Port.
+
+    Raises:
+        ConfigError: It cannot.
+    """
+    try:
+        family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as tried:
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            tried.bind(where)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            return
+        remedy = (
+            "choose a port from 1024 to 65535" if error.errno == errno.EACCES else "give an address of this machine"
+        )
+        raise ConfigError(f"cannot listen at {host}, port {port}: {error.strerror}\n  to do:   {remedy}") from None
+
+
+def page_url(host: str, port: int) -> str:
+    """Returns the URL of a page that is served at an address.
+
+    Args:
+        host: Address that the server listens at; for ``0.0.0.0`` and ``::``, the URL has the name of this machine.
+        port: Port.
+    """
+    if host in ("0.0.0.0", "::", ""):
+        host = socket.gethostname()
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from tyro.conf import arg, subcommand
+from tyro.conf import FlagCreatePairsOff, arg, subcommand
 
 from oimppi_warp.cli.bench import Bench, Compare, Report
 from oimppi_warp.cli.check import Check
@@ -55,6 +55,9 @@ class Run(TaskOptions):
     record: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder to which the log and plots of the run are written."""
 
+    force: FlagCreatePairsOff[bool] = False
+    """Overwrite the record that the folder holds; otherwise a numbered folder beside it is used."""
+
     json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """File to which the metrics of the run are written, as JSON."""
 
@@ -64,14 +67,16 @@ class Run(TaskOptions):
         setup, console = self.prepare()
 
         from oimppi_warp.plants.plant import RealPlant
-        from oimppi_warp.record.log import write_atomically
+        from oimppi_warp.record.log import unused_folder, write_atomically
         from oimppi_warp.record.metrics import summarize
 
         with console.status("loading kernels"):
             episode = setup.episode()
         if episode.planner.engine_reason:
             console.print(f"engine {episode.planner.engine}: {episode.planner.engine_reason}", soft_wrap=True)
-        record = self.record
+        record = self.record if self.record is None or self.force else unused_folder(self.record)
+        if record != self.record:
+            console.print(f"{self.record} holds a record; this one is written to {record}", soft_wrap=True)
         if record is None and isinstance(episode.plant, RealPlant):  # there is a record of every run
             record = Path("runs") / time.strftime(f"{setup.spec.plant}-%Y-%m-%d-%H-%M-%S")
         with _progress(episode.config.episode.max_sim_seconds, console) as on_step:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -26,6 +30,8 @@ Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)"
 
 _REAL = ("xarm", "ros2")
 """Plants that are real arms."""
+_TELL = 2.0
+"""Interval of notices that something is still being done [s]."""
 _ADDRESSES = ("robot_address", "pose_address")
 """Options of the plant xarm alone."""
 
@@ -178,6 +184,33 @@ def notices() -> Console:
     console = Console(stderr=True, highlight=False)
     tell_compilation(partial(console.print, soft_wrap=True))
     return console
+
+
+@contextmanager
+def busy(console: Console, doing: str) -> Iterator[None]:
+    """Tells that something is being done: with a spinner on a terminal, otherwise with a line every two seconds.
+
+    Args:
+        console: Console for notices.
+        doing: What is being done, such as ``loading kernels``.
+    """
+    if console.is_terminal:
+        with console.status(doing):
+            yield
+        return
+    began, done = time.monotonic(), threading.Event()
+
+    def tell() -> None:
+        while not done.wait(_TELL):
+            console.print(f"{doing}: {time.monotonic() - began:.0f} s", soft_wrap=True)
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        done.set()
+        teller.join()
 
 
 def _warning_count(scene: str) -> int:

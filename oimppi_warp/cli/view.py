@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
+import webbrowser
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from oimppi_warp.cli.options import TaskOptions, notices
+from oimppi_warp.cli.options import TaskOptions, busy, notices
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.network import check_listening, page_url
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from oimppi_warp.view.live import LiveView
+    from oimppi_warp.view.replay import ReplayView
 
 
 @dataclass(frozen=True)
@@ -38,27 +47,69 @@ class View(TaskOptions):
     paused: bool = False
     """Pause before the first control step or frame."""
 
+    open: bool = True
+    """Open the page in this machine's browser, if there is one."""
+
     def execute(self) -> int:
         """Serves the view until Ctrl-C and returns the exit status."""
         if not 1 <= self.port <= 65535:
             raise ConfigError(f"--port {self.port} cannot be used\n  allowed: 1 to 65535")
+        check_listening(self.host, self.port)
         if self.replay is not None:
-            notices()
+            console = notices()
             from oimppi_warp.view.browser import open_viewer
             from oimppi_warp.view.replay import Replay, ReplayView
 
             replay = Replay(self.replay)
             viewer = open_viewer(replay.scene.table, host=self.host, port=self.port, paused=self.paused)
-            return _serve(viewer, self.port, ReplayView(viewer, replay).run, None)
+            return self._serve(viewer, ReplayView(viewer, replay), console, None)
         setup, console = self.prepare()
         from oimppi_warp.view.browser import open_viewer
         from oimppi_warp.view.live import LiveView
         from oimppi_warp.view.session import Session
 
-        with console.status("loading kernels"):
+        with busy(console, "loading kernels"):
             session = Session(setup)
         viewer = open_viewer(setup.scene.table, host=self.host, port=self.port, paused=self.paused)
-        return _serve(viewer, self.port, LiveView(viewer, session).run, session.close)
+        return self._serve(viewer, LiveView(viewer, session), console, session.close)
+
+    def _serve(
+        self, viewer: Any, view: LiveView | ReplayView, console: Console, close: Callable[[], None] | None
+    ) -> int:
+        """Prints the page's address, runs a view until Ctrl-C, and returns the exit status.
+
+        Args:
+            viewer: The viewer, which has a server.
+            view: The view.
+            console: Console for notices.
+            close: Function that is called at the end, before the viewer is closed.
+        """
+        try:
+            with busy(console, "drawing the first picture"):  # so that the page is never empty
+                view.tick()
+            port = viewer.server.get_port()
+            if port != self.port:
+                print(f"port {self.port} is in use; using the next free one", file=sys.stderr)
+            url = page_url(self.host, port)
+            print(f"Open {url} in a browser; press Ctrl-C to stop.", flush=True)
+            if self.open:
+                open_page(url)
+            with suppress(KeyboardInterrupt):
+                view.run()
+        finally:
+            if close is not None:
+                close()
+            viewer.close()
+        return 0
+
+
+def open_page(url: str) -> bool:
+    """Opens a page in this machine's browser; returns whether there is one on a screen, and somebody to look at it."""
+    if not sys.stdout.isatty() or not (sys.platform != "linux" or os.environ.keys() & {"DISPLAY", "WAYLAND_DISPLAY"}):
+        return False
+    with suppress(webbrowser.Error):
+        return webbrowser.open(url)
+    return False
 
 
 @dataclass(frozen=True)
@@ -83,28 +134,3 @@ class Export:
             file = export(self.folder, self.to, self.output)
         print(file)
         return 0
-
-
-def _serve(viewer: Any, port: int, run: Callable[[], None], close: Callable[[], None] | None) -> int:
-    """Prints the page's address, runs a view until Ctrl-C, and returns the exit status.
-
-    Args:
-        viewer: The viewer, which has a server.
-        port: The port that was requested.
-        run: Function that runs the view and never returns.
-        close: Function that is called at the end, before the viewer is closed.
-    """
-    if viewer.server.get_port() != port:
-        print(f"port {port} is in use; using the next free one", file=sys.stderr)
-    print(
-        f"Open http://{viewer.server.get_host()}:{viewer.server.get_port()} in a browser; press Ctrl-C to stop.",
-        flush=True,
-    )
-    try:
-        with suppress(KeyboardInterrupt):
-            run()
-    finally:
-        if close is not None:
-            close()
-        viewer.close()
-    return 0

@@ -301,3 +301,12 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+def unused_folder(folder: Path) -> Path:
+    """Returns a folder that holds no record: the given one, or the next free one of NAME-2, NAME-3, ... beside it."""
+    taken, number = folder, 1
+    while (taken / _NPZ).exists() or (taken / _JSON).exists():
+        number += 1
+        taken = folder.with_name(f"{folder.name}-{number}")
+    return taken

@@ -106,7 +106,7 @@ class ReplayView:
             self.tick(1.0 / FPS)
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 
-    def tick(self, seconds: float) -> None:
+    def tick(self, seconds: float = 0.0) -> None:
         """Advances playback and draws the new picture.
 
         Args:

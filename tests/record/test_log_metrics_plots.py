@@ -12,7 +12,7 @@ from support.synthetic_episode import GOAL, START, make_log, make_scene
 
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.plots.episode import draw
-from oimppi_warp.record.log import COLUMNS, EpisodeLog, LogError, to_json
+from oimppi_warp.record.log import COLUMNS, EpisodeLog, LogError, to_json, unused_folder
 from oimppi_warp.record.metrics import first_hold, hold_steps, pose_error, summarize
 
 REQUIRED = """scene method engine device preset seed start goal success success_tight position_error_m yaw_error_rad
@@ -221,3 +221,15 @@ def test_every_log_can_be_drawn(tmp_path: Path, steps: int, method: str):
     for file in files:
         assert file.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
         assert file.stat().st_size > 5000
+
+
+def test_a_record_is_never_written_over_by_accident(tmp_path):
+    folder = tmp_path / "demo"
+    assert unused_folder(folder) == folder
+    folder.mkdir()
+    assert unused_folder(folder) == folder, "an empty folder holds no record"
+    (folder / "episode.json").write_text("{}")
+    assert unused_folder(folder) == tmp_path / "demo-2"
+    (tmp_path / "demo-2").mkdir()
+    (tmp_path / "demo-2" / "episode.npz").write_bytes(b"")
+    assert unused_folder(folder) == tmp_path / "demo-3"
