@@ -77,7 +77,9 @@ def test_joints_are_found_by_name_in_any_order(made):
         plant.arm._take(shuffled)
         assert plant.joints() == pytest.approx(0.1 * np.arange(6))
         plant.arm._take(SimpleNamespace(name=["gripper", "joint1"], position=[1.0, 2.0]))
+        plant.arm._take(SimpleNamespace(name=["gripper"], position=[1.0]))
         assert plant.joints()[0] == 0.0, "some of the joints only"
+        assert not plant.arm.fault(1, moving=False)
 
 
 def test_wrong_joint_names_are_told():
@@ -323,15 +325,13 @@ def test_the_type_hash_is_told_to_others():
     with other_node(new_domain()) as node, other_node(node.number) as other:
         node.advertise("/a", messages.POSE)
         wait_until(lambda: Endpoint(messages.POSE, Qos(), True, False) in other.endpoints("/a"))
+        from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.qos import Policy
 
-        data = [
-            policy.data
-            for publishes, end in other._ends()
-            if publishes and end.topic_name == "rt/a"
-            for policy in end.qos
-            if isinstance(policy, Policy.Userdata)
-        ]
+        _, reader, _ = other._discovery[0]
+        alive = ReadCondition(reader, InstanceState.Alive | ViewState.Any | SampleState.Any)
+        ends = [end for end in reader.read(100, condition=alive) if end.topic_name == "rt/a"]
+        data = [policy.data for end in ends for policy in end.qos if isinstance(policy, Policy.Userdata)]
         assert data == [f"typehash={messages.type_hash(messages.POSE)};".encode()]
 
 

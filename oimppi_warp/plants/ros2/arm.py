@@ -81,6 +81,7 @@ class Ros2Arm:
         )
         self._clock = clock
         self._defect = ""
+        self._others_seen: set[str] = set()
         self._stopped = -math.inf
         self.reports = JointReports()
         self._outlet = make_outlet(link, commands, command_type, joint_names)
@@ -92,6 +93,12 @@ class Ros2Arm:
             time.sleep(0.01)
         if self._defect:
             raise HardwareError(self._defect)
+        if self.reports.count < 2 and self._others_seen:
+            found = sorted(self._others_seen)
+            raise HardwareError(
+                f"{states} has the joints {', '.join(found)}, not {', '.join(joint_names)}\n"
+                f"  to do:   --plant-options joint_names={','.join(found[: len(joint_names)])}"
+            )
         if self.reports.count < 2:
             raise HardwareError(why_no_messages(link, states, JOINT_STATE))
         before, began = self.reports.count, time.monotonic()
@@ -176,15 +183,9 @@ class Ros2Arm:
 
     def _take(self, message: Any) -> None:
         """Takes a joint state: positions by name, in any order."""
-        if not set(self._names) & set(message.name):
-            found = ", ".join(message.name) or "none"
-            self._defect = (
-                f"{self._states} has the joints {found}, not {', '.join(self._names)}\n"
-                f"  to do:   --plant-options joint_names={','.join(message.name[: len(self._names)])}"
-            )
-            return
         if not set(self._names) <= set(message.name) or len(message.position) != len(message.name):
-            return  # of other joints, or of some of ours: another message has them all
+            self._others_seen.update(message.name)  # such as those of a gripper
+            return
         joints = np.array([message.position[message.name.index(name)] for name in self._names], dtype=float)
         if not np.isfinite(joints).all():
             self._defect = (

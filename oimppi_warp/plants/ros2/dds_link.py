@@ -18,6 +18,8 @@ from oimppi_warp.plants.ros2.messages import build, dds_type, missing, ros_name,
 _DEPTH = 10
 """Number of messages that are kept for each subscriber."""
 _LATCHED_DEPTH = 100
+_MOST = 1000
+"""Most news of endpoints that are read at once."""
 _NEVER = 2**62
 """Deadline from which on there is none [ns]."""
 _WAIT = 100_000_000
@@ -62,14 +64,15 @@ class DdsLink:
                 "  to do:   check the network, and CYCLONEDDS_URI if it is set"
             ) from None
         self._guid = self._participant.guid
-        alive = InstanceState.Alive | ViewState.Any | SampleState.Any
-        self._found = [
-            (publishes, reader, ReadCondition(reader, alive))
+        news = InstanceState.Any | ViewState.Any | SampleState.NotRead
+        self._discovery = [
+            (publishes, reader, ReadCondition(reader, news))
             for publishes, reader in (
                 (True, BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)),
                 (False, BuiltinDataReader(self._participant, BuiltinTopicDcpsSubscription)),
             )
         ]
+        self._known: dict[Any, tuple[str, Endpoint]] = {}  # topic in DDS and endpoint, by the endpoint's key
         self._topics: dict[tuple[str, str], Any] = {}
         self._readers: list[tuple[Any, Callable[[Any], None]]] = []
         self._writers: list[Any] = []  # each publishes until the connection ends
@@ -106,17 +109,11 @@ class DdsLink:
 
     def endpoints(self, topic: str) -> list[Endpoint]:
         """Returns the ends of a topic that are known now, own ones included."""
-        own = self._guid
-        return [
-            Endpoint(ros_name(end.type_name), _quality(end.qos), publishes, end.participant_key == own)
-            for publishes, end in self._ends()
-            if end.topic_name == f"rt{topic}"
-        ]
+        return [end for name, end in self._ends() if name == f"rt{topic}"]
 
     def topics(self) -> list[str]:
         """Returns the topics that others publish, in alphabetical order."""
-        own = self._guid
-        names = {end.topic_name for publishes, end in self._ends() if publishes and end.participant_key != own}
+        names = {name for name, end in self._ends() if end.publishes and not end.own}
         return sorted(name.removeprefix("rt") for name in names if name.startswith("rt/"))
 
     def close(self) -> None:
@@ -126,17 +123,24 @@ class DdsLink:
             self._thread.join(timeout=2.0)
         with self._lock:
             self._readers.clear()
-            self._found.clear()
+            self._discovery.clear()
             # Everything in it is deleted too, whoever still refers to it.
             self._participant._delete(self._participant._ref)  # pyright: ignore[reportCallIssue]
 
-    def _ends(self) -> list[tuple[bool, Any]]:
+    def _ends(self) -> list[tuple[str, Endpoint]]:
+        """Returns all ends of topics, with the names of these in DDS; only what is new is read."""
+        from cyclonedds.core import InstanceState
+
         with self._lock:
-            return [
-                (publishes, end)
-                for publishes, reader, condition in self._found
-                for end in reader.read(1000, condition=condition)
-            ]
+            for publishes, reader, condition in self._discovery:
+                for end in reader.read(_MOST, condition=condition):
+                    if end.sample_info.instance_state == InstanceState.Alive and end.topic_name:
+                        own = end.participant_key == self._guid
+                        found = Endpoint(ros_name(end.type_name), _quality(end.qos), publishes, own)
+                        self._known[end.key] = (end.topic_name, found)
+                    else:
+                        self._known.pop(end.key, None)
+            return list(self._known.values())
 
     def _topic(self, topic: str, kind: str) -> Any:
         from cyclonedds.topic import Topic
