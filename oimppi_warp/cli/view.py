@@ -67,7 +67,7 @@ class Export:
     """Export a record as a web page, a USD animation, a video, or a ROS 2 bag."""
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
-    """Folder of the record, as written by `oimppi run --record` by a trial of `oimppi bench`, or a bag of a record."""
+    """Folder of the record, as written by `oimppi run --record` or by a trial of `oimppi bench`, or its bag."""
 
     to: Literal["html", "usd", "mp4", "mcap", "rosbag2"] = "html"
     """Format: self-contained web page (html), USD animation (usd), video from above (mp4),

@@ -185,6 +185,11 @@ class BagReader:
         wanted = [connection for connection in self._reader.connections if connection.topic in topics]
         if not wanted:
             return
+        for kind in sorted({connection.msgtype for connection in wanted} - self._reader.typestore.fielddefs.keys()):
+            raise LogError(
+                f"{self.path}: contains no definition of the type {kind}\n"
+                "  to do:   convert it to MCAP with `ros2 bag convert` where this type is installed"
+            )
         with _readable(self.path):
             for connection, time, data in self._reader.messages(wanted):
                 content = self._reader.deserialize(data, connection.msgtype)

@@ -52,6 +52,8 @@ def stamps_of(log: EpisodeLog) -> tuple[int, np.ndarray]:
 def write_log(bag: BagWriter, log: EpisodeLog, joints: Sequence[str], height: float) -> None:
     """Writes a log with at least one control step.
 
+    Commands, plans and references have the time at which their control step began, everything else that of its end.
+
     Args:
         bag: The bag.
         log: The log.
@@ -73,16 +75,19 @@ def write_log(bag: BagWriter, log: EpisodeLog, joints: Sequence[str], height: fl
     plans: dict[int, list[np.ndarray]] = {}
     for step, path in log.references:
         plans.setdefault(min(step, len(log) - 1), []).append(path)
-    for row, stamp in enumerate(stamps.tolist()):
-        for path in plans.get(row, ()):  # made in the control step that ends now
-            bag.write(names.PLAN, stamp, _path(bag, stamp, path, height))
+    before = max(began, int(stamps[0]) - round(1e9 * float(log.header["control_period"])))
+    starts = [before, *stamps[:-1].tolist()]
+    for row, (start, stamp) in enumerate(zip(starts, stamps.tolist(), strict=True)):
+        for path in plans.get(row, ()):
+            bag.write(names.PLAN, start, _path(bag, start, path, height))
         bag.write(names.JOINT_STATES, stamp, _joint_state(bag, stamp, log, row, joints))
         for topic, values in commands.items():
             if values.shape[1] and np.isfinite(values[row]).all():
-                bag.write(topic, stamp, bag.array(values[row], "joint"))
+                bag.write(topic, start, bag.array(values[row], "joint"))
         for topic, values in poses.items():
             if values.shape[1] and np.isfinite(values[row]).all():
-                bag.write(topic, stamp, bag.pose_stamped(stamp, planar_transform(tuple(values[row]), height)))
+                time = start if topic == names.REFERENCE else stamp
+                bag.write(topic, time, bag.pose_stamped(time, planar_transform(tuple(values[row]), height)))
         for name, values in columns.items():
             value = values[row]
             message = bag.array(value, name) if value.ndim else bag.make("std_msgs/msg/Float64", data=float(value))

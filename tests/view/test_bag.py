@@ -103,13 +103,13 @@ def test_topics_have_the_types_and_the_profiles_that_ros_expects(file: Path):
 
 def test_messages_hold_what_the_record_holds(record: Path, messages: dict[str, list]):
     log = EpisodeLog.load(record)
-    row, stamp = 7, round(1e9 * log["time"][7])
+    row, start, stamp = 7, round(1e9 * log["time"][6]), round(1e9 * log["time"][7])
     for topic, column in (
         ("/velocity_controller/commands", "command"),
         ("/velocity_controller/commands_nominal", "planned_command"),
     ):
         time, message = messages[topic][row]
-        assert time == stamp
+        assert time == start, "the command is for the control step that begins"
         np.testing.assert_array_equal(message.data, log[column][row])
     joints = messages["/joint_states"][row][1]
     assert joints.name == [f"joint{i}" for i in range(1, 7)]
