@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,7 +25,7 @@ class _Edge:
 
     def at(self, time: float) -> np.ndarray | None:
         """Returns the latest transform at a time [s]; ``None`` before the first one. Static ones hold at all times."""
-        index = len(self.times) if self.static else int(np.searchsorted(self.times, time, side="right"))
+        index = len(self.times) if self.static else bisect_right(self.times, time)
         return self.transforms[index - 1] if index else None
 
 

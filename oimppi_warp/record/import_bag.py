@@ -197,7 +197,7 @@ def _checked_topic(bag: BagReader, option: str, topic: str, kinds: Collection[st
 def _check_limits(positions: Track, scene: Scene, joints: Sequence[str]) -> None:
     """Raises LogError if a joint is where the arm cannot be."""
     beyond = beyond_limits(scene.robot, positions.values)
-    row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+    row, joint = divmod(int(np.argmax(beyond)), len(joints))
     if beyond[row, joint] > BEYOND_LIMITS:
         raise LogError(
             f"{positions.source}: {joints[joint]} is at {positions.values[row, joint]:.4g}, at "
