@@ -26,6 +26,8 @@ _FOREVER = (9223372036, 854775807)
 """Duration that ROS 2 understands as infinite: seconds and nanoseconds."""
 _DEPTHS = {names.TF: 100}
 """Number of messages that late subscribers may be behind, where it is not 10."""
+_LISTED = 20
+"""Number of topics that an error message lists at most."""
 _METADATA = "metadata.yaml"
 
 
@@ -195,10 +197,16 @@ class BagReader:
                 content = self._reader.deserialize(data, connection.msgtype)
                 yield BagMessage(connection.topic, connection.msgtype, time, content)
 
-    def contents(self) -> str:
-        """Returns a list of the topics with their types, for error messages."""
-        listed = [f"{topic} ({kind.replace('/msg/', '/')})" for topic, kind in sorted(self.topics.items())]
-        return ", ".join(listed) if listed else "nothing"
+    def contents(self, kinds: Collection[str] = ()) -> str:
+        """Returns a list of the topics with their types, for error messages.
+
+        Args:
+            kinds: Types of the topics to list; empty: all.
+        """
+        topics = sorted((topic, kind) for topic, kind in self.topics.items() if not kinds or kind in kinds)
+        listed = [f"{topic} ({kind.replace('/msg/', '/')})" for topic, kind in topics[:_LISTED]]
+        more = [f"and {len(topics) - _LISTED} more"] if len(topics) > _LISTED else []
+        return ", ".join([*listed, *more]) or "none"
 
 
 def is_bag(path: str | Path) -> bool:
@@ -244,7 +252,7 @@ def _readable(path: Path) -> Iterator[None]:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError(
             f"{path}: cannot be read as a bag ({reason.rstrip('.')})\n"
-            "  to do:   copy it again, or repair it: `ros2 bag reindex FOLDER`, `mcap recover FILE`"
+            "  to do:   if it is cut off, copy it again, or repair it: `ros2 bag reindex FOLDER`, `mcap recover FILE`"
         ) from error
 
 

@@ -104,7 +104,7 @@ def read_log(path: str | Path) -> EpisodeLog:
     with BagReader(path) as bag:
         if RECORD not in bag.topics:
             raise LogError(
-                f"{path}: contains no record (there is no topic {RECORD}), but {bag.contents()}\n"
+                f"{path}: contains no record (there is no topic {RECORD}); its topics are: {bag.contents()}\n"
                 "  to do:   `oimppi import-bag BAG --scene SCENE` makes a record of a bag from a laboratory"
             )
         columns = {COLUMN + name: name for name in COLUMNS}

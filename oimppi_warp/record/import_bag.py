@@ -108,7 +108,7 @@ def import_bag(path: str | Path, scene: Scene, sources: BagSources | None = None
         commands = _command_topics(bag, chosen.commands)
         wanted = {states, *commands, names.TF, names.TF_STATIC} | ({pose} if pose else set())
         began, messages = _collect(bag, wanted)
-        contents = bag.contents()
+        with_poses = bag.contents(POSE_KINDS.keys())
     frames = FrameTree()
     static = [(time, message, True) for time, message in messages.get(names.TF_STATIC, [])]
     moving = [(time, message, False) for time, message in messages.get(names.TF, [])]
@@ -116,10 +116,9 @@ def import_bag(path: str | Path, scene: Scene, sources: BagSources | None = None
         frames.add(message.content, time, static=still)
     if not pose and frame not in frames.frames:
         raise LogError(
-            f"{path}: the object's pose is missing: there is neither a topic nor a frame {chosen.object or frame}"
-            f"; the topics are {contents}; the frames are {', '.join(frames.frames) or 'none'}\n"
-            "  to do:   --object NAME, a topic of PoseStamped, PoseWithCovarianceStamped, Odometry or Detection3D, "
-            "or a frame"
+            f"{path}: the object's pose is missing: there is neither a topic nor a frame {chosen.object or frame}\n"
+            f"  allowed: topics with a pose: {with_poses}; frames: {', '.join(frames.frames) or 'none'}\n"
+            "  to do:   --object NAME"
         )
     position, velocity = joint_tracks(messages.get(states, []), joints)
     _check_limits(position, scene, joints)
@@ -157,7 +156,7 @@ def _state_topic(bag: BagReader, asked: str | None) -> str:
         return found[0]
     what = f"several topics of joint states: {', '.join(sorted(found))}" if found else "no joint states"
     raise LogError(
-        f"{bag.path}: the bag has {what}; its topics are {bag.contents()}\n"
+        f"{bag.path}: the bag has {what}; its topics are: {bag.contents()}\n"
         "  to do:   --joint-states TOPIC, a topic of the type sensor_msgs/JointState"
     )
 
@@ -187,7 +186,10 @@ def _checked_topic(bag: BagReader, option: str, topic: str, kinds: Collection[st
     """
     allowed = " or ".join(kind.replace("/msg/", "/") for kind in kinds)
     if topic not in bag.topics:
-        raise ConfigError(f"{option} {topic}: no such topic in the bag\n  allowed: {bag.contents()}")
+        raise ConfigError(
+            f"{option} {topic}: no such topic in the bag; its topics are: {bag.contents()}\n"
+            f"  allowed: a topic of the type {allowed}"
+        )
     if bag.topics[topic] not in kinds:
         found = bag.topics[topic].replace("/msg/", "/")
         raise ConfigError(f"{option} {topic}: the topic has the type {found}\n  allowed: a topic of the type {allowed}")

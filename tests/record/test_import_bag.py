@@ -198,7 +198,7 @@ BROKEN: dict[str, tuple[Callable[[LabBag], None], dict, str]] = {
     "no joint states": (
         _no_states,
         {},
-        r"no joint states; its topics are /tf \(tf2_msgs/TFMessage\), .*--joint-states",
+        r"no joint states; its topics are: /tf \(tf2_msgs/TFMessage\), .*--joint-states",
     ),
     "two arms": (_second_arm, {}, "several topics of joint states: /left, /right.*--joint-states"),
     "other joints": (_other_names, {}, "no message has the joints joint1, .*but left, right.*--joint-names"),
@@ -210,7 +210,7 @@ BROKEN: dict[str, tuple[Callable[[LabBag], None], dict, str]] = {
     "no object": (
         _no_object,
         {},
-        "neither a topic nor a frame fp_object_pose; .*the frames are camera, world.*--object",
+        "neither a topic nor a frame fp_object_pose\n.*pose: none; frames: camera, world\n.*--object",
     ),
     "no such object": (lambda bag: None, {"object": "cup"}, "neither a topic nor a frame cup"),
     "an object without a pose": (lambda bag: None, {"object": "/joint_states"}, "has the type sensor_msgs/JointState"),
@@ -220,7 +220,11 @@ BROKEN: dict[str, tuple[Callable[[LabBag], None], dict, str]] = {
     "no such world": (lambda bag: None, {"world_frame": "map"}, "not connected to map.*--world-frame"),
     "frames in a loop": (_loop, {}, "are a loop"),
     "a long command": (_long_command, {}, "/velocity_controller/commands: a message has 7 velocities"),
-    "no such commands": (lambda bag: None, {"commands": "/cmd"}, "--commands /cmd: no such topic in the bag\n.*/tf"),
+    "no such commands": (
+        lambda bag: None,
+        {"commands": "/cmd"},
+        "--commands /cmd: no such topic in the bag; its topics are: /joint.*/tf",
+    ),
     "no such states": (lambda bag: None, {"joint_states": "/js"}, "--joint-states /js: no such topic"),
     "an object after the arm": (_late_object, {}, "joint states .0.00 to 4.00 s. and poses of the object .9.00"),
 }
