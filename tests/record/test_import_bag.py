@@ -110,6 +110,44 @@ def test_other_names_of_topics_frames_and_joints_can_be_given(scene: Scene, tmp_
     np.testing.assert_array_equal(log["command"], np.tile(np.arange(6)[::-1], (10, 1)))
 
 
+def test_the_first_point_of_a_trajectory_is_a_command(scene: Scene, tmp_path: Path):
+    bag = make_bag()
+    still = bag.make("builtin_interfaces/Duration", sec=0, nanosec=0)
+    nothing = np.zeros(0)
+    points = [
+        bag.make(
+            "trajectory_msgs/JointTrajectoryPoint",
+            positions=nothing,
+            velocities=np.array(speeds, dtype=float),
+            accelerations=nothing,
+            effort=nothing,
+            time_from_start=still,
+        )
+        for speeds in (np.arange(6), np.zeros(6))
+    ]
+    header = bag.header(0.7, "")
+    asked = bag.make("trajectory_msgs/JointTrajectory", header=header, joint_names=list(JOINTS[::-1]), points=points)
+    bag.add(0.7, "/asked", asked)
+    log = imported(bag, scene, tmp_path / "bag", commands="/asked").log
+    assert np.isnan(log["command"][:4]).all(), "nothing had been commanded"
+    np.testing.assert_array_equal(log["command"][4:], np.tile(np.arange(6)[::-1], (STEPS - 4, 1)))
+    assert "planned_command" not in log.columns
+
+
+def test_a_detection_without_hypotheses_has_the_pose_of_its_box(scene: Scene, tmp_path: Path):
+    bag = make_bag(pose="none")
+    size = bag.vector("geometry_msgs/Vector3", (0.1, 0.1, 0.1))
+    box = bag.make("vision_msgs/BoundingBox3D", center=bag.pose((0.4, 0.1, 0), (0, 0, 0, 1)), size=size)
+    in_world = bag.header(0.5, "world")
+    found = bag.make("vision_msgs/Detection3D", header=in_world, results=[], bbox=box, id="")
+    for time, detections in ((0.5, [found]), (1.5, [])):
+        message = bag.make("vision_msgs/Detection3DArray", header=in_world, detections=detections)
+        bag.add(time, "/found", message)
+    result = imported(bag, scene, tmp_path / "bag", object="/found")
+    np.testing.assert_allclose(result.log["object_pose"], np.tile([0.4, 0.1, 0.0], (STEPS, 1)), atol=1e-12)
+    assert len(result.tracks["object"].times) == 1, "nothing was found the second time"
+
+
 def test_a_record_of_a_bag_is_saved_and_has_metrics(scene: Scene, tmp_path: Path):
     bag = make_bag(pose="none")
     x, y, yaw = scene.goal
