@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import FlagCreatePairsOff, arg, subcommand
 
+from oimppi_warp.cli.bag import ImportBag
 from oimppi_warp.cli.bench import Bench, Compare, Report
 from oimppi_warp.cli.check import Check
 from oimppi_warp.cli.demos import Demos
@@ -151,6 +152,7 @@ Command = (
     | Annotated[Demos, subcommand("demos", prefix_name=False)]
     | Annotated[View, subcommand("view", prefix_name=False)]
     | Annotated[Export, subcommand("export", prefix_name=False)]
+    | Annotated[ImportBag, subcommand("import-bag", prefix_name=False)]
     | Annotated[
         SceneCommand,
         subcommand(

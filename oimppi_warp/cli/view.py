@@ -35,8 +35,9 @@ class View(TaskOptions):
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
     """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
 
-    replay: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
-    """Folder of a record to replay, as written by `oimppi run --record` or by a trial of `oimppi bench`."""
+    replay: Annotated[Path | None, arg(metavar="DIR|BAG", help_behavior_hint="")] = None
+    """Record to replay: a folder written by `oimppi run --record` or by a trial of `oimppi bench`,
+    or a bag written by `oimppi export --to mcap` or `--to rosbag2`."""
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
     """Network address to listen on; 0.0.0.0 allows connections from other machines."""
@@ -114,16 +115,17 @@ def open_page(url: str) -> bool:
 
 @dataclass(frozen=True)
 class Export:
-    """Export a record as a web page, a USD animation, a video, or a log for Foxglove."""
+    """Export a record as a web page, a USD animation, a video, or a ROS 2 bag."""
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
-    """Folder of the record, as written by `oimppi run --record` or by a trial of `oimppi bench`."""
+    """Folder of the record, as written by `oimppi run --record` or by a trial of `oimppi bench`, or its bag."""
 
-    to: Literal["html", "usd", "mp4", "mcap"] = "html"
-    """Format: self-contained web page (html), USD animation (usd), video from above (mp4), or Foxglove log (mcap)."""
+    to: Literal["html", "usd", "mp4", "mcap", "rosbag2"] = "html"
+    """Format: self-contained web page (html), USD animation (usd), video from above (mp4),
+    ROS 2 bag as one file, for Foxglove and `ros2 bag` (mcap), or as a folder with metadata.yaml (rosbag2)."""
 
     output: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: in the record's folder)")] = None
-    """File to write."""
+    """File to write; with rosbag2, folder to write."""
 
     def execute(self) -> int:
         """Writes the export and returns the exit status."""

@@ -35,11 +35,13 @@ def draw(log: EpisodeLog, scene: Scene, folder: str | Path) -> tuple[Path, ...]:
 
     Returns:
         The files written: ``way.png`` (the object's path from above), ``errors.png`` (errors, clearance and costs over
-        time) and ``plan_times.png``.
+        time) and, if anything was planned, ``plan_times.png``.
     """
     files = []
     with matplotlib.rc_context(STYLE):
-        figures = {"way": path_figure(log, scene), "errors": errors_figure(log), "plan_times": plan_times_figure(log)}
+        figures = {"way": path_figure(log, scene), "errors": errors_figure(log)}
+        if not len(log) or np.isfinite(log["plan_ms"]).any():
+            figures["plan_times"] = plan_times_figure(log)
         for name, figure in figures.items():
             write_atomically(Path(folder) / f"{name}.png", rendered(figure))
             files.append(Path(folder) / f"{name}.png")

@@ -30,6 +30,7 @@ problems           ``[step, reason]`` for each step at which no plan could be ma
 filtered           Number of steps in which the safety filter changed the command, by what it was changed for
 ended              Reason for the end: ``success``, ``time limit``, ``object fell``, ``interrupted``, ``diverged``
 versions           Versions of Python and packages, see :func:`versions`
+began_ns           Time at which ``time`` was zero, since the epoch [ns]; only in records of bags
 ================== ==================================================================================================
 
 Records written by earlier versions may lack ``scores``, ``threads``, ``requested``, ``engine_reason``, ``plant`` and
@@ -45,7 +46,7 @@ import os
 import platform
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib import metadata
 from pathlib import Path
@@ -81,6 +82,7 @@ COLUMNS: dict[str, Column] = {
     "joint_position": Column(("dof",), "rad", "joint positions at the end of the step"),
     "joint_velocity": Column(("dof",), "rad/s", "joint velocities at the end of the step"),
     "command": Column(("dof",), "rad/s", "joint velocities commanded during the step, within the limits"),
+    "planned_command": Column(("dof",), "rad/s", "the same as planned, before the safety filter and the limits"),
     "joint_acceleration": Column((), "rad/s^2", "largest commanded acceleration of a joint during the step"),
     "joint_jerk": Column((), "rad/s^3", "largest commanded jerk of a joint during the step"),
     "filtered": Column((), "1", "1 if the safety filter changed the command; the header's `filtered` counts for what"),
@@ -88,6 +90,7 @@ COLUMNS: dict[str, Column] = {
     "tool_position": Column((3,), "m", "position of the tool's tip at the end of the step"),
     "object_pose": Column((3,), "m, m, rad", "planar pose of the object at the end of the step"),
     "estimated_pose": Column((3,), "m, m, rad", "estimate of the object's pose that the planner uses at that time"),
+    "reference_pose": Column((3,), "m, m, rad", "next pose of the object plan that the robot level follows"),
     "detection": Column((), "1", "result of processing a detection in this step, as an index of EVENTS"),
     "position_error": Column((), "m", "distance of the object from its goal"),
     "yaw_error": Column((), "rad", "absolute angle between the object and its goal, from 0 to pi"),
@@ -175,6 +178,11 @@ class EpisodeLog:
             return self._data[name][: self._rows]
         return np.full((self._rows, *(size if isinstance(size, int) else 0 for size in column.shape)), np.nan)
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Returns the names of the columns that at least one row had."""
+        return tuple(name for name in COLUMNS if name in self._data)
+
     def append(self, **row: Any) -> None:
         """Adds one control step; omitted columns are NaN.
 
@@ -215,7 +223,7 @@ class EpisodeLog:
         steps = np.array([step for step, _ in self.references], dtype=int)
         lengths = np.array([len(path) for _, path in self.references], dtype=int)
         points = np.concatenate([np.empty((0, 3)), *(path for _, path in self.references)])
-        arrays = {name: self[name] for name in COLUMNS if name in self._data}
+        arrays = {name: self[name] for name in self.columns}
         arrays |= {"reference_steps": steps, "reference_lengths": lengths, "reference_points": points}
         packed = io.BytesIO()
         np.savez_compressed(packed, allow_pickle=False, **arrays)
@@ -238,12 +246,12 @@ class EpisodeLog:
         """
         folder = Path(folder)
         try:
-            log = cls(json.loads((folder / _JSON).read_text(encoding="utf-8")))
+            header = json.loads((folder / _JSON).read_text(encoding="utf-8"))
             with np.load(folder / _NPZ, allow_pickle=False) as arrays:
-                log._data = {name: arrays[name] for name in arrays.files if name in COLUMNS}
+                columns = {name: arrays[name] for name in arrays.files if name in COLUMNS}
                 ends = np.cumsum(arrays["reference_lengths"])
                 paths = np.split(arrays["reference_points"], ends)[: len(ends)]
-                log.references = list(zip(arrays["reference_steps"].tolist(), paths, strict=True))
+                references = list(zip(arrays["reference_steps"].tolist(), paths, strict=True))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             reason = str(error)
             if isinstance(error, OSError) and error.filename:
@@ -251,7 +259,31 @@ class EpisodeLog:
             raise LogError(
                 f"{folder}: contains no complete record ({reason})\n  allowed: a folder with {_NPZ} and {_JSON}"
             ) from error
+        return cls.of_columns(header, columns, references)
+
+    @classmethod
+    def of_columns(
+        cls,
+        header: Mapping[str, Any],
+        columns: Mapping[str, np.ndarray],
+        references: Sequence[tuple[int, np.ndarray]] = (),
+    ) -> EpisodeLog:
+        """Returns a log with whole columns.
+
+        Args:
+            header: Description of the run, see the module's table.
+            columns: Columns by name, shape [steps, ...].
+            references: Object plans, see the class.
+
+        Raises:
+            KeyError: There is no such column.
+        """
+        if unknown := columns.keys() - COLUMNS.keys():
+            raise KeyError(f"no such column: {', '.join(sorted(unknown))}; the columns are {', '.join(COLUMNS)}")
+        log = cls(header)
+        log._data = dict(columns)
         log._rows = max((len(array) for array in log._data.values()), default=0)
+        log.references = list(references)
         return log
 
 

@@ -68,6 +68,7 @@ class ControlStep:
         peak_acceleration, peak_jerk: See :class:`oimppi_warp.plants.drive.Drive`.
         sent: Time on the wall clock at which the command was sent, since the first [s]; NaN in lock step.
         halted: Why the arm of a real plant had to be at rest; empty if it might move.
+        planned: The command before the filter and the limits, shape [dof] [rad/s].
     """
 
     command: np.ndarray
@@ -86,6 +87,7 @@ class ControlStep:
     peak_jerk: float = math.nan
     sent: float = math.nan
     halted: str = ""
+    planned: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +148,13 @@ def lock_step(
                 known = estimator.predict(known, drive.pending())
             timed_plan = timed_planner.plan(known)
             command = timed_plan.plan.command
-        filtered = filtered_command(guard, drive, observation, command)
+        planned, filtered = command, filtered_command(guard, drive, observation, command)
         command = drive.apply(filtered.joint_velocity)
         observation = _observed(plant, dof)
         known = _known(estimator, observation)
         step = _control_step(drive, command, timed_plan, observation, known, estimator)
-        yield replace(step, stopped=step.stopped or lost or filtered.stopped, filtered=filtered)
+        stopped = step.stopped or lost or filtered.stopped
+        yield replace(step, stopped=stopped, filtered=filtered, planned=planned)
 
 
 def real_time(
@@ -231,7 +234,14 @@ def real_time(
             step = _control_step(drive, sent, timed_plan, observation, known, estimator)
             stopped = stopped or halted or filtered.stopped
             yield replace(
-                step, missed=missed, stopped=stopped, lag=max(-left, 0.0), filtered=filtered, sent=at, halted=reason
+                step,
+                missed=missed,
+                stopped=stopped,
+                lag=max(-left, 0.0),
+                filtered=filtered,
+                sent=at,
+                halted=reason,
+                planned=command,
             )
     finally:
         if isinstance(plant, RealPlant):

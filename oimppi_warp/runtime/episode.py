@@ -361,6 +361,7 @@ class Episode:
             joint_position=truth.joint_position,
             joint_velocity=truth.joint_velocity,
             command=step.command,
+            planned_command=np.full(self.scene.robot.dof, np.nan) if step.planned is None else step.planned,
             tool_position=tip_frame(self.scene.robot, truth.joint_position)[1],
             object_pose=truth.object_pose,
             estimated_pose=step.estimate,
@@ -428,7 +429,9 @@ def _packages(spec: RunSpec, config: Config) -> dict[str, str]:
 
 def _of_plan(plan: Plan) -> dict[str, Any]:
     """Returns the columns that a new plan fills."""
+    ahead = plan.reference[:2]
     return {
+        "reference_pose": ahead[-1] if len(ahead) else np.full(3, np.nan),
         "object_plan_ms": 1e3 * plan.object_seconds,
         "effective_samples": plan.update.effective_samples,
         "object_effective_samples": plan.object_update.effective_samples if plan.object_update else np.nan,

@@ -1,9 +1,10 @@
-"""Exports a recorded episode as a web page, a USD animation, a video or a log for Foxglove."""
+"""Exports a recorded episode as a web page, a USD animation, a video or a ROS 2 bag."""
 
 from __future__ import annotations
 
 import io
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
 from fractions import Fraction
@@ -83,14 +84,25 @@ def export_mp4(replay: Replay, file: Path) -> None:
 
 
 def export_mcap(replay: Replay, file: Path) -> None:
-    """Writes an MCAP file with the scene, its transforms and the plotted values, in Foxglove's schemas."""
-    _import_optional("foxglove", "mcap")
-    from oimppi_warp.view.mcap import write_mcap
+    """Writes an MCAP file with ROS 2 messages, for Foxglove, ``ros2 bag`` and :func:`oimppi_warp.record.bag_record`."""
+    from oimppi_warp.view.bag import write_bag
 
     with tempfile.TemporaryDirectory() as folder:
-        partial = Path(folder) / "episode.mcap"
-        write_mcap(replay, partial, rows_of(replay))
-        write_atomically(file, partial.read_bytes())
+        write_atomically(file, write_bag(replay, Path(folder) / "episode").read_bytes())
+
+
+def export_rosbag2(replay: Replay, folder: Path) -> None:
+    """Writes a rosbag2 folder: the MCAP file, and the ``metadata.yaml`` that older versions of ``ros2 bag`` need."""
+    from oimppi_warp.view.bag import write_bag
+
+    if folder.exists():
+        raise ConfigError(f"--output {folder}: exists already\n  to do:   remove it, or choose another path")
+    partial = folder.with_name(f".{folder.name}.{os.getpid()}") / folder.name
+    try:
+        write_bag(replay, partial)
+        partial.rename(folder)
+    finally:
+        shutil.rmtree(partial.parent, ignore_errors=True)
 
 
 EXPORTS: dict[str, Callable[[Replay, Path], None]] = {
@@ -98,6 +110,7 @@ EXPORTS: dict[str, Callable[[Replay, Path], None]] = {
     "usd": export_usd,
     "mp4": export_mp4,
     "mcap": export_mcap,
+    "rosbag2": export_rosbag2,
 }
 """Export formats of an episode."""
 
@@ -106,27 +119,29 @@ def export(folder: Path, to: str, output: Path | None = None) -> Path:
     """Exports a record.
 
     Args:
-        folder: A record's folder, as written by ``--record``.
+        folder: A record's folder, as written by ``--record``, or a bag that was exported from one.
         to: One of :data:`EXPORTS`.
-        output: File to write; ``None``: ``episode`` with the format's suffix, in the record's folder.
+        output: File to write, or the folder with ``rosbag2``; ``None``: ``episode`` with the format's suffix, in the
+            record's folder, or the bag's name with that suffix, beside the bag.
 
     Returns:
-        The file that was written.
+        The file or folder that was written.
 
     Raises:
-        LogError: The folder contains no record.
+        LogError: There is no record.
         ConfigError: The export cannot be written, or a package is missing.
     """
     replay = Replay(folder)
-    suffix = ".usdc" if to == "usd" else f".{to}"
-    file = folder / f"episode{suffix}" if output is None else output
+    suffix = {"usd": ".usdc", "rosbag2": ""}.get(to, f".{to}")
+    beside = folder / "episode" if folder.is_dir() else folder.with_suffix("")
+    file = beside.with_name(beside.name + suffix) if output is None else output
     if to == "usd" and file.suffix not in (".usd", ".usda", ".usdc"):
         raise ConfigError(f"--output {file}: not a USD file name\n  allowed: names ending in .usd, .usda or .usdc")
     try:
         file.absolute().parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"--output {file}: {error}\n  allowed: a file in a folder that can be created") from error
-    if file.is_dir() or not os.access(file.absolute().parent, os.W_OK):
+    if (file.is_dir() and to != "rosbag2") or not os.access(file.absolute().parent, os.W_OK):
         raise ConfigError(f"--output {file}: cannot be written\n  allowed: a file in a writable folder")
     EXPORTS[to](replay, file)
     return file

@@ -10,6 +10,7 @@ import numpy as np
 
 from oimppi_warp.errors import SceneError
 from oimppi_warp.observation import planar_transform
+from oimppi_warp.record.bag_record import load_record
 from oimppi_warp.record.log import EpisodeLog, LogError
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.scene import Scene
@@ -33,17 +34,18 @@ class Replay:
     """A record as a sequence of pictures, one for each control step.
 
     Args:
-        folder: A record's folder, as written by ``--record``.
+        path: A record's folder, as written by ``--record``, or a bag that was exported from one.
 
     Raises:
-        LogError: The folder contains no complete record, or the record has no control steps.
+        LogError: There is no complete record, or the record has no control steps.
+        ConfigError: The path is that of a bag, and the package rosbags is not installed.
         SceneError: The record's scene is neither at its original location nor a shipped one.
     """
 
-    def __init__(self, folder: str | Path) -> None:
-        self.log = EpisodeLog.load(folder)
+    def __init__(self, path: str | Path) -> None:
+        self.log = load_record(path)
         if not len(self.log):
-            raise LogError(f"{folder}: the record has no control steps\n  allowed: a record with at least one")
+            raise LogError(f"{path}: the record has no control steps\n  allowed: a record with at least one")
         self.scene = _scene_of(self.log)
 
     def __len__(self) -> int:

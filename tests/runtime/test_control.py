@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import islice
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config, Safety
 from oimppi_warp.observation import Observation
 from oimppi_warp.plants.drive import Drive
+from oimppi_warp.plants.safety_filter import Filtered
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.runtime.control import ControlStep, lock_step, real_time
 from oimppi_warp.runtime.episode import Episode
@@ -189,6 +190,30 @@ def test_in_lock_step_every_control_step_has_its_plan():
     assert numbers(plant) == [1, 2, 3, 4]
     assert all(step.plan is not None and not step.missed for step in steps)
     np.testing.assert_allclose([asked.time for asked in clock.asked], PERIOD * np.arange(4))
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_a_step_has_the_command_as_planned_and_as_the_filter_let_it_pass(mode: str):
+    class Halving:
+        """A filter that lets half of every command pass."""
+
+        def project(self, joints: np.ndarray, command: np.ndarray, before: np.ndarray) -> Filtered:
+            return Filtered(0.5 * command, reason="half of it")
+
+    plant, clock, guard = FakePlant(), Clock([1]), cast(Any, Halving())
+    estimator = Estimator(plant.scene, Config())
+    loop = lock_step(Drive(plant, 6), clock, estimator, dof=6, guard=guard)
+    if mode == "realtime":
+        loop = real_time(
+            Drive(plant, 6), clock, estimator, dof=6, expires=0.12, guard=guard, clock=clock.time, sleep=clock.sleep,
+            executor=cast(Any, FakePool(clock)),
+        )  # fmt: skip
+    steps = list(islice(loop, 4))
+    loop.close()
+    first = 1 if mode == "lockstep" else 0
+    planned = np.array([step.planned for step in steps])
+    np.testing.assert_allclose(planned[:, 0], 0.01 * (first + np.arange(4)))
+    np.testing.assert_allclose([step.command for step in steps], 0.5 * planned)
 
 
 def lab_episode(*options: str, seed: int = 0, mode: Any = "lockstep") -> Episode:

@@ -261,14 +261,6 @@ def test_a_video_has_a_frame_for_each_step(record):
         assert sum(1 for _ in video.decode(video=0)) == len(rows_of(Replay(record)))
 
 
-def test_an_mcap_file_has_shapes_transforms_and_figures(record):
-    pytest.importorskip("foxglove")
-    content = export(record, "mcap").read_bytes()
-    assert content[:5] == b"\x89MCAP" and content[-5:-3] == b"AP"
-    for word in (b"/tf", b"/scene", b"/figures", b"foxglove.SceneUpdate"):
-        assert word in content
-
-
 def test_a_folder_without_a_record_and_a_place_that_cannot_be_written_are_refused(record, tmp_path):
     with pytest.raises(LogError, match="no complete record"):
         export(tmp_path, "html")
