@@ -147,6 +147,11 @@ class Joint(_ReadOnly):
     friction: float = 0.0
     damping: float = 0.0
 
+    @property
+    def name(self) -> str:
+        """Returns the last part of :attr:`path`."""
+        return self.path.rpartition("/")[2]
+
 
 @dataclass(frozen=True, eq=False)
 class Robot(_ReadOnly):

@@ -69,7 +69,7 @@ def write_bag(replay: Replay, folder: Path) -> Path:
         still = {frames[body]: posed.state.body_q.numpy()[body] for body in fixed} | {GOAL_FRAME: goal}
         bag.write(names.TF_STATIC, began, bag.transforms(began, still), latched=True)
         bag.write(names.MARKERS, began, _markers(bag, began, posed, frames, scene.object.path), latched=True)
-        write_log(bag, log, [joint.path.rpartition("/")[2] for joint in scene.robot.joints], scene.object.rest_height)
+        write_log(bag, log, [joint.name for joint in scene.robot.joints], scene.object.rest_height)
         for row, stamp in enumerate(stamps.tolist()):
             picture = replay.picture(row)
             posed.pose(picture.joints, picture.object_transform)

@@ -48,7 +48,7 @@ class Ros2Lab(RealTimeLab):
     Args:
         scene, lab, start, joints, seed: See :class:`oimppi_warp.plants.realtime_lab.RealTimeLab`.
         link: The connection; the lab ends it.
-        joint_names: Names of the joints.
+        joint_names: Names of the joints; ``None``: those in the scene.
         commands: Topic of the commands as ``std_msgs/msg/Float64MultiArray``; those of the other types are below it.
 
     Attributes:
@@ -73,7 +73,7 @@ class Ros2Lab(RealTimeLab):
     ) -> None:
         super().__init__(scene, lab, start=start, joints=joints, seed=seed)
         dof = scene.robot.dof
-        self.names = joint_names or [f"joint{i + 1}" for i in range(dof)]
+        self.names = joint_names or [joint.name for joint in scene.robot.joints]
         self.taken = self.refused = self.expired = 0
         self.frozen, self.stamp_error = False, 0.0
         self._link, self._cycles = link, 0

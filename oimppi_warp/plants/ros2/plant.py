@@ -94,7 +94,7 @@ class Setup:
 
     Attributes:
         joint_states: Topic of the joint states.
-        joint_names: Names of the joints, in the scene's order, with commas; empty: joint1 and so on.
+        joint_names: Names of the joints, in the scene's order, with commas; empty: those in the scene.
         object: Topic of the object's pose, with a slash in front, or TF frame of the object.
         object_type: Type of that topic; empty: as it is published.
         world: TF frame of the scene, whose origin is the robot's base.
@@ -176,8 +176,8 @@ def _joint_names(text: str, scene: Scene) -> list[str]:
     Raises:
         ConfigError: There are too few or too many.
     """
-    dof = scene.robot.dof
-    names = [name.strip() for name in text.split(",") if name.strip()] or [f"joint{i + 1}" for i in range(dof)]
+    dof, own = scene.robot.dof, [joint.name for joint in scene.robot.joints]
+    names = [name.strip() for name in text.split(",") if name.strip()] or own
     if len(names) != dof:
         raise ConfigError(
             f"joint_names has {len(names)} names\n  allowed: {dof}, one for each joint of the scene's robot"
