@@ -14,7 +14,7 @@ COMPILE := uv pip compile --no-config --universal --python-version 3.11 --genera
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help install demo view test nightly lint format types bench gpu-pack gpu-rehearsal scenes wheel ci lock clean
+.PHONY: help install demo view test nightly lint format types site bench gpu-pack gpu-rehearsal scenes wheel ci lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -35,7 +35,7 @@ $(EXTRAS_ENV): $(LOCK_ENV) requirements-extras.lock
 	@touch $@
 
 demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
-	$(BIN)/oimppi run task02 --start 1 --record runs/demo --force
+	$(BIN)/oimppi demo --record runs/demo --force
 
 view: $(LOCK_ENV) ## watch the task of `make demo` in a browser, and change the task while it runs
 	$(BIN)/oimppi view task02 --start 1
@@ -57,6 +57,9 @@ format: $(EXTRAS_ENV) ## format and fix the code with ruff
 
 types: $(EXTRAS_ENV) ## check types with pyright
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+site: $(EXTRAS_ENV) ## build the documentation site in build/site; a broken link is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet --config-file tools/site/mkdocs.yml
 
 bench: $(LOCK_ENV) ## measure the planning time of each stage
 	$(BIN)/python tools/bench_plan.py

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -140,3 +141,25 @@ def test_every_folder_of_scene_files_is_a_package_that_the_wheel_takes():
     for folder in {path.parent for path in (ROOT / "scenes").rglob("*.usda")}:
         parts = folder.relative_to(ROOT).parts
         assert ".".join(("oimppi_warp", *parts)) in found
+
+
+def test_the_citation_is_of_this_version():
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {oimppi_warp.__version__}\n" in citation
+    assert "Object-Informed Model Predictive Path Integral Control for Non-Prehensile Robot Manipulation" in citation
+
+
+def test_the_image_is_made_of_files_that_are_there_and_not_ignored():
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    copied = {
+        name for line in lines if line.startswith("COPY ") and "--from" not in line for name in line.split()[1:-1]
+    }
+    let_through = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert {"requirements.lock", "pyproject.toml", "kernels", "scenes", "oimppi_warp"} <= copied == let_through
+    assert all((ROOT / name).exists() for name in copied)
+
+
+@pytest.mark.skipif(shutil.which("hadolint") is None, reason="hadolint is not installed")
+def test_hadolint_finds_nothing_in_the_dockerfile():
+    done = subprocess.run(["hadolint", "Dockerfile"], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "")

@@ -113,6 +113,40 @@ class Run(TaskOptions):
 
 
 @dataclass(frozen=True)
+class Demo:
+    """Push the T block around a cube to its goal, and print what to try next.
+
+    This is `oimppi run task02 --start 1 --record oimppi-demo`. Exit status: that of `oimppi run`.
+    """
+
+    record: Annotated[Path, arg(metavar="DIR")] = Path("oimppi-demo")
+    """Folder to which the log and plots are written. If it holds a record, a numbered folder beside it is used."""
+
+    force: FlagCreatePairsOff[bool] = False
+    """Overwrite the record that the folder holds."""
+
+    def execute(self) -> int:
+        """Runs the episode, prints what to try next and returns the exit status."""
+        from oimppi_warp.record.log import unused_folder
+
+        _check_outputs(self.record, None)
+        record = self.record if self.force else unused_folder(self.record)
+        status = Run("task02", start="1", record=record, force=self.force).execute()
+        if status in (0, 1):
+            tips = {
+                f"view --replay {record}": "replay it in the browser",
+                f"export {record} --to html": "write it as one page, to keep or to send",
+                "view task02 --start 1": "watch the planner live, and change the task meanwhile",
+                "scene new my_task --object letter:S": "write a task of your own",
+            }
+            width = max(map(len, tips))
+            print(f"\n{record / 'way.png'} shows the path of the T from above. What to try next:")
+            print("\n".join(f"  oimppi {words:{width}}  {what}" for words, what in tips.items()))
+            print("If you started this with `pipx run` or `uvx`, replace only the word `demo`.")
+        return status
+
+
+@dataclass(frozen=True)
 class Scenes:
     """List the shipped scenes, one per line."""
 
@@ -145,7 +179,8 @@ Ros2Command = (
 """The subcommands of ``oimppi ros2``."""
 
 Command = (
-    Annotated[Run, subcommand("run", prefix_name=False)]
+    Annotated[Demo, subcommand("demo", prefix_name=False)]
+    | Annotated[Run, subcommand("run", prefix_name=False)]
     | Annotated[Bench, subcommand("bench", prefix_name=False)]
     | Annotated[Report, subcommand("report", prefix_name=False)]
     | Annotated[Compare, subcommand("compare", prefix_name=False)]
