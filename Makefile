@@ -9,6 +9,8 @@ EXTRAS_ENV := $(VENV)/.installed-extras
 BIN := $(VENV)/bin
 COMPILE := uv pip compile --no-config --universal --python-version 3.11 --generate-hashes --fork-strategy fewest \
 	--no-emit-index-url --no-emit-find-links --no-header --no-annotate --upgrade -q
+# All extras but `rerun`, which is large.
+LOCKED_EXTRAS = $(shell sed -n '/^\[project.optional/,/^\[dep/s/^\([a-z0-9]*\) = \[.*/\1/p' pyproject.toml | grep -vx rerun)
 
 # One thread for NumPy's linear algebra; more threads slow down the planner's kernels.
 export OMP_NUM_THREADS ?= 1
@@ -81,7 +83,7 @@ ci: ## run all steps of the continuous integration locally
 
 lock: ## update the dependency locks (needs uv)
 	$(COMPILE) --group build pyproject.toml -o requirements.lock
-	$(COMPILE) --all-extras -c requirements.lock pyproject.toml -o requirements-extras.lock \
+	$(COMPILE) $(LOCKED_EXTRAS:%=--extra %) -c requirements.lock pyproject.toml -o requirements-extras.lock \
 		$$(sed -n 's/^\([a-z0-9-]*\)==.*/--no-emit-package \1/p' requirements.lock)
 
 clean: ## remove build products and caches, except .venv

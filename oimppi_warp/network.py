@@ -114,6 +114,25 @@ def check_listening(host: str, port: int) -> None:
         raise ConfigError(f"cannot listen at {host}, port {port}: {error.strerror}\n  to do:   {remedy}") from None
 
 
+def free_port(host: str, port: int) -> int:
+    """Returns the first port from a given one on at which nothing listens.
+
+    Args:
+        host: Address of this machine.
+        port: First port to try.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    for number in range(port, 65536):
+        with socket.socket(family, kind, protocol) as tried, suppress(OSError):
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            tried.bind((where[0], number, *where[2:]))
+            return number
+    raise ConfigError(f"no port from {port} on is free at {host}\n  to do:   choose a lower port")
+
+
 def page_url(host: str, port: int) -> str:
     """Returns the URL of a page that is served at an address.
 

@@ -60,17 +60,22 @@ def build(source: Path, out: Path, kind: str) -> Path:
     return made
 
 
+def make_wheel(folder: Path) -> Path:
+    """Build the wheel in a folder, from the source distribution of a clean checkout, and return it."""
+    checkout, out, unpacked = folder / "checkout", folder / "out", folder / "unpacked"
+    out.mkdir()
+    shutil.copytree(ROOT, checkout, symlinks=True, ignore=IGNORED)
+    with tarfile.open(build(checkout, out, "sdist")) as archive:
+        archive.extractall(unpacked, filter="data")
+    (source,) = unpacked.iterdir()
+    return build(source, out, "wheel")
+
+
 def main() -> None:
     """Build and install the wheel, then test it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        checkout, out, unpacked = folder / "checkout", folder / "out", folder / "unpacked"
-        out.mkdir()
-        shutil.copytree(ROOT, checkout, symlinks=True, ignore=IGNORED)
-        with tarfile.open(build(checkout, out, "sdist")) as archive:
-            archive.extractall(unpacked, filter="data")
-        (source,) = unpacked.iterdir()
-        wheel = build(source, out, "wheel")
+        wheel = make_wheel(folder)
         packed = [Path(member).suffix for member in zipfile.ZipFile(wheel).namelist()]
         size = wheel.stat().st_size // 1024
         print(f"built {wheel.name}: {size} KiB, {packed.count('.py')} modules, {packed.count('.usda')} USD files")

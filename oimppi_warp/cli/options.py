@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
 
-_REAL = ("xarm", "ros2")
+REAL = ("xarm", "ros2")
 """Plants that are real arms."""
 _TELL = 2.0
 """Interval of notices that something is still being done [s]."""
@@ -70,9 +70,9 @@ class HardwareOptions:
             ConfigError: The plant is no real arm.
         """
         given = {name: value for name, value in vars(self).items() if value is not None and value is not False}
-        if given and plant not in _REAL:
+        if given and plant not in REAL:
             option = next(iter(given)).replace("_", "-")
-            raise ConfigError(f"--{option}: the plant {plant} is no real arm\n  to do:   --plant {' or '.join(_REAL)}")
+            raise ConfigError(f"--{option}: the plant {plant} is no real arm\n  to do:   --plant {' or '.join(REAL)}")
         if plant != "xarm" and (given.keys() & _ADDRESSES):
             option = next(name for name in _ADDRESSES if name in given).replace("_", "-")
             raise ConfigError(f"--{option}: the plant {plant} has no address\n  to do:   --plant-options domain=N")
@@ -124,7 +124,7 @@ class TaskOptions:
             ConfigError: An option or a setting does not exist, or has a value that is not allowed.
         """
         self.run.checked()
-        preset = ("lab" if self.run.plant in ("lab", *_REAL) else "best") if self.preset == "auto" else self.preset
+        preset = ("lab" if self.run.plant in ("lab", *REAL) else "best") if self.preset == "auto" else self.preset
         assignments = tuple(assignment for group in self.assignments for assignment in group)
         request = SettingsRequest(preset, assignments, self.max_sim_seconds, parse_tolerance(self.tolerance))
         return request.config(self.run.method, randomize=self.randomize)
@@ -140,7 +140,7 @@ class TaskOptions:
         """
         config = self.settings()
         self.hardware.assignments(self.run.plant)
-        if self.run.plant in _REAL:  # signals to end stop the arm like Ctrl-C
+        if self.run.plant in REAL:  # signals to end stop the arm like Ctrl-C
             for each in (signal.SIGTERM, signal.SIGHUP):
                 signal.signal(each, signal.default_int_handler)
         start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)

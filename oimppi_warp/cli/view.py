@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import os
 import sys
 import webbrowser
 from collections.abc import Callable
-from contextlib import redirect_stdout, suppress
+from contextlib import ExitStack, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from oimppi_warp.cli.options import TaskOptions, busy, notices
+from oimppi_warp.cli.options import REAL, TaskOptions, busy, notices
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.network import check_listening, page_url
 
@@ -39,6 +40,10 @@ class View(TaskOptions):
     """Record to replay: a folder written by `oimppi run --record` or by a trial of `oimppi bench`,
     or a bag written by `oimppi export --to mcap` or `--to rosbag2`."""
 
+    viewer: Literal["browser", "rerun"] = "browser"
+    """Page to watch on. browser: with controls that change the run. rerun: Rerun (extra rerun), which has no such
+    controls but keeps the past, so that one can go back while the run goes on; not with a real arm."""
+
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
     """Network address to listen on; 0.0.0.0 allows connections from other machines."""
 
@@ -56,6 +61,8 @@ class View(TaskOptions):
         if not 1 <= self.port <= 65535:
             raise ConfigError(f"--port {self.port} cannot be used\n  allowed: 1 to 65535")
         check_listening(self.host, self.port)
+        if self.viewer == "rerun":
+            return self._rerun()
         if self.replay is not None:
             console = notices()
             from oimppi_warp.view.browser import open_viewer
@@ -74,6 +81,52 @@ class View(TaskOptions):
         viewer = open_viewer(setup.scene.table, host=self.host, port=self.port, paused=self.paused)
         return self._serve(viewer, LiveView(viewer, session), console, session.close)
 
+    def _rerun(self) -> int:
+        """Shows the run or the record in Rerun until Ctrl-C, and returns the exit status."""
+        if importlib.util.find_spec("rerun") is None:
+            raise ConfigError("--viewer rerun: Rerun is not installed\n  to do:   pip install 'oimppi-warp[rerun]'")
+        if self.paused:
+            raise ConfigError("--paused: Rerun has no button to go on\n  to do:   --viewer browser")
+        if self.replay is None and self.run.plant in REAL:
+            raise ConfigError(
+                f"--viewer rerun: the plant {self.run.plant} is a real arm, which closing Rerun's page would not stop\n"
+                "  to do:   --viewer browser"
+            )
+        with ExitStack() as stack:
+            if self.replay is not None:
+                console = notices()
+                from oimppi_warp.view.replay import Replay
+
+                shown = Replay(self.replay)
+                table = shown.scene.table
+            else:
+                setup, console = self.prepare()
+                from oimppi_warp.view.session import Session
+
+                with busy(console, "loading kernels"):
+                    shown = Session(setup)
+                stack.callback(shown.close)
+                table = setup.scene.table
+            from oimppi_warp.view.rerun_viewer import RerunServer, RerunView, open_rerun
+
+            with busy(console, "starting Rerun"):
+                server = RerunServer(self.host, self.port)
+                stack.callback(server.close)
+                viewer = open_rerun(table, server.address)
+                stack.callback(viewer.close)
+            self._tell(server.url, server.port)
+            with suppress(KeyboardInterrupt):
+                RerunView(viewer).show(shown)
+        return 0
+
+    def _tell(self, url: str, port: int) -> None:
+        """Prints the address of a page, and opens it if that is wanted."""
+        if port != self.port:
+            print(f"port {self.port} is in use; using the next free one", file=sys.stderr)
+        print(f"Open {url} in a browser; press Ctrl-C to stop.", flush=True)
+        if self.open:
+            open_page(url)
+
     def _serve(
         self, viewer: Any, view: LiveView | ReplayView, console: Console, close: Callable[[], None] | None
     ) -> int:
@@ -89,12 +142,7 @@ class View(TaskOptions):
             with busy(console, "drawing the first picture"):  # so that the page is never empty
                 view.tick()
             port = viewer.server.get_port()
-            if port != self.port:
-                print(f"port {self.port} is in use; using the next free one", file=sys.stderr)
-            url = page_url(self.host, port)
-            print(f"Open {url} in a browser; press Ctrl-C to stop.", flush=True)
-            if self.open:
-                open_page(url)
+            self._tell(page_url(self.host, port), port)
             with suppress(KeyboardInterrupt):
                 view.run()
         finally:
