@@ -95,6 +95,12 @@ def test_formulas_are_drawn_by_the_browser(site: Path):
     assert not re.search(r"\$[^$<\n]*\\[a-z]+", page)
 
 
+def test_flowcharts_are_drawn_without_a_script(site: Path):
+    page = (site / "design.html").read_text()
+    assert page.count('<svg class="diagram"') == (ROOT / "docs" / "design.md").read_text().count("```mermaid") == 2
+    assert page.count('<rect x="') > 20 and "mermaid" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+
+
 def test_every_public_name_has_its_place_in_the_python_interface(site: Path):
     anchors = Page(site / "api.html").anchors
     for name in oimppi_warp.__all__:

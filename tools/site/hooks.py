@@ -1,4 +1,4 @@
-"""Hooks of the documentation site: links that leave ``docs/`` lead to pages made of those files, formulas to MathML.
+"""Hooks of the documentation site: links that leave ``docs/`` lead to pages of those files; formulas and flowcharts.
 
 The pages in ``docs/`` are written for the forge, where ``../kernels/pushing.py`` is a file of the repository. On the
 site, each such file is a page below ``source/``; ``CONTRIBUTING.md`` and ``CHANGELOG.md`` are pages beside the others.
@@ -10,6 +10,7 @@ import json
 import os
 import posixpath
 import re
+import sys
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -21,11 +22,16 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+sys.path.insert(0, str(Path(__file__).parent))  # MkDocs loads this file by its path
+
+from diagrams import flowchart
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Pages of the site by the files at the top level that they are made of, or that they stand for."""
 LANGUAGES = {".py": "python", ".toml": "toml", ".usda": "text", ".json": "json"}
 """Languages of the highlighter by the suffixes of the files."""
+_DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"(?<=\]\()([^)\s#]+)(#[^)\s]*)?(?=\))")
 
 
@@ -61,7 +67,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Redirects the links that leave ``docs/``."""
+    """Redirects the links that leave ``docs/``, and draws the flowcharts."""
     here = page.file.src_uri
 
     def redirected(match: re.Match[str]) -> str:
@@ -70,7 +76,9 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
             return match.group(0)
         return posixpath.relpath(_page(target), posixpath.dirname(here) or ".") + anchor
 
-    return markdown if here.startswith("source/") else _LINK.sub(redirected, markdown)
+    if here.startswith("source/"):
+        return markdown
+    return _DIAGRAM.sub(lambda found: flowchart(found.group(1)), _LINK.sub(redirected, markdown))
 
 
 def _target(here: str, link: str) -> str | None:
