@@ -41,7 +41,7 @@ class Box:
 
 
 def flowchart(text: str) -> str:
-    """Returns a flowchart as SVG, on one line, in the colour of the text around it."""
+    """Returns a flowchart as SVG, on one line; `site.css` has its colours."""
     boxes, edges = _parsed(text)
     width, height = _place(boxes)
     drawn = [_arrow(boxes[a], boxes[b], label) for a, b, label in edges]
@@ -53,15 +53,10 @@ def flowchart(text: str) -> str:
         first = box.y - LINE * (len(box.lines) - 1) / 2 + 4
         drawn += [_text(box.x, first + LINE * n, line) for n, line in enumerate(box.lines)]
     head = '<marker id="head" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-    style = (
-        ".diagram{font-size:12.5px;max-width:100%}"
-        ".diagram .box{fill:var(--md-default-bg-color,#fff);stroke:currentColor}.diagram .edge{fill:none;stroke:currentColor;opacity:.55}.diagram text{text-anchor:middle;fill:currentColor;"
-        "paint-order:stroke;stroke:var(--md-default-bg-color,#fff);stroke-width:3px}"
-    )
     return (
         f'<svg class="diagram" role="img" width="{width:.0f}" viewBox="0 0 {width:.0f} {height:.0f}" '
         f'xmlns="http://www.w3.org/2000/svg">'
-        f'<style>{style}</style><defs>{head}<path d="M0 0 8 4 0 8z" fill="currentColor"/></marker></defs>'
+        f'<defs>{head}<path d="M0 0 8 4 0 8z" fill="currentColor"/></marker></defs>'
         f"{''.join(drawn)}</svg>"
     )
 

@@ -26,7 +26,10 @@ sys.path.insert(0, str(Path(__file__).parent))  # MkDocs loads this file by its 
 
 from diagrams import flowchart
 
-ROOT = Path(__file__).resolve().parents[2]
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+STYLE = "site.css"
+"""Style sheet, in this folder."""
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Pages of the site by the files at the top level that they are made of, or that they stand for."""
 LANGUAGES = {".py": "python", ".toml": "toml", ".usda": "text", ".json": "json"}
@@ -48,13 +51,15 @@ class _Formula(InlineProcessor):
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Adds the formulas."""
+    """Adds the formulas and the style."""
+    config.extra_css.append(STYLE)
     config.markdown_extensions.append(Formulas())  # pyright: ignore[reportArgumentType]
     return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds a page for each file that a page in ``docs/`` links to, and the pages from the top level."""
+    """Adds the style, a page for each file that a page in ``docs/`` links to, and the pages from the top level."""
+    files.append(File.generated(config, STYLE, content=(HERE / STYLE).read_text()))
     for source, page in PAGES.items():
         if files.get_file_from_path(page) is None:
             files.append(File.generated(config, page, content=(ROOT / source).read_text()))
