@@ -80,5 +80,5 @@ def test_the_notebook_runs_from_its_first_cell_which_installs_the_wheel(wheel: P
     printed = "".join(output["text"] for output in outputs if output["output_type"] == "stream")
     assert printed.count("goal reached: True") == 2, printed
     pages = [output["data"]["text/html"] for output in outputs if "text/html" in output.get("data", {})]
-    assert len(pages) == 2 and all("<iframe srcdoc=" in page and len(page) > 100_000 for page in pages)
+    assert len(pages) == 2 and all(page.startswith("<iframe srcdoc=") and len(page) > 100_000 for page in pages)
     assert any("image/png" in output.get("data", {}) for output in outputs)
