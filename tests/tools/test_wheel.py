@@ -34,9 +34,8 @@ def interpreter(version: str) -> str:
     return found
 
 
-@pytest.mark.parametrize(
-    ("runner", "version"), [("uvx", "3.11"), ("uvx", "3.12"), ("uvx", "3.13"), ("pipx", "3.11")], ids="-".join
-)
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13"])
+@pytest.mark.parametrize("runner", ["uvx", "pipx"])
 def test_the_demo_pushes_from_the_wheel_alone(runner: str, version: str, wheel: Path, tmp_path: Path):
     if (program := shutil.which(runner)) is None:
         pytest.skip(f"there is no {runner}")
