@@ -51,7 +51,8 @@ class _Formula(InlineProcessor):
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Adds the formulas and the style."""
+    """Adds the formulas and the style, and lets signatures be formatted by this environment's ruff."""
+    os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     config.extra_css.append(STYLE)
     config.markdown_extensions.append(Formulas())  # pyright: ignore[reportArgumentType]
     return config
