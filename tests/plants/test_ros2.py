@@ -18,6 +18,7 @@ from support.ros2_lab import HERE, connected, new_domain, other_node, simulated
 from oimppi_warp.config import ros2_topics
 from oimppi_warp.config.presets import lab
 from oimppi_warp.errors import ConfigError, HardwareError
+from oimppi_warp.perception.pose_source import StampedPose
 from oimppi_warp.plants.ros2 import messages
 from oimppi_warp.plants.ros2 import plant as ros2_plant
 from oimppi_warp.plants.ros2.arm import WATCHDOG
@@ -375,3 +376,21 @@ def test_the_same_through_rclpy(monkeypatch):
 def test_without_ros_installed():
     with pytest.raises(ConfigError, match="rclpy cannot be imported"):
         RclpyLink()
+
+
+def test_the_object_from_a_source_in_this_process(made):
+    class Camera:
+        problem = ""
+        closed = False
+
+        @property
+        def poses(self) -> list[StampedPose]:
+            return [StampedPose(np.array([0.5, 0.2, 0.1]), time.monotonic(), 0.01, time.time() + i) for i in range(2)]
+
+        def close(self) -> None:
+            self.closed = True
+
+    camera = Camera()
+    with connected(made, poses=camera) as plant:
+        assert plant.observe().object_pose == pytest.approx([0.5, 0.2, 0.1])
+    assert camera.closed

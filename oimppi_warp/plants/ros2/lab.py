@@ -13,7 +13,7 @@ import numpy as np
 from oimppi_warp.config import ros2_topics
 from oimppi_warp.config.lab import LabConfig
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.observation import Observation
 from oimppi_warp.plants.realtime_lab import CYCLE, RealTimeLab
 from oimppi_warp.plants.ros2.arm import WATCHDOG
 from oimppi_warp.plants.ros2.link import Link
@@ -22,13 +22,12 @@ from oimppi_warp.plants.ros2.messages import (
     JOINT_JOG,
     JOINT_STATE,
     NUMBERS,
-    POSE,
     TRAJECTORY,
-    TRANSFORMS,
     header,
     seconds,
     time_fields,
 )
+from oimppi_warp.plants.ros2.poses import pose_publisher
 from oimppi_warp.scene import PlanarPose, Scene
 
 ACCELERATION = 10.0
@@ -80,8 +79,7 @@ class Ros2Lab(RealTimeLab):
         self._command_lock = threading.Lock()
         self._wanted, self._driven, self._heard = np.zeros(dof), np.zeros(dof), -math.inf
         self._states = link.advertise(ros2_topics.JOINT_STATES, JOINT_STATE)
-        self._poses = link.advertise(ros2_topics.OBJECT_POSE, POSE)
-        self._frames = link.advertise(ros2_topics.TF, TRANSFORMS)
+        self._see = pose_publisher(link, scene.object.rest_height)
         self._clock = link.advertise(ros2_topics.CLOCK, CLOCK, reliable=False)
         link.subscribe(commands, NUMBERS, lambda message: self._take(message.data))
         with suppress(ConfigError):  # of messages that a ROS installation may lack
@@ -117,17 +115,7 @@ class Ros2Lab(RealTimeLab):
 
     def see(self, pose: np.ndarray, stamp: float) -> None:
         """Publishes a detection, on a topic and as a frame."""
-        x, y, yaw = map(float, pose)
-        px, py, pz, qx, qy, qz, qw = planar_transform((x, y, yaw), self._scene.object.rest_height).tolist()
-        head, turned = header(stamp, ros2_topics.WORLD_FRAME), {"x": qx, "y": qy, "z": qz, "w": qw}
-        place = {"x": px, "y": py, "z": pz}
-        self._poses({"header": head, "pose": {"position": place, "orientation": turned}})
-        frame = {
-            "header": head,
-            "child_frame_id": ros2_topics.OBJECT_FRAME,
-            "transform": {"translation": place, "rotation": turned},
-        }
-        self._frames({"transforms": [frame]})
+        self._see(pose, stamp)
 
     def disconnect(self) -> None:
         """Ends the connection."""

@@ -11,6 +11,7 @@ from oimppi_warp.config import ros2_topics
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError, HardwareError
 from oimppi_warp.observation import planar_pose
+from oimppi_warp.perception.pose_source import PoseSource
 from oimppi_warp.plants.real.plant import ArmOptions, ArmPlant, ticks_of
 from oimppi_warp.plants.ros2.arm import Ros2Arm
 from oimppi_warp.plants.ros2.link import Link, connect
@@ -36,6 +37,7 @@ class Ros2Plant(ArmPlant):
         joint_states, joint_names, object, object_type, world, commands, command_type, obstacles, use_sim_time: See
             :class:`Setup`.
         speed, yes, dry_run, resume, pose_timeout: See :class:`oimppi_warp.plants.real.plant.ArmOptions`.
+        poses: Source of the object's poses in this process, such as a camera, instead of a topic or frame.
 
     Raises:
         ConfigError: An option cannot be used, or no package for ROS 2 is installed.
@@ -65,6 +67,7 @@ class Ros2Plant(ArmPlant):
         dry_run: bool = False,
         resume: bool = False,
         pose_timeout: float = 2.5,
+        poses: PoseSource | None = None,
     ) -> None:
         options = ArmOptions(speed=speed, yes=yes, dry_run=dry_run, resume=resume, pose_timeout=pose_timeout)
         ticks_of(config)
@@ -81,11 +84,11 @@ class Ros2Plant(ArmPlant):
         )
         link = connect(domain=domain, peers=peers, through=through)
         try:
-            arm, poses, moves = setup.find(link, scene)
+            arm, received, moves = setup.find(link, scene)
         except BaseException:
             link.close()
             raise
-        super().__init__(scene, config, arm, poses, options, moves=moves)
+        super().__init__(scene, config, arm, poses or received, options, moves=moves)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The object's pose from a ROS 2 topic or a TF frame."""
+"""The object's pose from a ROS 2 topic or a TF frame, and to both."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from oimppi_warp.config.ros2_topics import TF, TF_STATIC
+from oimppi_warp.config.ros2_topics import OBJECT_FRAME, OBJECT_POSE, TF, TF_STATIC, WORLD_FRAME
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.observation import planar_transform
 from oimppi_warp.perception.pose_source import StampedPose
 from oimppi_warp.plants.ros2.link import Link, why_no_messages
 from oimppi_warp.plants.ros2.messages import (
@@ -21,6 +22,7 @@ from oimppi_warp.plants.ros2.messages import (
     POSE,
     POSE_COVARIANCE,
     TRANSFORMS,
+    header,
     seconds,
 )
 from oimppi_warp.plants.ros2.tf import TfTree, matrix_of, planar
@@ -189,3 +191,27 @@ class Ros2Poses:
         self._defect = ""
         if not any(known.stamp == stamp for known in self._poses):  # a frame is repeated until it changes
             self._poses.append(StampedPose(planar(matrix), time.monotonic(), self._clock() - stamp, stamp))
+
+
+def pose_publisher(link: Link, height: float) -> Callable[[np.ndarray, float], None]:
+    """Returns a function that publishes the object's pose, as a topic and as a TF frame.
+
+    Its arguments are a planar pose, shape [3] [m, m, rad], and the time at which the object had it, in seconds since
+    1970.
+
+    Args:
+        link: The connection.
+        height: Height of the object's frame while the object lies on the table [m].
+    """
+    topic, frames = link.advertise(OBJECT_POSE, POSE), link.advertise(TF, TRANSFORMS)
+
+    def publish(pose: np.ndarray, stamp: float) -> None:
+        x, y, yaw = map(float, pose)
+        px, py, pz, qx, qy, qz, qw = planar_transform((x, y, yaw), height).tolist()
+        place, turn = {"x": px, "y": py, "z": pz}, {"x": qx, "y": qy, "z": qz, "w": qw}
+        head = header(stamp, WORLD_FRAME)
+        topic({"header": head, "pose": {"position": place, "orientation": turn}})
+        moved = {"translation": place, "rotation": turn}
+        frames({"transforms": [{"header": head, "child_frame_id": OBJECT_FRAME, "transform": moved}]})
+
+    return publish
