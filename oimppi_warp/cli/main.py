@@ -27,6 +27,7 @@ from oimppi_warp.cli.check import Check
 from oimppi_warp.cli.demos import Demos
 from oimppi_warp.cli.hardware import LabEmulator
 from oimppi_warp.cli.options import TaskOptions
+from oimppi_warp.cli.perceive import PerceiveCommand
 from oimppi_warp.cli.robot import AddRobot
 from oimppi_warp.cli.scene import Import, New
 from oimppi_warp.cli.system import Doctor, Warmup
@@ -149,6 +150,10 @@ Command = (
     | Annotated[Warmup, subcommand("warmup", prefix_name=False)]
     | Annotated[Doctor, subcommand("doctor", prefix_name=False)]
     | Annotated[LabEmulator, subcommand("lab-emulator", prefix_name=False)]
+    | Annotated[
+        PerceiveCommand,
+        subcommand("perceive", prefix_name=False, description="Find the object with a camera, by tags on it."),
+    ]
 )
 """All commands; to add one, add its dataclass to this union."""
 
