@@ -26,10 +26,10 @@ class BoardOptions:
     images: Annotated[Positional[Path], arg(metavar="DIR")]
     """Folder with the images, such as `oimppi perceive record` writes."""
 
-    board: Annotated[str, arg(metavar="CxR")] = "7x5"
+    board: Annotated[str, arg(metavar="CxR")] = "6x4"
     """Number of the board's squares, columns and rows."""
 
-    square: Annotated[float, arg(metavar="M")] = 0.034
+    square: Annotated[float, arg(metavar="M")] = 0.042
     """Side of the board's squares in metres, measured on the print."""
 
     def views(self) -> list[BoardView]:
@@ -165,7 +165,7 @@ def parse_board(text: str, square: float) -> Board:
 
     columns, _, rows = text.partition("x")
     if not (columns.isdecimal() and rows.isdecimal()):
-        raise ConfigError(f"--board {text} cannot be used\n  allowed: columns and rows of squares, e.g. 7x5")
+        raise ConfigError(f"--board {text} cannot be used\n  allowed: columns and rows of squares, e.g. 6x4")
     return Board(int(columns), int(rows), square)
 
 

@@ -232,7 +232,7 @@ class Sheet:
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
     """Folder to write to."""
 
-    family: Literal["apriltag36h11", "apriltag25h9", "aruco4x4", "aruco6x6"] = "apriltag36h11"
+    family: Literal["apriltag36h11", "apriltag25h9", "aruco5x5", "aruco6x6"] = "apriltag36h11"
     """Family of the tag."""
 
     size: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: as large as fits)")] = None
@@ -241,10 +241,10 @@ class Sheet:
     tags: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: one tag on the top)")] = None
     """Tags that are described in a file, instead of --family and --size."""
 
-    board: Annotated[str, arg(metavar="CxR")] = "7x5"
+    board: Annotated[str, arg(metavar="CxR")] = "6x4"
     """Number of the board's squares, columns and rows."""
 
-    square: Annotated[float, arg(metavar="M")] = 0.034
+    square: Annotated[float, arg(metavar="M")] = 0.042
     """Side of the board's squares in metres."""
 
     paper: Literal["a4", "letter"] = "a4"

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.perception.opencv import load_opencv
+from oimppi_warp.perception.opencv import enlarged, load_opencv, marker_parameters
 
-MARKER_SHARE = 0.75
+MARKER_SHARE = 0.8
 """Side of a marker, relative to that of a square."""
 FEWEST = 6
 """Number of corners from which on a view of the board is used."""
@@ -29,9 +29,9 @@ class Board:
         square: Side of a square [m].
     """
 
-    columns: int = 7
-    rows: int = 5
-    square: float = 0.034
+    columns: int = 6
+    rows: int = 4
+    square: float = 0.042
 
     def __post_init__(self) -> None:
         if not (3 <= self.columns <= 14 and 3 <= self.rows <= 14):
@@ -47,7 +47,7 @@ class Board:
     def pattern(self) -> Any:
         """Returns OpenCV's board."""
         aruco = load_opencv().aruco
-        markers = aruco.getPredefinedDictionary(aruco.DICT_5X5_100)
+        markers = aruco.getPredefinedDictionary(aruco.DICT_4X4_50)
         return aruco.CharucoBoard((self.columns, self.rows), self.square, MARKER_SHARE * self.square, markers)
 
     def image(self, pixels: int) -> np.ndarray:
@@ -90,7 +90,9 @@ class BoardFinder:
     _corners: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        self._detector = load_opencv().aruco.CharucoDetector(self.board.pattern())
+        aruco = load_opencv().aruco
+        parameters = marker_parameters(edges=False)
+        self._detector = aruco.CharucoDetector(self.board.pattern(), aruco.CharucoParameters(), parameters)
         self._corners = self.board.corners()
 
     def find(self, image: np.ndarray, name: str = "an image") -> BoardView | None:
@@ -102,11 +104,13 @@ class BoardFinder:
         """
         cv2 = load_opencv()
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        pixels, ids, _, _ = self._detector.detectBoard(grey)
+        large, zoom = enlarged(grey)
+        pixels, ids, _, _ = self._detector.detectBoard(large)
         if ids is None or len(ids) < FEWEST:
             return None
         points = self._corners[ids.ravel()]
         spread = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
         if spread[1] < self.board.square:  # all in one line
             return None
-        return BoardView(points, pixels.reshape(-1, 2).astype(float), (image.shape[1], image.shape[0]), name)
+        pixels = (pixels.reshape(-1, 2).astype(float) + 0.5) / zoom - 0.5
+        return BoardView(points, pixels, (image.shape[1], image.shape[0]), name)

@@ -148,7 +148,7 @@ def place_by_arm(camera: CameraModel, views: Sequence[BoardView], robot: Robot, 
         return np.concatenate([_reprojection(camera, seen @ flanges[i] @ on, views[i]) for i in which])
 
     everything = range(len(views))
-    fit = least_squares(lambda change: off(change, everything).ravel(), np.zeros(12), x_scale="jac")
+    fit = least_squares(lambda change: off(change, everything).ravel(), np.zeros(12), x_scale="jac", loss="soft_l1")
     return _result(camera, _moved(place, fit.x[:6]), fit, views, [off(fit.x, [i]) for i in everything])
 
 

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from types import ModuleType
 
+import numpy as np
+
 from oimppi_warp.errors import ConfigError
+
+_PIXELS = 3e6
+"""Number of pixels up to which images are enlarged."""
+_LARGEST_ZOOM = 3
+"""Largest factor by which images are enlarged."""
 
 
 @cache
@@ -26,3 +34,33 @@ def load_opencv() -> ModuleType:
         ) from None
     cv2.setNumThreads(1)
     return cv2
+
+
+def enlarged(grey: np.ndarray) -> tuple[np.ndarray, int]:
+    """Enlarges a small image, in which small markers are found, and their edges fitted, more exactly.
+
+    A pixel p of the given image is at ``(p + 0.5) * zoom - 0.5`` in the enlarged one.
+
+    Returns:
+        The enlarged image, and the whole factor by which it is larger.
+    """
+    cv2, zoom = load_opencv(), int(np.clip(math.sqrt(_PIXELS / grey.size), 1, _LARGEST_ZOOM))
+    if zoom == 1:
+        return grey, 1
+    return cv2.resize(grey, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC), zoom
+
+
+def marker_parameters(*, edges: bool) -> object:
+    """Returns OpenCV's parameters for finding markers that are small and somewhat blurred.
+
+    Args:
+        edges: Whether to fit lines along the markers' edges, which is the most exact for single markers.
+    """
+    aruco = load_opencv().aruco
+    parameters = aruco.DetectorParameters()
+    parameters.polygonalApproxAccuracyRate = 0.05  # blurred corners are round
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.3  # blurred modules run into each other at their edges
+    if edges:
+        parameters.cornerRefinementMethod = aruco.CORNER_REFINE_CONTOUR
+    return parameters

@@ -65,8 +65,11 @@ def object_page(pushed: PushedObject, layout: TagLayout, title: str, *, paper: P
         _draw_tag(axes, layout.family, tag, origin)
     reach = 1e3 * max(tag.position[0] + tag.size / 2.0 for tag in layout.tags)
     tip = origin + [max(high_x, reach) + 8.0, 1e3 * layout.tags[0].position[1]]
-    axes.annotate("x of the object", tip, tip - [7.0, 0.0], arrowprops={"arrowstyle": "<-"}, fontsize=7, va="center")
-    _note(axes, "Cut along the grey line and glue it on the top: without gaps, flat, the arrow along the object's x.")
+    axes.annotate("", tip, tip - [7.0, 0.0], arrowprops={"arrowstyle": "->"})
+    axes.text(*(tip + [1.0, 0.0]), "x", fontsize=8, va="center")
+    _note(
+        axes, "Cut along the grey line and glue it on the top: without gaps, flat, the arrow along the object's x axis."
+    )
     return _figure(axes)
 
 

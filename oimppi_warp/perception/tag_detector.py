@@ -16,13 +16,9 @@ import numpy as np
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.geometry.footprint import planar_points
 from oimppi_warp.perception.camera_model import CameraModel
-from oimppi_warp.perception.opencv import load_opencv
+from oimppi_warp.perception.opencv import enlarged, load_opencv, marker_parameters
 from oimppi_warp.perception.tags import TagLayout, dictionary
 
-_PIXELS = 3e6
-"""Number of pixels up to which images are enlarged: small tags are found, and their edges fitted, more exactly."""
-_LARGEST_ZOOM = 3
-"""Largest factor by which images are enlarged."""
 _ERROR, _RELATIVE_ERROR = 0.7, 0.03
 """Largest root mean square distance between seen and fitted corners: in pixels, and relative to the tag's side."""
 _STEPS = 6
@@ -87,15 +83,8 @@ class TagDetector:
         self._rest_height = rest_height
         self._tags = {tag.id: tag for tag in layout.tags}
         self._cv2 = load_opencv()
-        aruco = self._cv2.aruco
-        parameters = aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = aruco.CORNER_REFINE_CONTOUR  # lines along the edges: best for small tags
-        parameters.polygonalApproxAccuracyRate = 0.05  # blurred corners are round
-        parameters.perspectiveRemovePixelPerCell = 8
-        parameters.perspectiveRemoveIgnoredMarginPerCell = 0.3  # blurred modules run into each other at their edges
-        self._finder = aruco.ArucoDetector(dictionary(layout.family), parameters)
-        width, height = camera.image_size
-        self._zoom = int(np.clip(math.sqrt(_PIXELS / (width * height)), 1, _LARGEST_ZOOM))
+        parameters = marker_parameters(edges=True)
+        self._finder = self._cv2.aruco.ArucoDetector(dictionary(layout.family), parameters)
 
     def detect(self, image: np.ndarray) -> Sighting:
         """Returns what is found in an image.
@@ -145,10 +134,8 @@ class TagDetector:
 
     def _find(self, grey: np.ndarray) -> tuple[SeenTag, ...]:
         """Returns the tags in a grey image."""
-        cv2, zoom = self._cv2, self._zoom
-        if zoom > 1:
-            grey = cv2.resize(grey, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)
-        found, ids, _ = self._finder.detectMarkers(grey)
+        large, zoom = enlarged(grey)
+        found, ids, _ = self._finder.detectMarkers(large)
         if ids is None:
             return ()
         corners = [(_outer(each[0].astype(float)) + 0.5) / zoom - 0.5 for each in found]

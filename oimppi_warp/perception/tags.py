@@ -19,7 +19,7 @@ from oimppi_warp.scene import PushedObject
 FAMILIES = {
     "apriltag36h11": ("DICT_APRILTAG_36h11", 8),
     "apriltag25h9": ("DICT_APRILTAG_25h9", 7),
-    "aruco4x4": ("DICT_4X4_50", 6),
+    "aruco5x5": ("DICT_5X5_250", 7),
     "aruco6x6": ("DICT_6X6_250", 8),
 }
 """Families of tags: the name of each in OpenCV, and the modules along a side, with the black border."""

@@ -102,7 +102,7 @@ def test_tags_anywhere_on_the_object_give_the_pose_of_its_frame(scene, renderer)
 
 
 def test_with_two_tags_the_one_that_is_not_hidden_suffices_and_both_are_used(scene, renderer):
-    two = TagLayout("aruco4x4", (Tag(1, 0.024, (0.0, 0.015, 0.0505)), Tag(2, 0.024, (0.0, -0.015, 0.0505), np.pi / 2)))
+    two = TagLayout("aruco5x5", (Tag(1, 0.024, (0.0, 0.015, 0.0505)), Tag(2, 0.024, (0.0, -0.015, 0.0505), np.pi / 2)))
     one = replace(two, tags=two.tags[:1])
     finds = detector(scene, two)
     both = finds.detect(renderer.image(rendered.standing(POSE, two, scene)))

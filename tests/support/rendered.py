@@ -7,6 +7,7 @@ that one against its own formula. Light, blur and noise are those of an ordinary
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -82,6 +83,19 @@ class Conditions:
 ORDINARY = Conditions()
 
 
+@lru_cache(maxsize=2)
+def _rays(
+    size: tuple[int, int], focal: tuple[float, float], center: tuple[float, float], distortion: tuple[float, ...]
+) -> np.ndarray:
+    """The rays of a lens in the camera's frame, several per pixel, shape [rows, columns, 3]."""
+    across, down = (np.arange(count * _SUB) / _SUB + (0.5 / _SUB - 0.5) for count in size)
+    pixels = np.stack(np.meshgrid(across, down), axis=-1)
+    matrix = np.array([[focal[0], 0.0, center[0]], [0.0, focal[1], center[1]], [0.0, 0.0, 1.0]])
+    exact = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+    flat = cv2.undistortPointsIter(pixels.reshape(-1, 1, 2), matrix, np.array(distortion), np.eye(3), np.eye(3), exact)
+    return np.column_stack([flat[:, 0], np.ones(len(flat))]).reshape(*pixels.shape[:2], 3)
+
+
 @dataclass
 class Renderer:
     """A camera that takes images.
@@ -99,19 +113,10 @@ class Renderer:
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
         width, height = self.camera.image_size
-        across, down = (np.arange(count * _SUB) / _SUB + (0.5 / _SUB - 0.5) for count in (width, height))
-        pixels = np.stack(np.meshgrid(across, down), axis=-1)
-        flat = cv2.undistortPointsIter(
-            pixels.reshape(-1, 1, 2),
-            self.camera.matrix,
-            np.array(self.camera.distortion),
-            np.eye(3),
-            np.eye(3),
-            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10),
-        )
         assert self.camera.pose is not None
-        rays = np.column_stack([flat[:, 0], np.ones(len(flat))])
-        self._rays = (rays @ Rotation.from_quat(self.camera.pose[3:]).as_matrix().T).reshape(*pixels.shape[:2], 3)
+        camera = self.camera
+        rays = _rays(camera.image_size, camera.focal_length, camera.principal_point, camera.distortion)
+        self._rays = rays @ Rotation.from_quat(self.camera.pose[3:]).as_matrix().T
         coarse = self._random.uniform(70, 150, (height // 12, width // 12)).astype(np.float32)
         self._table = cv2.resize(coarse, (width, height))
 
