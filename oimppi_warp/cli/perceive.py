@@ -87,10 +87,10 @@ class Perceive:
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         with ExitStack() as open_things:
             recorder = server = None
+            frames = open_frames(self.camera, size=camera.image_size)
             if self.record is not None:
                 recorder = Recorder(self.record)
                 open_things.callback(recorder.close)
-            frames = open_frames(self.camera, size=camera.image_size)
             if self.port is not None:
                 server = PoseServer(self.host, self.port)
                 open_things.callback(server.close)
@@ -197,8 +197,12 @@ class Record:
         size = None if self.size is None else _parse_size(self.size)
         from oimppi_warp.perception.video import Recorder, open_frames
 
-        recorder = Recorder(self.out)
         frames, count = open_frames(self.camera, size=size), 0
+        try:
+            recorder = Recorder(self.out)
+        except ConfigError:
+            frames.close()
+            raise
         try:
             with suppress(KeyboardInterrupt, EOFError):
                 due = -1e9

@@ -24,6 +24,8 @@ FEWEST_LENS, FEWEST_HAND_EYE = 8, 6
 """Smallest number of views for the lens, and for hand-eye calibration."""
 _LARGEST_ERROR = 1.5
 """Root mean square distance of corners beyond which a calibration is refused [px]."""
+_STEPS = 40
+"""Largest number of steps of the fit for hand-eye calibration, which takes less than ten if the data fit together."""
 _FLATTEST = np.radians(15.0)
 """Smallest angle that the views must span: between boards for the lens, between flanges for hand-eye [rad]."""
 
@@ -148,7 +150,9 @@ def place_by_arm(camera: CameraModel, views: Sequence[BoardView], robot: Robot, 
         return np.concatenate([_reprojection(camera, seen @ flanges[i] @ on, views[i]) for i in which])
 
     everything = range(len(views))
-    fit = least_squares(lambda change: off(change, everything).ravel(), np.zeros(12), x_scale="jac", loss="soft_l1")
+    fit = least_squares(
+        lambda change: off(change, everything).ravel(), np.zeros(12), x_scale="jac", loss="soft_l1", max_nfev=_STEPS
+    )
     return _result(camera, _moved(place, fit.x[:6]), fit, views, [off(fit.x, [i]) for i in everything])
 
 

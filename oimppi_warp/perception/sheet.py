@@ -64,9 +64,9 @@ def object_page(pushed: PushedObject, layout: TagLayout, title: str, *, paper: P
     for tag in layout.tags:
         _draw_tag(axes, layout.family, tag, origin)
     reach = 1e3 * max(tag.position[0] + tag.size / 2.0 for tag in layout.tags)
-    tip = origin + [max(high_x, reach) + 8.0, 1e3 * layout.tags[0].position[1]]
-    axes.annotate("", tip, tip - [7.0, 0.0], arrowprops={"arrowstyle": "->"})
-    axes.text(*(tip + [1.0, 0.0]), "x", fontsize=8, va="center")
+    x, y = origin[0] + max(high_x, reach) + 8.0, origin[1] + 1e3 * layout.tags[0].position[1]
+    axes.annotate("", (x, y), (x - 7.0, y), arrowprops={"arrowstyle": "->"})
+    axes.text(x + 1.0, y, "x", fontsize=8, va="center")
     _note(
         axes, "Cut along the grey line and glue it on the top: without gaps, flat, the arrow along the object's x axis."
     )
@@ -94,10 +94,10 @@ def board_page(board: Board, *, paper: Paper = "a4") -> Figure:
     left, bottom = (width - across) / 2.0, _FOOT + (height - _FOOT - _HEAD - up) / 2.0
     extent = (left, left + across, bottom, bottom + up)
     axes.imshow(board.image(_PIXELS * 8), cmap="gray", vmin=0, vmax=255, extent=extent, interpolation="none")
-    for text, tip in (("x", (left + 9.0, bottom - 2.5)), ("y", (left - 2.5, bottom + 9.0))):
-        start = (left, bottom - 2.5) if text == "x" else (left - 2.5, bottom)
-        axes.annotate("", tip, start, arrowprops={"arrowstyle": "->"})
-        axes.annotate(text, np.array(tip) + ([2.0, 0.0] if text == "x" else [0.0, 2.0]), fontsize=8, va="center")
+    for name, x, y in (("x", 1.0, 0.0), ("y", 0.0, 1.0)):
+        start = left - 2.5 * y, bottom - 2.5 * x
+        axes.annotate("", (start[0] + 9.0 * x, start[1] + 9.0 * y), start, arrowprops={"arrowstyle": "->"})
+        axes.text(start[0] + 11.0 * x, start[1] + 11.0 * y, name, fontsize=8, va="center", ha="center")
     _note(axes, "Glue it on something stiff and flat. The board's origin is its bottom left corner, at the arrows.")
     return _figure(axes)
 

@@ -254,10 +254,12 @@ class Recorder:
     """
 
     def __init__(self, folder: Path) -> None:
+        self._cv2 = load_opencv()
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
             raise ConfigError(f"{folder}: there is something in this folder\n  to do:   choose another one")
-        self._folder, self._stamps, self._cv2 = folder, {}, load_opencv()
+        self._folder = folder
+        self._stamps: dict[str, float] = {}
 
     def write(self, frame: Frame) -> None:
         """Writes an image."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,7 +34,6 @@ def test_a_calibration_is_the_same_after_writing_and_reading(tmp_path):
     camera = rendered.lab_camera()
     camera.save(tmp_path / "deep" / "camera.toml")
     read = load_camera(tmp_path / "deep" / "camera.toml")
-    assert replace(read, pose=None) == replace(camera, pose=None) or vars(read).keys() == vars(camera).keys()
     assert (read.image_size, read.focal_length) == (camera.image_size, camera.focal_length)
     np.testing.assert_allclose(read.distortion, camera.distortion, atol=1e-12)
     assert read.pose is not None and camera.pose is not None

@@ -120,11 +120,21 @@ class Renderer:
         coarse = self._random.uniform(70, 150, (height // 12, width // 12)).astype(np.float32)
         self._table = cv2.resize(coarse, (width, height))
 
-    def image(self, patches: list[Patch], conditions: Conditions = ORDINARY) -> np.ndarray:
-        """An image in colour of some patches, the last one in front, shape [height, width, 3]."""
+    def image(
+        self, patches: list[Patch], conditions: Conditions = ORDINARY, *, balls: np.ndarray | None = None
+    ) -> np.ndarray:
+        """An image in colour of some patches, the last one in front, shape [height, width, 3].
+
+        Before them are balls, shape [n, 4] (centre, radius) [m], such as those of an arm.
+        """
         picture = self._table.copy()
         for patch in patches:
             self._draw(picture, patch)
+        for x, y, z, radius in () if balls is None else balls:
+            at = self.camera.project(np.array([[x, y, z]]))[0]
+            away = float(self.camera.in_camera(np.array([[x, y, z]]))[0, 2])
+            size = self.camera.focal_length[0] * radius / away
+            cv2.circle(picture, tuple(np.rint(16 * at).astype(int)), round(16 * size), 180.0, -1, cv2.LINE_8, 4)
         width, height = self.camera.image_size
         picture = cv2.GaussianBlur(picture, (0, 0), conditions.blur)
         slope = conditions.slope * np.linspace(-0.5, 0.5, width, dtype=np.float32)
