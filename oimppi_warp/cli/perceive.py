@@ -198,6 +198,8 @@ class Record:
         from oimppi_warp.perception.video import Recorder, open_frames
 
         frames, count = open_frames(self.camera, size=size), 0
+        if not frames.live:
+            raise ConfigError(f"--camera {self.camera}: these images are recorded already\n  allowed: a camera")
         try:
             recorder = Recorder(self.out)
         except ConfigError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from support import boards, rendered, small_tasks
 from support.emulated_lab import address
+from support.fake_realsense import FakeRealSense
 
 from oimppi_warp.cli.main import main
 from oimppi_warp.perception.camera_model import load_camera
@@ -161,6 +163,37 @@ def test_the_arm_that_holds_the_board_places_the_camera(tmp_path, capsys):
     (tmp_path / "arm" / "joints.csv").write_text("image,joint1\n00.png,1\n")
     assert perceive(*run) == 2
     assert "allowed: a CSV file with the columns image, joint1 to joint6" in capsys.readouterr().err
+
+
+def test_a_camera_is_recorded_at_the_pace_that_was_asked_for(tmp_path, monkeypatch, capsys):
+    camera = FakeRealSense()
+    monkeypatch.setitem(sys.modules, "pyrealsense2", camera)
+    record = ("record", tmp_path / "new", "--camera", "realsense", "--every", 0.5, "--images", 3, "--size", "320x240")
+    assert perceive(*record) == 0
+    assert "3 images in" in capsys.readouterr().out
+    stamps = list(json.loads((tmp_path / "new" / "stamps.json").read_text()).values())
+    np.testing.assert_allclose(np.diff(stamps), 0.5, atol=0.04)
+    assert len(stamps) == 3 and camera.stopped and camera.asked[1:3] == (320, 240)
+    assert perceive(*record) == 2
+    assert "there is something in this folder" in capsys.readouterr().err
+    assert perceive("record", tmp_path / "again", "--camera", tmp_path / "new") == 2
+    assert "recorded already" in capsys.readouterr().err
+
+
+def test_the_example_of_the_documentation_runs(recording, calibration):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "perception.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    for written, used in (
+        ('Path("camera.toml")', f'Path("{calibration}")'),
+        ('open_frames("0"', f'open_frames("{recording}"'),
+    ):
+        assert written in code
+        code = code.replace(written, used)
+    code = code.replace("poses.poses, poses.problem", "poses.wait(60.0)\nfound = poses.poses")
+    names: dict = {}
+    exec(code, names)
+    assert len(names["found"]) == 4
+    np.testing.assert_allclose(names["found"][-1].pose, POSE, atol=0.02)
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import sys
 import time
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+from support.fake_realsense import FakeRealSense
 
 from oimppi_warp.errors import ConfigError, HardwareError
 from oimppi_warp.perception.video import STAMPS, Frame, Recorder, open_frames
@@ -108,35 +108,47 @@ def test_without_the_wheel_of_realsense_the_message_says_what_to_install(monkeyp
         open_frames("realsense")
 
 
-class FakeRealSense:
-    """The part of ``pyrealsense2`` that is used, with a camera that delivers one image."""
+class FakeVideo:
+    """A camera that OpenCV has opened."""
 
-    timestamp_domain = SimpleNamespace(global_time="global", system_time="system", hardware_clock="hardware")
-    stream, format = SimpleNamespace(color="color"), SimpleNamespace(bgr8="bgr8")
+    def __init__(self, milliseconds: float, *, images: int = 1) -> None:
+        self._milliseconds, self._images, self.set = milliseconds, images, lambda *_: True
 
-    def __init__(self, domain: str = "global", broken: bool = False) -> None:
-        self.domain, self.broken, self.asked, self.stopped = domain, broken, (), False
+    def isOpened(self) -> bool:
+        return True
 
-    def config(self):
-        return SimpleNamespace(enable_stream=lambda *asked: setattr(self, "asked", asked))
+    def get(self, _) -> float:
+        return self._milliseconds
 
-    def pipeline(self):
-        return self
+    def read(self):
+        self._images -= 1
+        return (True, pictures(1)[0]) if self._images >= 0 else (False, None)
 
-    def start(self, config) -> None:
-        if self.broken:
-            raise RuntimeError("No device connected")
+    def release(self) -> None:
+        pass
 
-    def stop(self) -> None:
-        self.stopped = True
 
-    def wait_for_frames(self, timeout: int):
-        color = SimpleNamespace(
-            get_data=lambda: pictures(1)[0],
-            get_timestamp=lambda: 1_700_000_000_250.0,
-            get_frame_timestamp_domain=lambda: self.domain,
-        )
-        return SimpleNamespace(get_color_frame=lambda: color)
+def test_an_image_has_the_time_that_the_driver_tells(monkeypatch):
+    driver = 1e3 * (time.monotonic() - 0.3)
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: FakeVideo(driver))
+    frame = open_frames("0").read()
+    assert frame is not None and time.time() - frame.stamp >= 0.3
+
+
+@pytest.mark.parametrize("told", [0.0, 1e15])
+def test_an_image_whose_driver_tells_nothing_has_the_time_of_arrival(monkeypatch, told: float):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: FakeVideo(told))
+    before = time.time()
+    frame = open_frames("0").read()
+    assert frame is not None and before <= frame.stamp <= time.time()
+
+
+def test_a_camera_that_delivers_nothing_any_more_is_told(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: FakeVideo(0.0, images=1))
+    frames = open_frames("0")
+    assert frames.read() is not None
+    with pytest.raises(HardwareError, match="camera 0 delivers no images\n  to do:   plug it in again"):
+        frames.read()
 
 
 def test_a_realsense_is_read_with_the_time_of_its_images(monkeypatch):
@@ -146,7 +158,7 @@ def test_a_realsense_is_read_with_the_time_of_its_images(monkeypatch):
     assert frames.live and camera.asked == ("color", 1280, 720, "bgr8", 30)
     frame = frames.read()
     assert frame is not None and frame.stamp == pytest.approx(1_700_000_000.25)
-    assert frame.image.shape == (48, 64, 3)
+    assert frame.image.shape == (720, 1280, 3)
     frames.close()
     assert camera.stopped
 
