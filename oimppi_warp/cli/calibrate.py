@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -47,6 +48,28 @@ class BoardOptions:
             print(f"The board is not seen, or too little of it, in {', '.join(without)}.")
         return [view for view in found.values() if view is not None]
 
+    def described(self, file: Path, columns: Sequence[str]) -> tuple[list[BoardView], np.ndarray]:
+        """Returns the views, and the numbers that a file has about each.
+
+        Args:
+            file: CSV file with the column image and the following ones.
+            columns: Names of the columns.
+
+        Returns:
+            The views, and the numbers, shape [view, column].
+
+        Raises:
+            ConfigError: The file cannot be read, or says nothing about an image in which the board is seen.
+        """
+        import numpy as np
+
+        table = read_table(file, columns)
+        views = self.views()
+        for view in views:
+            if view.name not in table:
+                raise ConfigError(f"{file}: there is nothing about {view.name}\n  to do:   add a line for it")
+        return views, np.array([table[view.name] for view in views]).reshape(-1, len(columns))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Lens(BoardOptions):
@@ -78,14 +101,18 @@ class Lens(BoardOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class OnTable(BoardOptions):
-    """Find where the camera stands, with the board lying at a known place on the table, face up.
+    """Find where the camera stands, with the board lying at known places on the table, face up.
 
-    The place of the board's origin, its bottom left corner, is measured from the arm's base.
+    The place of the board's origin, its bottom left corner, is measured from the arm's base. Several places, with an
+    image of each, give a more exact result.
     """
 
-    at: Annotated[str, arg(metavar="X,Y,YAW")]
-    """Pose of the board: x and y of its origin in metres, and the angle from the world's x to the board's in radians.
-    If X is negative, write --at=X,Y,YAW with an equals sign."""
+    at: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="(default: --places)")] = None
+    """Pose of the board in all images: x and y of its origin in metres, and the angle from the world's x to the board's
+    in radians. If X is negative, write --at=X,Y,YAW with an equals sign."""
+
+    places: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: DIR/places.csv)")] = None
+    """File with the pose of the board in each image: CSV with the columns image, x, y and yaw."""
 
     height: Annotated[float, arg(metavar="M")] = 0.0
     """Height of the printed side above the table in metres, if the board is thick."""
@@ -95,16 +122,26 @@ class OnTable(BoardOptions):
 
     def execute(self) -> int:
         """Calibrates, writes the file and returns the exit status."""
+        import numpy as np
+
         from oimppi_warp.runtime.request import parse_pose
 
-        x, y, yaw = parse_pose("--at", self.at)
+        same = None if self.at is None else parse_pose("--at", self.at)
+        if same is not None and self.places is not None:
+            raise ConfigError("--at and --places: only one of them can be given")
         if not -0.5 < self.height < 1.0:
             raise ConfigError(f"--height {self.height:g} cannot be used\n  allowed: -0.5 to 1 m")
         from oimppi_warp.perception.calibration import board_on_table, place_by_board
         from oimppi_warp.perception.camera_model import load_camera
 
         camera = load_camera(self.calibration)
-        found = place_by_board(camera, views := self.views(), board_on_table(x, y, yaw, self.height))
+        if same is not None:
+            views = self.views()
+            boards = np.tile(board_on_table(*same, height=self.height), (len(views), 1, 1))
+        else:
+            views, table = self.described(self.places or self.images / "places.csv", ("x", "y", "yaw"))
+            boards = np.array([board_on_table(*row, height=self.height) for row in table])
+        found = place_by_board(camera, views, boards)
         found.camera.save(self.calibration)
         _report(found, views, self.calibration)
         return 0
@@ -141,12 +178,7 @@ class HandEye(BoardOptions):
 
         camera, robot = load_camera(self.calibration), load_scene(self.scene).robot
         file = self.joints or self.images / "joints.csv"
-        listed = read_joints(file, robot.dof)
-        views = self.views()
-        for view in views:
-            if view.name not in listed:
-                raise ConfigError(f"{file}: there are no joint positions for {view.name}\n  to do:   add them")
-        joints = np.array([listed[view.name] for view in views]).reshape(-1, robot.dof)
+        views, joints = self.described(file, [f"joint{number}" for number in range(1, robot.dof + 1)])
         if self.degrees:
             joints = np.where(revolute_joints(robot), np.radians(joints), joints)
         found = place_by_arm(camera, views, robot, joints)
@@ -169,33 +201,30 @@ def parse_board(text: str, square: float) -> Board:
     return Board(int(columns), int(rows), square)
 
 
-def read_joints(file: Path, dof: int) -> dict[str, np.ndarray]:
-    """Reads the joint positions at each image.
+def read_table(file: Path, columns: Sequence[str]) -> dict[str, list[float]]:
+    """Reads numbers about images.
 
     Args:
-        file: CSV file with the columns image, joint1, joint2 and so on.
-        dof: Number of the arm's joints.
+        file: CSV file with the column image, and others.
+        columns: Names of those to read.
 
     Returns:
-        Joint positions by the image's name, shape [dof], in the file's unit.
+        The numbers, by the name of the image.
 
     Raises:
         ConfigError: The file does not exist, or says something else.
     """
-    import numpy as np
-
-    columns = [f"joint{number}" for number in range(1, dof + 1)]
-    allowed = f"a CSV file with the columns image, {columns[0]} to {columns[-1]}, and a number in each"
+    allowed = f"a CSV file with the columns image, {', '.join(columns)}, and a number in each"
     try:
         with file.open(newline="") as rows:
             table = {row["image"]: [float(row[column]) for column in columns] for row in csv.DictReader(rows)}
     except FileNotFoundError:
         raise ConfigError(f"{file}: there is no such file\n  allowed: {allowed}") from None
-    except (KeyError, TypeError, ValueError, csv.Error, UnicodeDecodeError):
-        raise ConfigError(f"{file}: the joint positions cannot be read\n  allowed: {allowed}") from None
+    except (KeyError, TypeError, ValueError, csv.Error):
+        raise ConfigError(f"{file}: this cannot be read\n  allowed: {allowed}") from None
     if not all(math.isfinite(value) for row in table.values() for value in row):
-        raise ConfigError(f"{file}: there is a joint position that is not finite\n  allowed: {allowed}")
-    return {name: np.array(row) for name, row in table.items()}
+        raise ConfigError(f"{file}: there is a number that is not finite\n  allowed: {allowed}")
+    return table
 
 
 def _report(found: Calibration, views: list[BoardView], file: Path) -> None:

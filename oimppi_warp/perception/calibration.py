@@ -88,26 +88,28 @@ def calibrate_lens(views: Sequence[BoardView]) -> Calibration:
 
 
 def place_by_board(camera: CameraModel, views: Sequence[BoardView], board_in_world: np.ndarray) -> Calibration:
-    """Returns the camera at its place, from views of the board that lies at a known place.
+    """Returns the camera at its place, from views of the board that lies at known places.
 
     Args:
         camera: The camera's lens.
-        views: Views of the board, which has not moved between them, nor has the camera.
-        board_in_world: Pose of the board's frame in the world, shape [4, 4] [m].
+        views: Views of the board.
+        board_in_world: Pose of the board's frame in the world, shape [4, 4] [m], or one for each view, shape
+            [view, 4, 4].
 
     Raises:
         ConfigError: There is no view, the images have another size than the lens was calibrated with, or the views do
             not fit together.
     """
     _check(camera, views, 1)
-    points, pixels = (np.concatenate([getattr(view, name) for view in views]) for name in ("points", "pixels"))
-    place = _inverse(_board_in_camera(camera, points, pixels))
+    boards = np.broadcast_to(board_in_world, (len(views), 4, 4))
+    place = boards[0] @ _inverse(_board_in_camera(camera, views[0].points, views[0].pixels))
 
-    def off(change: np.ndarray, of: Sequence[BoardView]) -> np.ndarray:
-        return np.concatenate([_reprojection(camera, _inverse(_moved(place, change)), view) for view in of])
+    def off(change: np.ndarray) -> list[np.ndarray]:
+        seen = _inverse(_moved(place, change))
+        return [_reprojection(camera, seen @ board, view) for board, view in zip(boards, views, strict=True)]
 
-    fit = least_squares(lambda change: off(change, views).ravel(), np.zeros(6), x_scale="jac")
-    return _result(camera, board_in_world @ _moved(place, fit.x), fit, views, [off(fit.x, [view]) for view in views])
+    fit = least_squares(lambda change: np.concatenate(off(change)).ravel(), np.zeros(6), x_scale="jac", loss="soft_l1")
+    return _result(camera, _moved(place, fit.x), fit, views, off(fit.x))
 
 
 def place_by_arm(camera: CameraModel, views: Sequence[BoardView], robot: Robot, joints: np.ndarray) -> Calibration:
@@ -145,15 +147,18 @@ def place_by_arm(camera: CameraModel, views: Sequence[BoardView], robot: Robot, 
     place[:3, :3], place[:3, 3] = turn, shift.ravel()
     held = back[0] @ place @ boards[0]
 
-    def off(change: np.ndarray, which: Sequence[int]) -> np.ndarray:
+    def off(change: np.ndarray) -> list[np.ndarray]:
         seen, on = _inverse(_moved(place, change[:6])), _moved(held, change[6:])
-        return np.concatenate([_reprojection(camera, seen @ flanges[i] @ on, views[i]) for i in which])
+        return [_reprojection(camera, seen @ flange @ on, view) for flange, view in zip(flanges, views, strict=True)]
 
-    everything = range(len(views))
     fit = least_squares(
-        lambda change: off(change, everything).ravel(), np.zeros(12), x_scale="jac", loss="soft_l1", max_nfev=_STEPS
+        lambda change: np.concatenate(off(change)).ravel(),
+        np.zeros(12),
+        x_scale="jac",
+        loss="soft_l1",  # an image with wrong joint positions stands out, instead of spoiling the others
+        max_nfev=_STEPS,
     )
-    return _result(camera, _moved(place, fit.x[:6]), fit, views, [off(fit.x, [i]) for i in everything])
+    return _result(camera, _moved(place, fit.x[:6]), fit, views, off(fit.x))
 
 
 def board_on_table(x: float, y: float, yaw: float, height: float = 0.0) -> np.ndarray:

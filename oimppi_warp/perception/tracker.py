@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class CameraPoses:
         self._problem = "no image has arrived yet"
         self._failure: Exception | None = None
         self.images = self.found = 0
-        self._stop = threading.Event()
+        self._stop, self._ended = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="oimppi-camera", daemon=True)
         self._thread.start()
 
@@ -73,7 +74,7 @@ class CameraPoses:
     @property
     def running(self) -> bool:
         """Returns whether there may be more images."""
-        return self._thread.is_alive()
+        return not self._ended.is_set()
 
     def wait(self, timeout: float | None = None) -> None:
         """Waits until there are no more images.
@@ -84,24 +85,27 @@ class CameraPoses:
         Raises:
             OimppiError: The images cannot be used, or do not come any more.
         """
-        self._thread.join(timeout)
+        # Not a join: one that Ctrl-C interrupts takes the thread for ended (Python 3.11, bpo-45274).
+        self._ended.wait(timeout)
         if self._failure is not None:
             raise self._failure
 
     def close(self) -> None:
         """Stops detecting."""
         self._stop.set()
-        self._thread.join(timeout=5.0)
+        if self._ended.wait(5.0):
+            self._thread.join()
 
     def _run(self) -> None:
-        try:
-            self._detect_all()
-        except OimppiError as error:
-            self._problem, self._failure = str(error).partition("\n")[0], error
-        except Exception as error:  # it must not end in silence: whoever waits gets it
-            self._problem, self._failure = f"the detection failed: {error!r}", error
-        finally:
-            self._frames.close()
+        with ExitStack() as at_the_end:
+            at_the_end.callback(self._ended.set)
+            at_the_end.callback(self._frames.close)
+            try:
+                self._detect_all()
+            except OimppiError as error:
+                self._problem, self._failure = str(error).partition("\n")[0], error
+            except Exception as error:  # it must not end in silence: whoever waits gets it
+                self._problem, self._failure = f"the detection failed: {error!r}", error
 
     def _detect_all(self) -> None:
         shift = None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -106,6 +108,25 @@ def test_what_was_seen_can_be_recorded_and_replayed(recording, calibration, tmp_
     assert len(first) == 3
 
 
+def test_a_signal_ends_it_with_a_complete_recording_and_a_summary(recording, calibration, tmp_path):
+    slow, again = tmp_path / "slow", tmp_path / "again"
+    shutil.copytree(recording, slow)
+    stamps = {f"{number:06d}.png": 1000.0 + 4.0 * number for number in range(5)}
+    (slow / "stamps.json").write_text(json.dumps(stamps))
+    run = ("run", "lab01", "--camera", slow, "--calibration", calibration, "--host", address(), "--port", "0")
+    command = [sys.executable, "-m", "oimppi_warp", "perceive", *map(str, run), "--record", str(again)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        while "error" not in process.stdout.readline():  # the first image was seen
+            assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        said, complained = process.communicate(timeout=60.0)
+    assert process.returncode == 0 and complained == "", complained
+    assert "The object was found in" in said
+    written = json.loads((again / "stamps.json").read_text())
+    assert 1 <= len(written) < 5 and sorted(written) == sorted(file.name for file in again.glob("*.png"))
+
+
 def test_the_sheet_is_written_and_its_tags_are_those_that_are_looked_for(recording, calibration, tmp_path, capsys):
     assert perceive("sheet", "lab01", "--out", tmp_path) == 0
     assert "black square of 37 mm" in capsys.readouterr().out
@@ -135,7 +156,14 @@ def test_from_images_of_the_board_to_the_pose_of_the_can(recording, tmp_path, ca
     said = capsys.readouterr().out
     assert "the camera stands at" in said and "px from where they should be" in said
     assert perceive(*run) == 0
-    off = poses_in(capsys.readouterr().out) - POSE
+    one_place = poses_in(capsys.readouterr().out) - POSE
+    places = [(0.28, -0.12, 0.1), (0.40, 0.15, 0.8), (0.30, -0.40, -0.2), (0.45, 0.25, -0.6)]
+    names = boards.write_images(tmp_path / "places", truth, [boards.board_on_table(*place) for place in places])
+    rows = [f"{name},{x},{y},{yaw}" for name, (x, y, yaw) in zip(names, places, strict=True)]
+    (tmp_path / "places" / "places.csv").write_text("\n".join(["image,x,y,yaw", *rows]))
+    assert perceive("calibrate", "table", tmp_path / "places", "--calibration", file) == 0
+    assert perceive(*run) == 0
+    off = np.concatenate([one_place, poses_in(capsys.readouterr().out) - POSE])
     away, turned = np.hypot(off[:, 0], off[:, 1]).max(), np.abs(off[:, 2]).max()
     print(f"position {1e3 * away:.2f} mm, yaw {np.degrees(turned):.2f} degrees")
     assert away < 0.005 and turned < 0.03
@@ -159,10 +187,13 @@ def test_the_arm_that_holds_the_board_places_the_camera(tmp_path, capsys):
     capsys.readouterr()
     (tmp_path / "arm" / "joints.csv").write_text("\n".join([header, *rows[1:]]) + "\n")
     assert perceive(*run, "--degrees") == 2
-    assert "there are no joint positions for 00.png" in capsys.readouterr().err
+    assert "there is nothing about 00.png" in capsys.readouterr().err
     (tmp_path / "arm" / "joints.csv").write_text("image,joint1\n00.png,1\n")
     assert perceive(*run) == 2
-    assert "allowed: a CSV file with the columns image, joint1 to joint6" in capsys.readouterr().err
+    assert (
+        "allowed: a CSV file with the columns image, joint1, joint2, joint3, joint4, joint5, joint6"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_camera_is_recorded_at_the_pace_that_was_asked_for(tmp_path, monkeypatch, capsys):
@@ -209,6 +240,7 @@ def test_the_example_of_the_documentation_runs(recording, calibration):
         (("sheet", "lab01", "--board", "20x4"), "3 to 14 each"),
         (("calibrate", "lens", "none"), "there is no such folder"),
         (("calibrate", "table", "none", "--at", "1,2"), "--at"),
+        (("calibrate", "table", "none", "--at", "1,2,0", "--places", "p.csv"), "only one of them"),
     ],
 )
 def test_bad_options_are_refused_in_one_message(arguments, said, tmp_path, monkeypatch, capsys):

@@ -99,6 +99,17 @@ def test_the_camera_is_placed_by_the_board_on_the_table():
     assert_place(found.camera, truth, ONE_BOARD)
 
 
+def test_the_board_at_several_places_is_more_exact():
+    truth = rendered.lab_camera()
+    places = [(0.28, -0.12, 0.1), (0.40, 0.15, 0.8), (0.30, -0.40, -0.2), (0.45, 0.25, -0.6)]
+    boards = np.array([board_on_table(*place) for place in places])
+    views = rendered_views(truth, BOARD, boards)
+    assert len(views) == len(places)
+    found = place_by_board(replace(truth, pose=None), views, boards)
+    print(found.uncertainty)
+    assert_place(found.camera, truth)
+
+
 def test_the_camera_is_placed_by_the_arm_that_holds_the_board(robot):
     truth = rendered.lab_camera()
     joints, boards = held_by_the_arm(truth, robot, 12)
