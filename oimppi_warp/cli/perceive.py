@@ -149,11 +149,12 @@ class _Shown:
             return
         from oimppi_warp.perception.opencv import load_opencv
         from oimppi_warp.perception.picture import annotated
+        from oimppi_warp.record.log import write_atomically
 
         frame, sighting = self._latest
         drawn = annotated(frame.image, sighting, self._detector, self._scene.object)
         self._picture.parent.mkdir(parents=True, exist_ok=True)
-        load_opencv().imwrite(str(self._picture), drawn)
+        write_atomically(self._picture, load_opencv().imencode(self._picture.suffix.lower(), drawn)[1].tobytes())
 
 
 def describe(sighting: Sighting) -> str:

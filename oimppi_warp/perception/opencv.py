@@ -21,7 +21,7 @@ def load_opencv() -> ModuleType:
     """Returns the module ``cv2``, limited to one thread: the planner needs the others.
 
     Raises:
-        ConfigError: OpenCV is not installed, or cannot be loaded.
+        ConfigError: OpenCV is not installed, cannot be loaded, or has another version than is needed.
     """
     try:
         import cv2
@@ -32,6 +32,12 @@ def load_opencv() -> ModuleType:
             f"OpenCV cannot be loaded: {error}\n"
             "  to do:   install the library that is missing (on Debian and Ubuntu: apt install libgl1 libglib2.0-0)"
         ) from None
+    version = tuple(map(int, cv2.__version__.split(".")[:2]))
+    if not (4, 13) <= version < (5, 0):
+        raise ConfigError(
+            f"OpenCV {cv2.__version__} cannot be used: allowed are versions from 4.13 to below 5\n"
+            "  to do:   pip install 'oimppi-warp[perception]', without opencv-python-headless beside it"
+        )
     cv2.setNumThreads(1)
     return cv2
 

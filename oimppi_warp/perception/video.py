@@ -262,9 +262,13 @@ class Recorder:
         self._stamps: dict[str, float] = {}
 
     def write(self, frame: Frame) -> None:
-        """Writes an image."""
+        """Writes an image.
+
+        Raises:
+            OSError: It cannot be written.
+        """
         name = f"{len(self._stamps):06d}.png"
-        self._cv2.imwrite(str(self._folder / name), frame.image)
+        (self._folder / name).write_bytes(self._cv2.imencode(".png", frame.image)[1].tobytes())
         self._stamps[name] = frame.stamp
 
     def close(self) -> None:

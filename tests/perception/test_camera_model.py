@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 
+import cv2
 import numpy as np
 import pytest
 from support import rendered
@@ -81,6 +83,14 @@ def test_without_opencv_the_message_says_what_to_install(monkeypatch):
     with pytest.raises(ConfigError) as refused:
         rendered.lab_camera().project(np.zeros((1, 3)))
     assert "pip install 'oimppi-warp[perception]'" in str(refused.value)
+
+
+@pytest.mark.parametrize("version", ["4.6.0", "5.0.1"])
+def test_another_version_of_opencv_is_refused(monkeypatch, version: str):
+    monkeypatch.setattr(cv2, "__version__", version)
+    opencv.load_opencv.cache_clear()
+    with pytest.raises(ConfigError, match=f"OpenCV {re.escape(version)} cannot be used"):
+        opencv.load_opencv()
 
 
 def test_an_opencv_that_lacks_a_library_of_the_system_is_not_called_missing(tmp_path, monkeypatch):
