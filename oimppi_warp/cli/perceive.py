@@ -17,6 +17,7 @@ from oimppi_warp.errors import ConfigError
 
 if TYPE_CHECKING:
     from oimppi_warp.perception.tag_detector import Sighting, TagDetector
+    from oimppi_warp.perception.tracker import Publish
     from oimppi_warp.perception.video import Frame
     from oimppi_warp.scene import Scene
 
@@ -29,8 +30,8 @@ _EVERY = 1.0
 class Perceive:
     """Find the object by the tags on it, and print or serve its pose.
 
-    A camera runs until Ctrl-C. Recorded images are worked through; with --port, at the pace at which they were taken.
-    docs/perception.md explains tags and calibration.
+    A camera runs until Ctrl-C. Recorded images are worked through; with --port or --ros2, at the pace at which they were
+    taken. docs/perception.md explains tags and calibration.
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")]
@@ -52,6 +53,15 @@ class Perceive:
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
     """Address on which the poses are served; 0.0.0.0 is every address of this machine."""
+
+    ros2: FlagCreatePairsOff[bool] = False
+    """Publish the poses on ROS 2: on the topic /object_pose, and as the frame fp_object_pose in /tf (extra ros2)."""
+
+    domain: Annotated[int, arg(metavar="N", help_behavior_hint="(default: ROS_DOMAIN_ID, or 0)")] = -1
+    """With --ros2: ROS domain."""
+
+    peers: Annotated[str, arg(metavar="ADDRESS,…", help_behavior_hint="(default: multicast)")] = ""
+    """With --ros2: addresses of the machines to talk to, where multicast does not work."""
 
     images: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: until Ctrl-C)")] = None
     """Number of images after which to stop."""
@@ -75,7 +85,6 @@ class Perceive:
 
         load_opencv()
         camera = load_camera(self.calibration)
-        from oimppi_warp.perception.pose_feed import PoseServer
         from oimppi_warp.perception.tags import layout_of, load_layout
         from oimppi_warp.perception.tracker import CameraPoses
         from oimppi_warp.perception.video import Recorder, open_frames
@@ -86,23 +95,20 @@ class Perceive:
         detector = TagDetector(camera, layout, scene.object.rest_height)
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         with ExitStack() as open_things:
-            recorder = server = None
+            recorder = None
             frames = open_frames(self.camera, size=camera.image_size)
             if self.record is not None:
                 recorder = Recorder(self.record)
                 open_things.callback(recorder.close)
-            if self.port is not None:
-                server = PoseServer(self.host, self.port)
-                open_things.callback(server.close)
-                print(f"The poses are served at {self.host}:{server.port}; Ctrl-C ends it.", flush=True)
+            publishers = self._publishers(scene, open_things)
             shown = _Shown(scene, detector, self.picture, None if recorder is None else recorder.write)
-            shown.every = _EVERY if frames.live or server is not None else 0.0
+            shown.every = _EVERY if frames.live or publishers else 0.0
             poses = CameraPoses(
                 frames,
                 detector,
-                publish=None if server is None else server.publish,
+                publish=publishers,
                 on_sighting=shown.take,
-                hurry=server is None,
+                hurry=not publishers,
                 limit=self.images,
             )
             open_things.callback(poses.close)
@@ -114,6 +120,26 @@ class Perceive:
         shown.finish()
         print(f"The object was found in {poses.found} of {poses.images} images.")
         return 0 if poses.found > 0 else 1
+
+    def _publishers(self, scene: Scene, open_things: ExitStack) -> list[Publish]:
+        """Returns what the poses are sent to, and says where; ``open_things`` ends it."""
+        publishers: list[Publish] = []
+        if self.port is not None:
+            from oimppi_warp.perception.pose_feed import PoseServer
+
+            server = PoseServer(self.host, self.port)
+            open_things.callback(server.close)
+            publishers.append(server.publish)
+            print(f"The poses are served at {self.host}:{server.port}; Ctrl-C ends it.", flush=True)
+        if self.ros2:
+            from oimppi_warp.plants.ros2.link import connect
+            from oimppi_warp.plants.ros2.poses import pose_publisher
+
+            link = connect(domain=self.domain, peers=self.peers)
+            open_things.callback(link.close)
+            publishers.append(pose_publisher(link, scene.object.rest_height))
+            print(f"The poses are published in {link.name}; Ctrl-C ends it.", flush=True)
+        return publishers
 
 
 class _Shown:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
 import numpy as np
@@ -31,7 +31,7 @@ class CameraPoses:
     Args:
         frames: Source of the images, which is closed at the end.
         detector: Detects the object in them.
-        publish: Is called with each pose; ``None``: nobody else needs them.
+        publish: Functions that are called with each pose.
         on_sighting: Is called with each image and what was found in it; ``None``: nobody looks.
         hurry: Whether recorded images are worked through without waiting, and keep their times.
         limit: Number of images after which to stop; ``None``: none.
@@ -46,7 +46,7 @@ class CameraPoses:
         frames: FrameSource,
         detector: TagDetector,
         *,
-        publish: Publish | None = None,
+        publish: Sequence[Publish] = (),
         on_sighting: Callable[[Frame, Sighting], None] | None = None,
         hurry: bool = False,
         limit: int | None = None,
@@ -129,7 +129,7 @@ class CameraPoses:
         if sighting.pose is not None:
             self.found += 1
             self._poses.append(StampedPose(sighting.pose, time.monotonic(), time.time() - frame.stamp, frame.stamp))
-            if self._publish is not None:
-                self._publish(sighting.pose, frame.stamp)
+            for publish in self._publish:
+                publish(sighting.pose, frame.stamp)
         if self._on_sighting is not None:
             self._on_sighting(frame, sighting)

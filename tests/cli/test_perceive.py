@@ -17,12 +17,14 @@ import pytest
 from support import boards, rendered, small_tasks
 from support.emulated_lab import address
 from support.fake_realsense import FakeRealSense
+from support.ros2_lab import HERE, new_domain, other_node
 
 from oimppi_warp.cli.main import main
 from oimppi_warp.perception.camera_model import load_camera
 from oimppi_warp.perception.pose_feed import PoseReceiver
 from oimppi_warp.perception.tags import layout_of
 from oimppi_warp.perception.video import Frame, Recorder
+from oimppi_warp.plants.ros2.poses import Ros2Poses
 
 POSE = np.array([0.41, 0.08, 0.5])
 PORT = 29601
@@ -95,6 +97,18 @@ def test_poses_are_served_as_the_arm_takes_them(recording, calibration, tmp_path
     assert receiver.latest is not None
     np.testing.assert_allclose(receiver.latest.pose, POSE, atol=0.02)
     assert receiver.latest.stamp > 1e9, "replayed images have the present time"
+
+
+def test_poses_are_published_as_ros_takes_them(recording, calibration, tmp_path, capsys):
+    domain, slow = new_domain(), slowed(recording, tmp_path / "slow", 0.6)
+    with other_node(domain) as node:
+        poses = Ros2Poses(node, "fp_object_pose", world="world")
+        run = ("run", "lab01", "--camera", slow, "--calibration", calibration)
+        assert perceive(*run, "--ros2", "--domain", domain, "--peers", HERE) == 0
+        assert f"published in ROS domain {domain}" in capsys.readouterr().out
+        assert poses.poses, poses.problem
+        np.testing.assert_allclose(poses.poses[-1].pose, POSE, atol=0.02)
+        assert 0.0 <= poses.poses[-1].age < 5.0
 
 
 def test_images_without_the_object_give_status_one_and_the_reason(calibration, tmp_path, capsys):

@@ -55,7 +55,7 @@ def test_poses_are_published_with_the_times_of_their_images(detector, frames):
     published: list[tuple[np.ndarray, float]] = []
     images = Images(frames)
     poses: PoseSource = CameraPoses(
-        images, detector, publish=lambda pose, stamp: published.append((pose, stamp)), hurry=True
+        images, detector, publish=[lambda pose, stamp: published.append((pose, stamp))], hurry=True
     )
     assert isinstance(poses, CameraPoses)
     poses.wait(30.0)
