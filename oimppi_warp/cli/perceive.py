@@ -30,8 +30,8 @@ _EVERY = 1.0
 class Perceive:
     """Find the object by the tags on it, and print or serve its pose.
 
-    A camera runs until Ctrl-C. Recorded images are worked through; with --port or --ros2, at the pace at which they were
-    taken. docs/perception.md explains tags and calibration.
+    A camera runs until Ctrl-C. Recorded images are worked through; with --port or --ros2, at the pace at which they
+    were taken. docs/perception.md explains tags and calibration.
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")]

@@ -13,6 +13,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 from oimppi_warp.cli.hardware import print_checks
 from oimppi_warp.cli.options import notices
 from oimppi_warp.errors import HardwareError
+from oimppi_warp.priority import real_time_priority
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +57,8 @@ class Ros2Plant:
             from oimppi_warp.plants.ros2.link import connect
 
             scene = prepare_scene(self.scene, start=start, goal=None, seed=self.seed)
-            link = connect(domain=self.domain, peers=self.peers)
+            with real_time_priority():  # for the threads of the connection
+                link = connect(domain=self.domain, peers=self.peers)
             simulated = Ros2Lab(scene, lab().lab, link, seed=self.seed)
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         simulated.start()
@@ -117,7 +119,7 @@ def check_topics(assignments: Sequence[str], scene: str) -> list[Check]:
         SceneError: The scene cannot be read.
     """
     from oimppi_warp.plants.factory import plant_options
-    from oimppi_warp.plants.real.arm import Check
+    from oimppi_warp.plants.real.arm import Check, check_priority
     from oimppi_warp.plants.ros2.link import connect
     from oimppi_warp.plants.ros2.plant import Ros2Plant, Setup
     from oimppi_warp.usd import load_scene
@@ -137,7 +139,7 @@ def check_topics(assignments: Sequence[str], scene: str) -> list[Check]:
         raise
     try:
         found = [Check(f"connected to {link.name}; topics there: {', '.join(link.topics())}", True)]
-        found += arm.check(task.robot)
+        found += [check_priority(), *arm.check(task.robot)]
         until = time.monotonic() + 4.0
         while not poses.poses and time.monotonic() < until:
             time.sleep(0.05)

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from oimppi_warp.priority import real_time_priority
 from oimppi_warp.scene import Robot
 
 OLDEST = 0.2
@@ -41,6 +42,13 @@ def check_limits(joints: np.ndarray, robot: Robot) -> Check:
     outside = [f"joint {i + 1}" for i in np.flatnonzero((joints < lower) | (joints > upper))]
     what = f"{', '.join(outside)} beyond its limits" if outside else "joints within the scene's limits"
     return Check(what, not outside, "move the arm by hand (manual mode)")
+
+
+def check_priority() -> Check:
+    """Checks whether the commands can be sent with priority over other programs."""
+    with real_time_priority() as given:
+        what = "real-time priority" if given else "no real-time priority: other programs can delay the commands"
+        return Check(what, given, "add `YOUR_USER - rtprio 20` to /etc/security/limits.conf, and log in anew", False)
 
 
 class JointReports:

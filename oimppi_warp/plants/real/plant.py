@@ -29,6 +29,7 @@ from oimppi_warp.plants.real.commands import LATENCY, TICK, Commands
 from oimppi_warp.plants.real.known import allowed_speed, remember
 from oimppi_warp.plants.real.sight import Sight
 from oimppi_warp.plants.real.start import FIRST_POSE, StartProcedure
+from oimppi_warp.priority import real_time_priority
 from oimppi_warp.scene import PlanarPose, Scene
 
 _SLOWEST_TOUCH = 1e-3
@@ -139,11 +140,12 @@ class ArmPlant:
         self._sender = threading.Thread(target=self._send_all, name="oimppi-arm", daemon=True)
         atexit.register(self.close)
         try:
-            self.check()
-            if options.dry_run:
-                self._sender.start()
-            else:
-                StartProcedure(self, self._scene).run(confirmed=options.yes)
+            with real_time_priority():  # for the thread that sends
+                self.check()
+                if options.dry_run:
+                    self._sender.start()
+                else:
+                    StartProcedure(self, self._scene).run(confirmed=options.yes)
             if self.sight.agreed(oldest=options.pose_timeout, wait=FIRST_POSE) is None:
                 raise self.sight.error()
         except BaseException:

@@ -18,6 +18,7 @@ from oimppi_warp.plants.ros2.link import Link, connect
 from oimppi_warp.plants.ros2.messages import CLOCK, NUMBERS, seconds
 from oimppi_warp.plants.ros2.poses import Ros2Poses
 from oimppi_warp.plants.ros2.tf import planar
+from oimppi_warp.priority import real_time_priority
 from oimppi_warp.scene import Obstacle, PlanarPose, Scene
 
 _FRAMES = 5.0
@@ -82,7 +83,8 @@ class Ros2Plant(ArmPlant):
             obstacles=obstacles,
             use_sim_time=use_sim_time,
         )
-        link = connect(domain=domain, peers=peers, through=through)
+        with real_time_priority():  # for the threads of the connection
+            link = connect(domain=domain, peers=peers, through=through)
         try:
             arm, received, moves = setup.find(link, scene)
         except BaseException:

@@ -11,6 +11,7 @@ from oimppi_warp.perception.pose_source import PoseSource
 from oimppi_warp.plants.real.plant import ArmOptions, ArmPlant, ticks_of
 from oimppi_warp.plants.xarm.arm import XArm
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT
+from oimppi_warp.priority import real_time_priority
 from oimppi_warp.scene import Scene
 
 
@@ -56,7 +57,8 @@ class XArmPlant(ArmPlant):
         host, _ = split_address(robot_address, COMMAND_PORT)
         poses = poses or PoseReceiver(pose_address or f"{host}:{POSE_PORT}")
         try:
-            arm = XArm(robot_address)
+            with real_time_priority():  # for the threads of the SDK
+                arm = XArm(robot_address)
         except BaseException:
             poses.close()
             raise
