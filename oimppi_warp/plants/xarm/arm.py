@@ -9,6 +9,7 @@ import statistics
 import sys
 import threading
 import time
+import warnings
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +44,8 @@ def _sdk() -> Any:
         ConfigError: It is not installed.
     """
     try:
-        with redirect_stdout(io.StringIO()):
+        with redirect_stdout(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)  # it has some on Python 3.12
             import xarm.wrapper as sdk
             from xarm.core.utils.log import logger, origin_logger
     except ImportError:
