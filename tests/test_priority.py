@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from oimppi_warp.priority import LEVEL, real_time_priority
+from oimppi_warp.priority import LOOP, PLANNER, lower_priority, real_time_priority
 
 
 def test_it_is_given_back_and_threads_keep_it():
@@ -15,20 +15,26 @@ def test_it_is_given_back_and_threads_keep_it():
     found: list[tuple[int, int]] = []
     ended = threading.Event()
 
-    def look() -> None:
+    def look(lower: bool) -> None:
         ended.wait()
+        if lower:
+            lower_priority()
         found.append((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority))
 
     with real_time_priority() as given:
         if not given:
             pytest.skip("this user may not have real-time priority")
         assert os.sched_getscheduler(0) == os.SCHED_RR
-        thread = threading.Thread(target=look)
-        thread.start()
+        threads = [threading.Thread(target=look, args=(lower,)) for lower in (False, True)]
+        for thread in threads:
+            thread.start()
     assert os.sched_getscheduler(0) == before
     ended.set()
-    thread.join()
-    assert found == [(os.SCHED_RR, LEVEL)]
+    for thread in threads:
+        thread.join()
+    assert sorted(found) == [(os.SCHED_RR, PLANNER), (os.SCHED_RR, LOOP)]
+    lower_priority()
+    assert os.sched_getscheduler(0) == before
 
 
 def test_without_permission_nothing_changes(monkeypatch):

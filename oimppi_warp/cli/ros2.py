@@ -12,6 +12,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from oimppi_warp.cli.hardware import print_checks
 from oimppi_warp.cli.options import notices
+from oimppi_warp.config.ros2_topics import JOINT_STATES
 from oimppi_warp.errors import HardwareError
 from oimppi_warp.priority import real_time_priority
 
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from oimppi_warp.plants.real.arm import Check
+    from oimppi_warp.plants.ros2.link import Link
+
+
+_DISCOVERY = 1.0
+"""Time to look for others [s]."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,7 @@ class Ros2Plant:
             scene = prepare_scene(self.scene, start=start, goal=None, seed=self.seed)
             with real_time_priority():  # for the threads of the connection
                 link = connect(domain=self.domain, peers=self.peers)
+            _refuse_company(link)
             simulated = Ros2Lab(scene, lab().lab, link, seed=self.seed)
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         simulated.start()
@@ -105,6 +112,20 @@ class Ros2Check:
     def execute(self) -> int:
         """Prints the checks and returns the exit status."""
         return print_checks(check_topics(self.plant_options, self.scene), json=self.json)
+
+
+def _refuse_company(link: Link) -> None:
+    """Refuses to simulate where an arm is already.
+
+    Raises:
+        HardwareError: Somebody publishes joint states.
+    """
+    time.sleep(_DISCOVERY)
+    if any(end.publishes for end in link.endpoints(JOINT_STATES)):
+        link.close()
+        raise HardwareError(
+            f"somebody publishes {JOINT_STATES} in {link.name} already\n  to do:   use another domain (--domain N)"
+        )
 
 
 def check_topics(assignments: Sequence[str], scene: str) -> list[Check]:

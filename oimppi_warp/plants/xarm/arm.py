@@ -260,8 +260,9 @@ class XArm:
         )
         return self._refusal(code)
 
-    def rest(self) -> None:
-        """Does nothing: the controller stops the arm by itself."""
+    def rest(self) -> bool:
+        """Does nothing, and returns so: the controller stops the arm by itself."""
+        return False
 
     def lost(self) -> str:
         """Returns in words that the connection for commands is lost; empty if it is not."""
