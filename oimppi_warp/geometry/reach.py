@@ -16,6 +16,14 @@ from oimppi_warp.scene import Robot, Scene
 _SIDES = 32
 """Sides of the polygon that approximates a disc carried by sliding joints."""
 _UP = np.array([0.0, 0.0, 1.0])
+_RADII = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25)
+"""Distances from the axis at which the tip is lowered to the table, relative to that at the start."""
+_CENTERED = 1e-3
+"""Distance of the first axis from the base's origin up to which the arm counts as turning about its base [m]."""
+_NO_RATE = 0.01
+"""Rate of tilt or height per joint velocity below which a joint does not change it [rad/rad; m/rad]."""
+ROUNDED_ANGLE = 0.01
+"""Angle below which axes count as parallel [rad]: people round the angles in a robot's file, as in 3.14 or 1.57."""
 
 TipErrors = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Function of a tip position [3] that returns directions [n, 3] and the position error along each, [n] [m]."""
@@ -55,21 +63,22 @@ def reach_of(robot: Robot) -> Reach:
     """Computes the reach of a robot's tip.
 
     From its start configuration the tip is moved to the table and away from the axis of the first joint that turns,
-    until no joint positions within the limits are found: that is the arm's reach to all sides. Sliding joints before
-    that one move this disc along. A robot with sliding joints only reaches everything within their limits. If the
-    axis of the first joint that turns is not vertical, the stretched length of the chain is the bound.
+    until no joint positions within the limits are found: that is the arm's reach to all sides, zero if the tip does not
+    get down to the table. Sliding joints before that one move this disc along. A robot with sliding joints only reaches
+    everything within their limits. If the axis of the first joint that turns is not vertical, up to
+    :data:`ROUNDED_ANGLE`, the stretched length of the chain is the bound.
     """
     revolute = np.flatnonzero(revolute_joints(robot))
     if not len(revolute):
         return _region(_corners(robot, robot.dof))
     first = int(revolute[0])
     rotations, positions = link_frames(robot, robot.start)
-    axis, carried = positions[first][:2], np.hypot(*rotations[:first, :2, 2].T) > 1e-6
-    if abs(rotations[first][2, 2]) < 1.0 - 1e-9:
+    axis, carried = positions[first][:2], ~_parallel(rotations[:first, :, 2], _UP)
+    if not _parallel(rotations[first][:, 2], _UP):
         return Reach(stretched_length(robot))
     free = np.append(~carried, np.ones(robot.dof - first, dtype=bool))
     radius = _max_radius(robot, axis, free)
-    if not carried.any() and np.hypot(*axis) < 1e-9:
+    if not radius or (not carried.any() and np.hypot(*axis) < _CENTERED):
         return Reach(radius)
     angles = np.arange(_SIDES) * 2.0 * np.pi / _SIDES
     disc = radius / np.cos(np.pi / _SIDES) * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -108,7 +117,41 @@ def can_lift(robot: Robot) -> bool:
     """Returns whether the robot can raise its tool without tilting it; otherwise it has to go around objects."""
     linear, tilting = tip_rates(robot, robot.start)
     both = np.vstack([tilting, linear[2]])
-    return bool(np.linalg.matrix_rank(both, tol=1e-6) > np.linalg.matrix_rank(tilting, tol=1e-6))
+    return bool(np.linalg.matrix_rank(both, tol=_NO_RATE) > np.linalg.matrix_rank(tilting, tol=_NO_RATE))
+
+
+def is_level(robot: Robot) -> np.ndarray:
+    """Returns which links no joint raises, lowers or tilts, such as a turret on a vertical axis, shape [dof].
+
+    They are the first links, as long as revolute axes are vertical and prismatic ones horizontal, up to
+    :data:`ROUNDED_ANGLE`.
+    """
+    axes = link_frames(robot, np.zeros(robot.dof))[0][:, :, 2]
+    upright, flat = _parallel(axes, _UP), np.abs(axes[:, 2]) < np.sin(ROUNDED_ANGLE)
+    return np.logical_and.accumulate(np.where(revolute_joints(robot), upright, flat))
+
+
+def _parallel(axes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Returns which unit vectors, shape [..., 3], are parallel to another or opposite, up to :data:`ROUNDED_ANGLE`."""
+    return np.linalg.norm(np.cross(axes, axis), axis=-1) < np.sin(ROUNDED_ANGLE)
+
+
+def lowest_tip(robot: Robot, joints: np.ndarray) -> float:
+    """Returns about how low the tip gets with the tool pointing down, at any place [m].
+
+    Args:
+        robot: The robot.
+        joints: Joint positions with the tool pointing down, from which the tip is lowered, shape [dof] [rad; m].
+    """
+    height, step = float(tip_frame(robot, joints)[1][2]), 0.02
+    while step > 5e-4:
+        target = height - step
+        lower = _solve_ik(robot, joints, lambda tip, target=target: (_UP[None], np.array([tip[2] - target])))
+        if lower is None:
+            step /= 2.0
+        else:
+            joints, height = lower, target
+    return height
 
 
 def inverse_kinematics(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
@@ -141,8 +184,10 @@ def _max_radius(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
 
         return errors
 
-    radius = float(np.linalg.norm(start[:2] - axis))
-    joints, step = _solve_ik(robot, robot.start, at_radius(radius), free), 0.05
+    first = float(np.linalg.norm(start[:2] - axis))
+    found = ((share * first, _solve_ik(robot, robot.start, at_radius(share * first), free)) for share in _RADII)
+    radius, joints = next(((r, q) for r, q in found if q is not None), (0.0, None))
+    step = 0.05
     while step > 5e-4 and joints is not None:
         further = _solve_ik(robot, joints, at_radius(radius + step), free)
         if further is None:
@@ -164,21 +209,34 @@ def _solve_ik(
 ) -> np.ndarray | None:
     """Solves for joint positions without tip errors and with the tool pointing down, by damped Gauss-Newton.
 
-    Joint limits are kept. Only the joints marked in ``free`` [dof] move; ``None``: all.
+    Joint limits are kept. Only the joints marked in ``free`` [dof] move; ``None``: all. Where no joint can correct a
+    tilt, as in an arm of five joints, one of :data:`ROUNDED_ANGLE` is accepted.
     """
+    found, last = _iterated(robot, joints, tip_errors, free, 0.0)
+    if found or np.linalg.matrix_rank(tip_rates(robot, last)[1], tol=_NO_RATE) == 2:
+        return last if found else None
+    found, last = _iterated(robot, joints, tip_errors, free, ROUNDED_ANGLE)
+    return last if found else None
+
+
+def _iterated(
+    robot: Robot, joints: np.ndarray, tip_errors: TipErrors, free: np.ndarray | None, slack: float
+) -> tuple[bool, np.ndarray]:
+    """Returns whether :func:`_solve_ik` with a tilt of up to ``slack`` [rad] succeeded, and the last joint positions."""
     lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
     q = np.array(joints, dtype=float)
     for _ in range(60):
         rotation, tip = tip_frame(robot, q)
         axis = rotation[:, 2]
         directions, errors = tip_errors(tip)
-        error = np.array([*errors, axis[0], axis[1]])
+        tilt = axis[:2] * max(1.0 - slack / max(float(np.hypot(*axis[:2])), 1e-9), 0.0)
+        error = np.array([*errors, *tilt])
         if np.abs(error).max() < 1e-5 and axis[2] < 0.0:
-            return q
+            return True, q
         linear, tilting = tip_rates(robot, q)
         jacobian = np.vstack([directions @ linear, tilting])
         if free is not None:
             jacobian = jacobian * free
         q = q - jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-6 * np.eye(len(error)), error)
         q = np.clip(q, lower, upper)
-    return None
+    return False, q
