@@ -120,6 +120,11 @@ def can_lift(robot: Robot) -> bool:
     return bool(np.linalg.matrix_rank(both, tol=_NO_RATE) > np.linalg.matrix_rank(tilting, tol=_NO_RATE))
 
 
+def can_tilt(robot: Robot) -> bool:
+    """Returns whether the robot can tilt its tool to every side, and so correct a tilt; many of five joints cannot."""
+    return bool(np.linalg.matrix_rank(tip_rates(robot, robot.start)[1], tol=_NO_RATE) == 2)
+
+
 def is_level(robot: Robot) -> np.ndarray:
     """Returns which links no joint raises, lowers or tilts, such as a turret on a vertical axis, shape [dof].
 
@@ -222,7 +227,7 @@ def _solve_ik(
 def _iterated(
     robot: Robot, joints: np.ndarray, tip_errors: TipErrors, free: np.ndarray | None, slack: float
 ) -> tuple[bool, np.ndarray]:
-    """Returns whether :func:`_solve_ik` with a tilt of up to ``slack`` [rad] succeeded, and the last joint positions."""
+    """Returns whether :func:`_solve_ik` with a tilt of up to ``slack`` [rad] succeeded, and its joint positions."""
     lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
     q = np.array(joints, dtype=float)
     for _ in range(60):

@@ -68,6 +68,16 @@ class Chain:
     flange: str
     limits: tuple[Limits, ...]
 
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Returns the name of the link that each joint moves."""
+        return tuple(group[0][0] for group in self.groups[1:])
+
+
+def short_name(name: str) -> str:
+    """Returns the name of a link or a joint as it is printed: of a prim's path, the last part."""
+    return name.rpartition("/")[2] if name.startswith("/") else name
+
 
 def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
     """Extracts the chain from a tree whose edges carry a :class:`TreeJoint` as ``joint``.
