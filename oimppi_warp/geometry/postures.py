@@ -13,8 +13,8 @@ import numpy as np
 
 from oimppi_warp.compute.cache import cached, content_of_data, source_content
 from oimppi_warp.geometry.footprint import rotation_matrix
-from oimppi_warp.geometry.kinematics import link_frames, revolute_joints, tip_frame
-from oimppi_warp.geometry.reach import can_lift, reach_of
+from oimppi_warp.geometry.kinematics import ROUNDED_ANGLE, link_frames, revolute_joints, tip_frame
+from oimppi_warp.geometry.reach import beyond, can_lift, can_tilt, reach_of, without_slight
 from oimppi_warp.scene import Robot
 
 STEP = 0.02
@@ -166,10 +166,12 @@ def _solved(robot: Robot, joints: np.ndarray, tips: np.ndarray, steps: int) -> t
 def _errors(robot: Robot, joints: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the errors [n, 5] of tip and tool axis, the axis [n, 3], and the Jacobian [n, 5, dof].
 
-    A robot that cannot lift its tool has no error of height.
+    A robot that cannot lift its tool has no error of height, and one that cannot tilt it to every side none of a tilt
+    that comes of rounded angles.
     """
     tip, axis, jacobian = _rates(robot, joints)
-    error = np.concatenate([tips - tip, -axis[:, :2]], axis=1)
+    tilt = axis[:, :2] if can_tilt(robot) else beyond(axis[:, :2], ROUNDED_ANGLE)
+    error = np.concatenate([tips - tip, -tilt], axis=1)
     if not can_lift(robot):
         error[:, 2], jacobian[:, 2] = 0.0, 0.0
     return error, axis, jacobian
@@ -183,6 +185,8 @@ def _rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     axes, revolute = rotations[..., 2], revolute_joints(robot)[:, None]
     linear = np.where(revolute, np.cross(axes, tip[:, None] - positions), axes)
     tilting = np.where(revolute, np.cross(axes, axis[:, None]), 0.0)[..., :2]
+    if not can_tilt(robot):
+        tilting = without_slight(tilting.transpose(0, 2, 1)).transpose(0, 2, 1)
     return tip, axis, np.concatenate([linear, tilting], axis=-1).transpose(0, 2, 1)
 
 

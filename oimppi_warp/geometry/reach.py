@@ -10,7 +10,15 @@ from itertools import product
 import numpy as np
 import shapely
 
-from oimppi_warp.geometry.kinematics import cross, link_frames, revolute_joints, tip_frame, tip_jacobian
+from oimppi_warp.geometry.kinematics import (
+    ROUNDED_ANGLE,
+    cross,
+    link_frames,
+    parallel,
+    revolute_joints,
+    tip_frame,
+    tip_jacobian,
+)
 from oimppi_warp.scene import Robot, Scene
 
 _SIDES = 32
@@ -22,8 +30,6 @@ _CENTERED = 1e-3
 """Distance of the first axis from the base's origin up to which the arm counts as turning about its base [m]."""
 _NO_RATE = 0.01
 """Rate of tilt or height per joint velocity below which a joint does not change it [rad/rad; m/rad]."""
-ROUNDED_ANGLE = 0.01
-"""Angle below which axes count as parallel [rad]: people round the angles in a robot's file, as in 3.14 or 1.57."""
 
 TipErrors = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Function of a tip position [3] that returns directions [n, 3] and the position error along each, [n] [m]."""
@@ -73,8 +79,8 @@ def reach_of(robot: Robot) -> Reach:
         return _region(_corners(robot, robot.dof))
     first = int(revolute[0])
     rotations, positions = link_frames(robot, robot.start)
-    axis, carried = positions[first][:2], ~_parallel(rotations[:first, :, 2], _UP)
-    if not _parallel(rotations[first][:, 2], _UP):
+    axis, carried = positions[first][:2], ~parallel(rotations[:first, :, 2], _UP)
+    if not parallel(rotations[first][:, 2], _UP):
         return Reach(stretched_length(robot))
     free = np.append(~carried, np.ones(robot.dof - first, dtype=bool))
     radius = _max_radius(robot, axis, free)
@@ -120,25 +126,10 @@ def can_lift(robot: Robot) -> bool:
     return bool(np.linalg.matrix_rank(both, tol=_NO_RATE) > np.linalg.matrix_rank(tilting, tol=_NO_RATE))
 
 
+@lru_cache(maxsize=8)
 def can_tilt(robot: Robot) -> bool:
     """Returns whether the robot can tilt its tool to every side, and so correct a tilt; many of five joints cannot."""
-    return bool(np.linalg.matrix_rank(tip_rates(robot, robot.start)[1], tol=_NO_RATE) == 2)
-
-
-def is_level(robot: Robot) -> np.ndarray:
-    """Returns which links no joint raises, lowers or tilts, such as a turret on a vertical axis, shape [dof].
-
-    They are the first links, as long as revolute axes are vertical and prismatic ones horizontal, up to
-    :data:`ROUNDED_ANGLE`.
-    """
-    axes = link_frames(robot, np.zeros(robot.dof))[0][:, :, 2]
-    upright, flat = _parallel(axes, _UP), np.abs(axes[:, 2]) < np.sin(ROUNDED_ANGLE)
-    return np.logical_and.accumulate(np.where(revolute_joints(robot), upright, flat))
-
-
-def _parallel(axes: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Returns which unit vectors, shape [..., 3], are parallel to another or opposite, up to :data:`ROUNDED_ANGLE`."""
-    return np.linalg.norm(np.cross(axes, axis), axis=-1) < np.sin(ROUNDED_ANGLE)
+    return bool(np.linalg.matrix_rank(_all_rates(robot, robot.start)[1], tol=_NO_RATE) == 2)
 
 
 def lowest_tip(robot: Robot, joints: np.ndarray) -> float:
@@ -203,7 +194,23 @@ def _max_radius(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
 
 
 def tip_rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the Jacobians of the tip's position, shape [3, dof], and of its z axis in x and y, shape [2, dof]."""
+    """Returns the Jacobians of the tip's position, shape [3, dof], and of its z axis in x and y, shape [2, dof].
+
+    Of a robot that cannot tilt its tool to every side, the second has no rates that come of rounded angles alone: the
+    joints are not for correcting such a tilt.
+    """
+    linear, tilting = _all_rates(robot, joints)
+    return linear, tilting if can_tilt(robot) else without_slight(tilting)
+
+
+def without_slight(tilting: np.ndarray) -> np.ndarray:
+    """Returns Jacobians of the tool's axis, shape [..., 2, dof], without their singular values below 0.01 rad/rad."""
+    left, size, right = np.linalg.svd(tilting, full_matrices=False)
+    return (left * np.where(size < _NO_RATE, 0.0, size)[..., None, :]) @ right
+
+
+def _all_rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the Jacobians of :func:`tip_rates`, with all rates."""
     axis = tip_frame(robot, joints)[0][:, 2]
     linear, angular = np.split(tip_jacobian(robot, joints), 2)
     return linear, cross(angular.T, axis).T[:2]
@@ -224,6 +231,11 @@ def _solve_ik(
     return last if found else None
 
 
+def beyond(tilts: np.ndarray, slack: float) -> np.ndarray:
+    """Returns tilts, shape [..., 2] [rad], shortened by ``slack`` [rad], to zero where they are less."""
+    return tilts * np.maximum(1.0 - slack / np.maximum(np.linalg.norm(tilts, axis=-1, keepdims=True), 1e-9), 0.0)
+
+
 def _iterated(
     robot: Robot, joints: np.ndarray, tip_errors: TipErrors, free: np.ndarray | None, slack: float
 ) -> tuple[bool, np.ndarray]:
@@ -234,7 +246,7 @@ def _iterated(
         rotation, tip = tip_frame(robot, q)
         axis = rotation[:, 2]
         directions, errors = tip_errors(tip)
-        tilt = axis[:2] * max(1.0 - slack / max(float(np.hypot(*axis[:2])), 1e-9), 0.0)
+        tilt = beyond(axis[:2], slack)
         error = np.array([*errors, *tilt])
         if np.abs(error).max() < 1e-5 and axis[2] < 0.0:
             return True, q

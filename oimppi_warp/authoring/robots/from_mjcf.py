@@ -16,7 +16,6 @@ import numpy as np
 from oimppi_warp.authoring.robots.articulation import Articulation
 from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.errors import SceneError
-from oimppi_warp.usd.stage import MAX_LENGTH
 
 if TYPE_CHECKING:
     import mujoco
@@ -166,7 +165,7 @@ class _Reader:
         return Limits(lower, upper, self._effort(joint), math.inf)
 
     def _effort(self, joint: int) -> float:
-        """Returns the largest force of a joint's actuators [N m; N]: the sum of what each can give, where it is limited."""
+        """Returns the largest force of a joint's actuators together, where it is limited [N m; N]."""
         import mujoco
 
         model = self.model
@@ -212,7 +211,7 @@ class _Reader:
                 else:
                     links[name] = builder.add_link(label=name)
         for name, link in links.items():
-            if name in index and index[name]:
+            if index.get(name):
                 parent = links[self.bodies[self.model.body_parentid[index[name]]]]
                 made = self._tree_joint(index[name])
                 joints[made.name] = self._add_joint(builder, index[name], made.kind, parent, link)

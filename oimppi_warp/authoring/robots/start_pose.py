@@ -9,9 +9,8 @@ import numpy as np
 
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.errors import SceneError
-from oimppi_warp.geometry.footprint import core_points
-from oimppi_warp.geometry.kinematics import link_frames, revolute_joints, tip_frame
-from oimppi_warp.geometry.reach import ROUNDED_ANGLE, inverse_kinematics, is_level, lowest_tip, reach_of
+from oimppi_warp.geometry.kinematics import ROUNDED_ANGLE, is_level, link_heights, revolute_joints, tip_frame
+from oimppi_warp.geometry.reach import inverse_kinematics, lowest_tip, reach_of
 from oimppi_warp.scene import Robot
 
 HEIGHT = 0.05
@@ -61,7 +60,7 @@ class _Candidate:
 
     Attributes:
         joints: Joint positions, shape [dof] [rad; m].
-        heights: Height of the lowest point of each link, shape [dof] [m]; see :func:`link_heights`.
+        heights: Height of the lowest point of each link, shape [dof] [m]; see :func:`lowered_heights`.
         spare: Distance of each joint to its limits, as a share of its range, shape [dof].
     """
 
@@ -82,7 +81,7 @@ def _search(robot: Robot, height: float, azimuth: float) -> tuple[tuple[float, .
             if joints is not None:
                 joints = _rounded(robot, joints)
                 spare = np.minimum(joints - lower, upper - joints) / (upper - lower)
-                found = _Candidate(joints, link_heights(robot, joints), spare)
+                found = _Candidate(joints, lowered_heights(robot, joints), spare)
                 if found.heights.min() < ROOM or found.spare.min() < _SPARE:
                     rejected.append(found)
                 else:
@@ -192,19 +191,12 @@ def is_flat(robot: Robot) -> bool:
     return bool(is_level(robot).all())
 
 
-def link_heights(robot: Robot, joints: np.ndarray) -> np.ndarray:
+def lowered_heights(robot: Robot, joints: np.ndarray) -> np.ndarray:
     """Returns the height of the lowest point of each moving link, without the stick, shape [dof] [m].
 
     It is infinite for a link without shapes, and for one that no joint can lower, such as a turret.
     """
-    rotations, positions = link_frames(robot, joints)
-    heights = np.full(robot.dof, np.inf)
-    for number in np.flatnonzero(~is_level(robot)):
-        for collider in robot.links[number].colliders:
-            points, radius = core_points(collider)
-            low = positions[number][2] + (points @ rotations[number][2]).min() - radius
-            heights[number] = min(heights[number], low)
-    return heights
+    return np.where(is_level(robot), np.inf, link_heights(robot, joints))
 
 
 def _check_height(robot: Robot, joints: np.ndarray, height: float, file: object) -> None:
