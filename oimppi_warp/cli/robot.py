@@ -124,9 +124,7 @@ class AddRobot:
         if not can_lift(robot):
             console.print("  cannot   lift the stick: it goes around the object")
         elif not can_tilt(robot):
-            console.print(
-                f"  cannot   tilt the stick to every side, with {robot.dof} joints: pushes need it upright only"
-            )
+            console.print(f"  cannot   tilt the stick sideways, with {robot.dof} joints; pushing needs it upright only")
 
     def _check(self, name: str) -> None:
         """Checks the options, with the name that the robot gets.

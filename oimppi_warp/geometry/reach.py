@@ -28,7 +28,7 @@ _RADII = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25)
 """Distances from the axis at which the tip is lowered to the table, relative to that at the start."""
 _CENTERED = 1e-3
 """Distance of the first axis from the base's origin up to which the arm counts as turning about its base [m]."""
-_NO_RATE = 0.01
+_NO_RATE = 2.0 * ROUNDED_ANGLE
 """Rate of tilt or height per joint velocity below which a joint does not change it [rad/rad; m/rad]."""
 
 TipErrors = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -129,7 +129,7 @@ def can_lift(robot: Robot) -> bool:
 @lru_cache(maxsize=8)
 def can_tilt(robot: Robot) -> bool:
     """Returns whether the robot can tilt its tool to every side, and so correct a tilt; many of five joints cannot."""
-    return bool(np.linalg.matrix_rank(_all_rates(robot, robot.start)[1], tol=_NO_RATE) == 2)
+    return bool(can_correct(_all_rates(robot, robot.start)[1]))
 
 
 def lowest_tip(robot: Robot, joints: np.ndarray) -> float:
@@ -203,10 +203,23 @@ def tip_rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return linear, tilting if can_tilt(robot) else without_slight(tilting)
 
 
+def can_correct(tilting: np.ndarray) -> np.ndarray:
+    """Returns whether joints with Jacobians of the tool's axis, shape [..., 2, dof], tilt it to every side."""
+    sizes = np.linalg.svd(tilting, compute_uv=False)
+    return (sizes[..., -1] >= _NO_RATE) & (sizes.shape[-1] == 2)
+
+
 def without_slight(tilting: np.ndarray) -> np.ndarray:
-    """Returns Jacobians of the tool's axis, shape [..., 2, dof], without their singular values below 0.01 rad/rad."""
+    """Returns Jacobians of the tool's axis, shape [..., 2, dof], without what comes of rounded angles."""
     left, size, right = np.linalg.svd(tilting, full_matrices=False)
     return (left * np.where(size < _NO_RATE, 0.0, size)[..., None, :]) @ right
+
+
+def correctable(tilting: np.ndarray, tilts: np.ndarray) -> np.ndarray:
+    """Returns the parts of tilts, shape [..., 2] [rad], that joints correct; ``tilting`` is [..., 2, dof]."""
+    left, size, _ = np.linalg.svd(tilting, full_matrices=False)
+    left = left * (size >= _NO_RATE)[..., None, :]
+    return np.einsum("...ij,...kj,...k->...i", left, left, tilts)
 
 
 def _all_rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -224,33 +237,29 @@ def _solve_ik(
     Joint limits are kept. Only the joints marked in ``free`` [dof] move; ``None``: all. Where no joint can correct a
     tilt, as in an arm of five joints, one of :data:`ROUNDED_ANGLE` is accepted.
     """
-    found, last = _iterated(robot, joints, tip_errors, free, 0.0)
-    if found or np.linalg.matrix_rank(tip_rates(robot, last)[1], tol=_NO_RATE) == 2:
-        return last if found else None
-    found, last = _iterated(robot, joints, tip_errors, free, ROUNDED_ANGLE)
+    found, last = _iterated(robot, joints, tip_errors, free)
+    if not found and not can_correct(_all_rates(robot, last)[1]):
+        found, last = _iterated(robot, joints, tip_errors, free, exact=False)
     return last if found else None
 
 
-def beyond(tilts: np.ndarray, slack: float) -> np.ndarray:
-    """Returns tilts, shape [..., 2] [rad], shortened by ``slack`` [rad], to zero where they are less."""
-    return tilts * np.maximum(1.0 - slack / np.maximum(np.linalg.norm(tilts, axis=-1, keepdims=True), 1e-9), 0.0)
-
-
 def _iterated(
-    robot: Robot, joints: np.ndarray, tip_errors: TipErrors, free: np.ndarray | None, slack: float
+    robot: Robot, joints: np.ndarray, tip_errors: TipErrors, free: np.ndarray | None, *, exact: bool = True
 ) -> tuple[bool, np.ndarray]:
-    """Returns whether :func:`_solve_ik` with a tilt of up to ``slack`` [rad] succeeded, and its joint positions."""
+    """Returns whether :func:`_solve_ik` succeeded, without a tilt if ``exact``, and its joint positions."""
     lower, upper = np.array([j.lower for j in robot.joints]), np.array([j.upper for j in robot.joints])
     q = np.array(joints, dtype=float)
     for _ in range(60):
         rotation, tip = tip_frame(robot, q)
         axis = rotation[:, 2]
         directions, errors = tip_errors(tip)
-        tilt = beyond(axis[:2], slack)
+        linear, tilting = tip_rates(robot, q) if exact else _all_rates(robot, q)
+        tilt = axis[:2]
+        if not exact:
+            tilt, tilting = correctable(tilting, axis[:2]), without_slight(tilting)
         error = np.array([*errors, *tilt])
-        if np.abs(error).max() < 1e-5 and axis[2] < 0.0:
+        if np.abs(error).max() < 1e-5 and axis[2] < 0.0 and (exact or np.hypot(*axis[:2]) < ROUNDED_ANGLE):
             return True, q
-        linear, tilting = tip_rates(robot, q)
         jacobian = np.vstack([directions @ linear, tilting])
         if free is not None:
             jacobian = jacobian * free

@@ -16,7 +16,7 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Shape:
-    """A collision shape: a sphere (radius), cylinder or capsule (radius, length of the straight part), or box (sides)."""
+    """A collision shape: sphere (radius), cylinder or capsule (radius, length of the straight part), or box (sides)."""
 
     kind: str
     size: tuple[float, ...]
@@ -138,11 +138,10 @@ def _body(arm: SampleArm, part: Part) -> str:
         kind, limits = "slide" if part.slides else "hinge", _text(part.limits)
         made += f'<joint name="{part.joint}" type="{kind}" axis="{_text(part.axis)}" range="{limits}"/>'
     for shape in part.shapes:
-        half = [value / 2 for value in shape.size] if shape.kind == "box" else [shape.size[0], *shape.size[1:]]
-        size = _text(tuple(half if shape.kind == "box" else [half[0], *(value / 2 for value in half[1:])]))
-        made += (
-            f'<geom class="solid" type="{shape.kind}" size="{size}" pos="{_text(shape.at)}" euler="{_text(shape.rpy)}"/>'
-        )
+        whole = 0 if shape.kind == "box" else 1  # a radius is not halved
+        size = _text((*shape.size[:whole], *(value / 2 for value in shape.size[whole:])))
+        frame = f'pos="{_text(shape.at)}" euler="{_text(shape.rpy)}"'
+        made += f'<geom class="solid" type="{shape.kind}" size="{size}" {frame}/>'
     made += "".join(_body(arm, child) for child in arm.parts if child.parent == part.name)
     return f'<body name="{part.name}" {place}>{made}</body>'
 
@@ -192,7 +191,7 @@ def ur5_like() -> SampleArm:
 
 
 def panda_like() -> SampleArm:
-    """Seven joints, 0.85 m: shapes are coarse capsules for self-collision, of which the first reaches into the table."""
+    """Seven joints, 0.85 m, with coarse capsules for self-collision, of which the first reaches into the table."""
     wide = (-2.8973, 2.8973)
 
     def capsule(radius: float, length: float, at: Vector = ZERO, rpy: Vector = ZERO) -> Shape:
@@ -271,8 +270,14 @@ def widowx_like() -> SampleArm:
             shapes=rod(0.04, 0.018),
         ),
         Part("ee_arm_link", "gripper_link", (0.043, 0, 0), mass=0.0),
-        Part("left_finger_link", "ee_arm_link", axis=(0, 1, 0), limits=(0.015, 0.037), slides=True, mass=0.02, shapes=finger),
-        Part("right_finger_link", "ee_arm_link", axis=(0, -1, 0), limits=(0.015, 0.037), slides=True, mass=0.02, shapes=finger),
+        Part(
+            "left_finger_link", "ee_arm_link", axis=(0, 1, 0), limits=(0.015, 0.037), slides=True, mass=0.02,
+            shapes=finger,
+        ),
+        Part(
+            "right_finger_link", "ee_arm_link", axis=(0, -1, 0), limits=(0.015, 0.037), slides=True, mass=0.02,
+            shapes=finger,
+        ),
     )  # fmt: skip
     named = tuple(
         Part(
@@ -296,12 +301,12 @@ def so101_like() -> SampleArm:
                 shapes=(Shape("box", (0.05, 0.05, 0.06), (0, 0, -0.02)),),
             ),
             Part(
-                "upper_arm", "shoulder", (-0.0304, 0, -0.0542), flat, (0, 0, 1), (-1.75, 1.75), mass=0.1,
+                "upper_arm", "shoulder", (-0.0304, 0, -0.0542), (-1.57, 0, 0), (0, 0, 1), (-1.75, 1.75), mass=0.1,
                 shapes=(Shape("box", (0.03, 0.1, 0.03), (-0.014, 0.055, 0)),),
             ),
             Part(
                 "lower_arm", "upper_arm", (-0.028, 0.1126, 0), (0, 0, -1.57), (0, 0, 1), (-1.69, 1.69), mass=0.1,
-                shapes=(Shape("box", (0.03, 0.12, 0.03), (0, 0, 0), ZERO),),
+                shapes=(Shape("box", (0.03, 0.12, 0.03), (0, -0.067, 0)),),
             ),
             Part(
                 "wrist", "lower_arm", (-0.0052, -0.1349, 0), ZERO, (0, 0, 1), (-1.66, 1.66), mass=0.08,

@@ -10,7 +10,8 @@ import numpy as np
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.kinematics import ROUNDED_ANGLE, is_level, link_heights, revolute_joints, tip_frame
-from oimppi_warp.geometry.reach import inverse_kinematics, lowest_tip, reach_of
+from oimppi_warp.geometry.postures import upright_from
+from oimppi_warp.geometry.reach import lowest_tip, reach_of
 from oimppi_warp.scene import Robot
 
 HEIGHT = 0.05
@@ -69,23 +70,24 @@ class _Candidate:
     spare: np.ndarray
 
 
-def _search(robot: Robot, height: float, azimuth: float) -> tuple[tuple[float, ...] | None, list[_Candidate]]:
+def _search(
+    robot: Robot, height: float, azimuth: float, distances: Sequence[float] = _DISTANCES
+) -> tuple[tuple[float, ...] | None, list[_Candidate]]:
     """Returns the best start with the tip in a direction [rad] at a height [m], and the unusable candidates."""
     lower, upper = _limits(robot)
     guesses, best = _guesses(robot, np.random.default_rng(0), azimuth), (-np.inf, ())
     rejected: list[_Candidate] = []
-    for distance in _DISTANCES:
+    for distance in distances:
         target = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
-        for guess in guesses:
-            joints = inverse_kinematics(robot, guess, target)
-            if joints is not None:
-                joints = _rounded(robot, joints)
-                spare = np.minimum(joints - lower, upper - joints) / (upper - lower)
-                found = _Candidate(joints, lowered_heights(robot, joints), spare)
-                if found.heights.min() < ROOM or found.spare.min() < _SPARE:
-                    rejected.append(found)
-                else:
-                    best = max(best, (_score(robot, found), tuple(joints.tolist())))
+        solved, good = upright_from(robot, guesses, target)
+        for joints in solved[good]:
+            joints = _rounded(robot, joints)
+            spare = np.minimum(joints - lower, upper - joints) / (upper - lower)
+            found = _Candidate(joints, lowered_heights(robot, joints), spare)
+            if found.heights.min() < ROOM or found.spare.min() < _SPARE:
+                rejected.append(found)
+            else:
+                best = max(best, (_score(robot, found), tuple(joints.tolist())))
         if best[1]:
             return best[1], rejected
     return None, rejected
@@ -125,7 +127,7 @@ def _no_start(
             fix="use a longer --tool-length, or correct the collision shapes of the link",
         )
     sides = {"-x": np.pi, "y": np.pi / 2, "-y": -np.pi / 2}
-    side = next((name for name, azimuth in sides.items() if _search(robot, height, azimuth)[0]), "")
+    side = next((name for name, azimuth in sides.items() if _search(robot, height, azimuth, _DISTANCES[::4])[0]), "")
     turn = f"turn its base: the tool gets to the table on the side of {side}"
     return SceneError(
         "no joint positions were found that hold the tool upright above the table in front of the arm",
@@ -157,7 +159,7 @@ def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return np.where(revolute, np.maximum(lower, -np.pi), lower), np.where(revolute, np.minimum(upper, np.pi), upper)
 
 
-def _guesses(robot: Robot, random: np.random.Generator, azimuth: float) -> list[np.ndarray]:
+def _guesses(robot: Robot, random: np.random.Generator, azimuth: float) -> np.ndarray:
     """Returns initial guesses of joint positions: the first joint turned to a direction, some of the others bent."""
     lower, upper = _limits(robot)
     middle, guesses = (lower + upper) / 2, []
@@ -165,7 +167,7 @@ def _guesses(robot: Robot, random: np.random.Generator, azimuth: float) -> list[
         bent = np.where(random.random(robot.dof) < 0.6, random.uniform(lower, upper), middle)
         bent[0] = np.clip(azimuth, lower[0], upper[0]) if revolute_joints(robot)[0] else middle[0]
         guesses.append(bent)
-    return [middle, *guesses]
+    return np.array([middle, *guesses])
 
 
 def _score(robot: Robot, found: _Candidate) -> float:
