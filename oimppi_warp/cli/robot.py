@@ -67,20 +67,20 @@ class AddRobot:
 
         tell_compilation(Console(stderr=True, highlight=False).print)
         from oimppi_warp.authoring.robots import arm_usd
-        from oimppi_warp.authoring.robots.read import read_robot_file
+        from oimppi_warp.authoring.robots.read import read_arm
         from oimppi_warp.authoring.robots.sample_task import write_sample_task
         from oimppi_warp.authoring.robots.start_pose import with_start
 
         console = Console(highlight=False, soft_wrap=True)
         with console.status("reading the robot"):
-            chain, robot = read_robot_file(self.file, flange=self.flange)
-            made = robot.arm(
-                chain,
+            chain, made = read_arm(
+                self.file,
                 name="".join(part.capitalize() for part in name.replace("-", "_").split("_")),
                 doc=f"{name} with a stick of {self.tool_length:g} m, from {self.file.name}",
                 length=self.tool_length,
                 radius=self.tool_radius,
                 axis=self.tool_axis,
+                flange=self.flange,
             )
             made = with_start(made, file=self.file, links=chain.links, joints=chain.joints)
             robot = made.robot()

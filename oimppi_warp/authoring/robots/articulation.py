@@ -16,6 +16,7 @@ from oimppi_warp.authoring.robots.fitting import fit_collider
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import rotation_matrix, transform_points
 from oimppi_warp.scene import Collider
+from oimppi_warp.usd.stage import MAX_LENGTH
 
 if TYPE_CHECKING:
     import newton
@@ -76,6 +77,7 @@ class Articulation:
         for number, joint in enumerate(joints):
             parent = placed[number][self._names[self._builder.joint_parent[joint]]]
             frame = np.linalg.inv(own[number]) @ parent @ matrix_of(self._builder.joint_X_p[joint]) @ self._to_z(joint)
+            self._check_length(frame[:3, 3], f"joint {chain.joints[number]}")
             made.append(self._arm_joint(joint, frame, chain, number))
         mount = np.linalg.inv(own[-1]) @ placed[-1][chain.flange] @ _along(axis)
         return Arm(
@@ -163,12 +165,22 @@ class Articulation:
             what = f"link {link} has a collision shape of an unsupported type"
             allowed = "boxes, spheres, cylinders, capsules and meshes"
             raise SceneError(what, file=self._file, allowed=allowed)
+        self._check_length(np.concatenate([found.transform[:3], found.size or (1.0,)]), f"a shape of link {link}")
         if found.vertices is None:
             return found
+        self._check_length(found.vertices, f"a mesh of link {link}")
         try:
             return fit_collider(name, transform_points(found.transform, found.vertices))
         except ValueError as error:
             raise SceneError(f"link {link}: {error}", file=self._file, allowed="solid collision meshes") from None
+
+    def _check_length(self, values: np.ndarray, owner: str) -> None:
+        """Raises SceneError if lengths [m] are not finite or too large."""
+        if not (np.abs(values) < MAX_LENGTH).all():
+            what = f"{owner} has a length of {float(np.abs(values).max()):g} m"
+            raise SceneError(
+                what, file=self._file, allowed=f"lengths below {MAX_LENGTH:g} m", fix="correct its numbers"
+            )
 
     def _visual(self, shape: int, frame: np.ndarray, name: str) -> list[Visual]:
         """Returns a display shape in a frame; empty if its type is not supported."""
