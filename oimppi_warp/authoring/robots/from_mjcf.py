@@ -144,7 +144,7 @@ class _Reader:
             what = f"body {self.bodies[body]} has {len(joints)} joints: {names}"
             fix = "put each joint on a body of its own, with a mass and an inertia"
             mistake = SceneError(what, file=self.file, allowed="one joint for each body", fix=fix)
-        kinds: dict[int, Kind] = {mujoco.mjtJoint.mjJNT_HINGE: "turns", mujoco.mjtJoint.mjJNT_SLIDE: "slides"}
+        kinds: dict[int, Kind] = {int(mujoco.mjtJoint.mjJNT_HINGE): "turns", int(mujoco.mjtJoint.mjJNT_SLIDE): "slides"}
         kind = int(self.model.jnt_type[joints[0]])
         if kind not in kinds:
             what = f"joint {name} is a ball joint"
@@ -159,7 +159,7 @@ class _Reader:
         model = self.model
         lower, upper = (float(value) for value in model.jnt_range[joint])
         if not model.jnt_limited[joint]:
-            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+            if int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_SLIDE):
                 return None
             lower, upper = -math.inf, math.inf
         return Limits(lower, upper, self._effort(joint), math.inf)
@@ -171,14 +171,14 @@ class _Reader:
         model = self.model
         forces = []
         for actuator in range(model.nu):
-            kind = model.actuator_trntype[actuator]
-            of_joint = kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+            kind = int(model.actuator_trntype[actuator])
+            of_joint = kind in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
             if of_joint and model.actuator_trnid[actuator, 0] == joint:
                 gear, force = abs(float(model.actuator_gear[actuator, 0])), math.inf
                 if model.actuator_forcelimited[actuator]:
                     force = float(np.abs(model.actuator_forcerange[actuator]).max())
-                fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
-                unbiased = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+                fixed = int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+                unbiased = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_NONE)
                 if fixed and unbiased and model.actuator_ctrllimited[actuator]:  # a motor
                     most = float(np.abs(model.actuator_ctrlrange[actuator]).max())
                     force = min(force, abs(float(model.actuator_gainprm[actuator, 0])) * most)
@@ -193,7 +193,7 @@ class _Reader:
         import mujoco
 
         model = self.model
-        mimics = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj1id == joint) & (model.eq_obj2id >= 0)
+        mimics = (model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)) & (model.eq_obj1id == joint) & (model.eq_obj2id >= 0)
         return bool((mimics & (model.eq_active0 != 0)).any())
 
     def builder(self, chain: Chain) -> tuple[newton.ModelBuilder, dict[str, int], dict[str, int]]:
@@ -255,7 +255,7 @@ class _Reader:
 
         model, kinds = self.model, mujoco.mjtGeom
         kind = int(model.geom_type[geom])
-        if kind in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD):
+        if kind in (int(kinds.mjGEOM_PLANE), int(kinds.mjGEOM_HFIELD)):
             return
         material = int(model.geom_matid[geom])
         plain = material >= 0 and np.allclose(model.geom_rgba[geom], _GREY)
@@ -267,16 +267,16 @@ class _Reader:
             "cfg": newton.ModelBuilder.ShapeConfig(density=0.0, has_shape_collision=solid),
             "color": tuple(map(float, color)),
         }
-        if kind == kinds.mjGEOM_BOX:
+        if kind == int(kinds.mjGEOM_BOX):
             builder.add_shape_box(link, hx=a, hy=b, hz=c, **given)
-        elif kind == kinds.mjGEOM_SPHERE:
+        elif kind == int(kinds.mjGEOM_SPHERE):
             builder.add_shape_sphere(link, radius=a, **given)
-        elif kind == kinds.mjGEOM_CAPSULE:
+        elif kind == int(kinds.mjGEOM_CAPSULE):
             builder.add_shape_capsule(link, radius=a, half_height=b, **given)
-        elif kind == kinds.mjGEOM_CYLINDER:
+        elif kind == int(kinds.mjGEOM_CYLINDER):
             builder.add_shape_cylinder(link, radius=a, half_height=b, **given)
         else:
-            points, faces = self._ellipsoid(geom) if kind == kinds.mjGEOM_ELLIPSOID else self._mesh(geom)
+            points, faces = self._ellipsoid(geom) if kind == int(kinds.mjGEOM_ELLIPSOID) else self._mesh(geom)
             made = newton.Mesh(points, faces.ravel(), compute_inertia=False)
             builder.add_shape_mesh(link, mesh=made, **given)
 
