@@ -13,7 +13,7 @@ import numpy as np
 
 from oimppi_warp.compute.cache import cached, content_of_data, source_content
 from oimppi_warp.geometry.footprint import rotation_matrix
-from oimppi_warp.geometry.kinematics import ROUNDED_ANGLE, link_frames, revolute_joints, tip_frame
+from oimppi_warp.geometry.kinematics import ROUNDED_ANGLE, is_level, link_frames, revolute_joints, tip_frame
 from oimppi_warp.geometry.reach import can_correct, can_lift, can_tilt, correctable, reach_of, without_slight
 from oimppi_warp.scene import Robot
 
@@ -92,7 +92,8 @@ def postures_of(robot: Robot, top: float) -> Postures:
 def upright_from(robot: Robot, guesses: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solves for joint positions with the tip at a point and the tool pointing down, from several guesses at once.
 
-    Where no joint can correct a tilt, one of :data:`.ROUNDED_ANGLE` is accepted.
+    Where no joint can correct a tilt, one of :data:`.ROUNDED_ANGLE` is accepted. The height of the point does not count
+    for a robot all of whose links stay at their heights.
 
     Args:
         robot: The robot.
@@ -116,7 +117,7 @@ def _from_guesses(robot: Robot, guesses: np.ndarray, tip: np.ndarray, *, exact: 
     """
     lower, upper = np.array([(joint.lower, joint.upper) for joint in robot.joints]).T
     q = np.array(guesses, dtype=float)
-    good = np.zeros(len(q), dtype=bool)
+    good, flat = np.zeros(len(q), dtype=bool), bool(is_level(robot).all())
     for _ in range(_FIRST + 1):
         at, axis, jacobian = _all_rates(robot, q)
         tilt, upright = axis[:, :2], axis[:, 2] < 0.0
@@ -126,6 +127,8 @@ def _from_guesses(robot: Robot, guesses: np.ndarray, tip: np.ndarray, *, exact: 
             tilt = correctable(jacobian[:, 3:], tilt)
             jacobian[:, 3:] = without_slight(jacobian[:, 3:])
         error = np.concatenate([tip - at, -tilt], axis=1)
+        if flat:
+            error[:, 2], jacobian[:, 2] = 0.0, 0.0
         good = (np.abs(error).max(axis=1) < _SOLVED) & upright
         if good.all():
             break

@@ -13,6 +13,7 @@ import shapely
 from oimppi_warp.geometry.kinematics import (
     ROUNDED_ANGLE,
     cross,
+    is_level,
     link_frames,
     parallel,
     revolute_joints,
@@ -153,12 +154,15 @@ def lowest_tip(robot: Robot, joints: np.ndarray) -> float:
 def inverse_kinematics(robot: Robot, joints: np.ndarray, tip: np.ndarray) -> np.ndarray | None:
     """Finds joint positions, shape [dof], with the tip at a point and the tool pointing down; ``None`` if it fails.
 
+    The height of the point does not count for a robot all of whose links stay at their heights.
+
     Args:
         robot: The robot.
         joints: Initial joint positions, shape [dof] [rad; m for a prismatic joint].
         tip: Desired position of the tip in the world frame, shape [3] [m].
     """
-    return _solve_ik(robot, joints, lambda at: (np.eye(3), at - tip))
+    held = 2 if is_level(robot).all() else 3
+    return _solve_ik(robot, joints, lambda at: (np.eye(3)[:held], (at - tip)[:held]))
 
 
 def _corners(robot: Robot, count: int) -> np.ndarray:

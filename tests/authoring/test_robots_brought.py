@@ -99,7 +99,8 @@ def test_an_arm_is_the_same_from_both_formats(tmp_path, name):
         assert a.mass == pytest.approx(b.mass, rel=1e-5)
         np.testing.assert_allclose(a.inertia, b.inertia, atol=1e-6)
     for a, b in zip(one.joints, other.joints, strict=True):
-        assert (a.kind, a.lower, a.upper, a.effort) == pytest.approx((b.kind, b.lower, b.upper, b.effort), rel=1e-5)
+        assert a.kind == b.kind
+        assert (a.lower, a.upper, a.effort) == pytest.approx((b.lower, b.upper, b.effort), rel=1e-5)
 
 
 @pytest.mark.slow
@@ -131,7 +132,7 @@ def test_a_turret_may_be_near_the_table_which_no_joint_brings_it_nearer_to(tmp_p
 
 
 def test_a_link_that_comes_too_near_the_table_is_named_with_its_height(tmp_path, capsys):
-    bulky = (Shape("sphere", (0.2,), (0, 0, 0)),)
+    bulky = (Shape("sphere", (0.28,), (0, 0, 0)),)
     arm = desk_arm(hand=replace(part(desk_arm(), "hand"), shapes=bulky))
     assert added(tmp_path, urdf(arm)) == 2
     words = one_message(capsys.readouterr().err)
@@ -312,7 +313,7 @@ BAD: dict[str, tuple[Callable[[], str], str]] = {
     ),
     "a mesh that is none": (
         lambda: changed('<cylinder radius="0.03" length="0.06"/>', '<mesh filename="none.stl"/>'),
-        "link turret: the collision mesh 'none.stl' cannot be read",
+        "link turret: the collision mesh 'none.stl' is empty",
     ),
     "a mesh that is flat": (
         lambda: changed('<cylinder radius="0.03" length="0.06"/>', '<mesh filename="flat.obj"/>'),

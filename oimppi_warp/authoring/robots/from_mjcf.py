@@ -7,6 +7,7 @@ what is left is a table of bodies, joints and geoms, which :class:`_Reader` puts
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +67,7 @@ def _compiled(file: Path) -> mujoco.MjModel:
         specification.compiler.discardvisual = False
         return specification.compile()
     except (ValueError, TypeError, RuntimeError, MemoryError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split()).removeprefix("Error: ").removeprefix("XML Error: ") or "no reason given"
+        reason = re.sub(r"^((XML )?Error: )+", "", " ".join(str(error).split())) or "no reason given"
         raise SceneError(
             f"MuJoCo cannot read the file: {reason}",
             file=file,

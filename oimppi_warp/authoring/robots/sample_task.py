@@ -59,7 +59,7 @@ def write_sample_task(robot: Robot, name: str, folder: Path, *, destination: Pat
         try:
             return write(task, folder, find_arm_start=clear_start)
         except SceneError as error:
-            errors.append(error)
+            errors.append(error.with_traceback(None))  # whose frames would keep the stage open, and its file taken
     file.unlink()
     (folder / f"{name}_open.usda").unlink(missing_ok=True)
     raise errors[0]
