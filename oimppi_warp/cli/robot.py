@@ -13,6 +13,9 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from oimppi_warp.errors import ConfigError, SceneError
 
+LIFTED = 0.1
+"""Height of the tip from which on nothing is said about it: enough to pass over the usual objects [m]."""
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -111,7 +114,7 @@ class AddRobot:
     def _tell(self, console: Console, robot: Robot, chain: Chain) -> None:
         """Prints what the robot is, and what it cannot do."""
         from oimppi_warp.authoring.robots.chain import short_name
-        from oimppi_warp.geometry.reach import can_lift, can_tilt, reach_of
+        from oimppi_warp.geometry.reach import can_lift, can_tilt, highest_tip, reach_of
 
         name = self.name or self.file.name.partition(".")[0]
         reach = reach_of(robot)
@@ -121,9 +124,14 @@ class AddRobot:
             f"  stick    {self.tool_length:g} m along {self.tool_axis} of {short_name(chain.flange)}", markup=False
         )
         console.print(f"  reach    {reach.radius:.2f} m from the origin, with the stick upright")
+        highest = highest_tip(robot)
         if not can_lift(robot):
-            console.print("  cannot   lift the stick: it goes around the object")
-        elif not can_tilt(robot):
+            console.print("  cannot   lift the stick: it goes around objects")
+        elif highest < LIFTED:
+            console.print(
+                f"  cannot   lift the stick above {highest:.2f} m: it goes around objects that are not much lower"
+            )
+        if can_lift(robot) and not can_tilt(robot):
             console.print(f"  cannot   tilt the stick sideways, with {robot.dof} joints; pushing needs it upright only")
 
     def _check(self, name: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 
@@ -25,6 +25,8 @@ from oimppi_warp.scene import Robot, Scene
 _SIDES = 32
 """Sides of the polygon that approximates a disc carried by sliding joints."""
 _UP = np.array([0.0, 0.0, 1.0])
+_HIGH = 0.3
+"""Height of the tip beyond which nobody asks [m]."""
 _RADII = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25)
 """Distances from the axis at which the tip is lowered to the table, relative to that at the start."""
 _CENTERED = 1e-3
@@ -44,10 +46,14 @@ class Reach:
         radius: Largest distance of the tip from the base's axis [m].
         border: Corners of the region, shape [n, 2] [m]; ``None`` for an arm that turns about the base's axis, which
             reaches all around.
+        offset: For an arm that turns about another vertical axis than the base's: the distance of the two [m].
+        disc: For such an arm, the largest distance of the tip from the axis that it turns about; else 0 [m].
     """
 
     radius: float
     border: np.ndarray | None = None
+    offset: float = 0.0
+    disc: float = 0.0
 
     def margin(self, points: np.ndarray) -> np.ndarray:
         """Returns the distance of points, shape [n, 2] [m], to the region's border, shape [n] [m]; negative outside."""
@@ -90,7 +96,8 @@ def reach_of(robot: Robot) -> Reach:
     angles = np.arange(_SIDES) * 2.0 * np.pi / _SIDES
     disc = radius / np.cos(np.pi / _SIDES) * np.column_stack([np.cos(angles), np.sin(angles)])
     offset = axis - tip_frame(robot, robot.start)[1][:2]
-    return _region((_corners(robot, first)[:, None] + offset + disc).reshape(-1, 2))
+    region = _region((_corners(robot, first)[:, None] + offset + disc).reshape(-1, 2))
+    return region if carried.any() else replace(region, offset=float(np.hypot(*axis)), disc=radius)
 
 
 def object_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -131,6 +138,19 @@ def can_lift(robot: Robot) -> bool:
 def can_tilt(robot: Robot) -> bool:
     """Returns whether the robot can tilt its tool to every side, and so correct a tilt; many of five joints cannot."""
     return bool(can_correct(_all_rates(robot, robot.start)[1]))
+
+
+@lru_cache(maxsize=8)
+def highest_tip(robot: Robot) -> float:
+    """Returns about how high the tip gets at its place at the start with the tool pointing down, at most 0.3 m [m]."""
+    joints, (x, y, height), step = robot.start, tip_frame(robot, robot.start)[1], 0.02
+    while can_lift(robot) and step > 2e-3 and height < _HIGH:
+        higher = inverse_kinematics(robot, joints, np.array([x, y, height + step]))
+        if higher is None:
+            step /= 2.0
+        else:
+            joints, height = higher, height + step
+    return float(height)
 
 
 def lowest_tip(robot: Robot, joints: np.ndarray) -> float:
