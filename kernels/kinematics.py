@@ -27,6 +27,7 @@ class Arm:
         sphere: Spheres along the links: centre in the link's frame [m] and radius [m], sorted by link.
         first_sphere: Index of each link's first sphere, [dof + 1].
         hull: A sphere that encloses all spheres of each link, [dof].
+        turret: Number of first links that no joint raises or lowers; their distance to the table does not count.
     """
 
     rotation: wp.array[wp.mat33]
@@ -39,6 +40,7 @@ class Arm:
     sphere: wp.array[wp.vec4]
     first_sphere: wp.array[int]
     hull: wp.array[wp.vec4]
+    turret: int
 
 
 @wp.struct
@@ -89,10 +91,13 @@ def turn_about_z(r: wp.mat33, c: float, s: float) -> wp.mat33:
 
 
 @wp.func
-def lowest_clearance(environment: Environment, p: wp.vec3, r: wp.mat33, ball: wp.vec4) -> float:
-    """Returns the clearance of a sphere (centre, radius) in the frame ``p``, ``r`` to table and obstacles [m]."""
+def lowest_clearance(environment: Environment, p: wp.vec3, r: wp.mat33, ball: wp.vec4, still: bool) -> float:
+    """Returns the clearance of a sphere (centre, radius) in the frame ``p``, ``r`` to table and obstacles [m].
+
+    That of a link that stays at its height, ``still``, is only to obstacles, and at most a metre.
+    """
     height = p[2] + r[2, 0] * ball[0] + r[2, 1] * ball[1] + r[2, 2] * ball[2] - ball[3]
-    clearance = height - environment.table
+    clearance = wp.where(still, 1.0, height - environment.table)
     if height < environment.top:
         at = p + r * wp.vec3(ball[0], ball[1], ball[2])
         clearance = wp.min(clearance, space_field(environment.obstacles, at) - ball[3])
@@ -129,12 +134,12 @@ def make_place_arm(chain: str) -> wp.Function:
             else:
                 r = turn_about_z(r * arm.rotation[j], wp.cos(q[j]), wp.sin(q[j]))
             # If a link's hull is far from everything, its spheres need not be checked.
-            whole = lowest_clearance(environment, p, r, arm.hull[j])
+            whole = lowest_clearance(environment, p, r, arm.hull[j], j < arm.turret)
             if whole > environment.near:
                 clearance = wp.min(clearance, whole)
             else:
                 for s in range(arm.first_sphere[j], arm.first_sphere[j + 1]):
-                    clearance = wp.min(clearance, lowest_clearance(environment, p, r, arm.sphere[s]))
+                    clearance = wp.min(clearance, lowest_clearance(environment, p, r, arm.sphere[s], j < arm.turret))
         placed = ArmPlacement()
         placed.tip = p + r * tip
         placed.up = wp.transpose(arm.tip_rotation) * wp.vec3(r[2, 0], r[2, 1], r[2, 2])

@@ -17,6 +17,8 @@ MARGIN = 0.02
 """Clearance kept around the stick at the start, beyond its radius [m]."""
 
 _RADII = np.arange(0.25, 0.60, 0.05)
+_SHORT = 0.5
+"""Reach below which the tip is placed at half of these distances [m]."""
 _ANGLES = np.radians(np.arange(-150.0, 151.0, 10.0))
 
 
@@ -57,7 +59,8 @@ def inverse_kinematics_from_start(robot: Robot, tip: np.ndarray) -> np.ndarray |
 
 def _tip_positions(tip: np.ndarray, reach: Reach) -> list[np.ndarray]:
     """Returns candidate tip positions at the tip's height and within reach, nearest first [m]."""
-    grid = np.array([(r * np.cos(a), r * np.sin(a), tip[2]) for r in _RADII for a in _ANGLES])
+    radii = _RADII if reach.radius > _SHORT else 0.5 * _RADII
+    grid = np.array([(r * np.cos(a), r * np.sin(a), tip[2]) for r in radii for a in _ANGLES])
     within = grid[reach.margin(grid[:, :2]) > 0.0]
     return list(within[np.argsort(np.linalg.norm(within - tip, axis=1), kind="stable")])
 

@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 
 from oimppi_warp.cli.options import notices
 from oimppi_warp.errors import ConfigError, HardwareError
+from oimppi_warp.priority import real_time_priority
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,14 +61,15 @@ class LabEmulator:
             from oimppi_warp.plants.xarm.protocol import COMMAND_PORT
 
             scene = prepare_scene(self.scene, start=start, goal=None, seed=self.seed)
-            emulated = Lab(
-                scene,
-                lab().lab,
-                seed=self.seed,
-                host=self.host,
-                command_port=self.port,
-                pose_port=self.pose_port,
-            )
+            with real_time_priority():  # for its servers
+                emulated = Lab(
+                    scene,
+                    lab().lab,
+                    seed=self.seed,
+                    host=self.host,
+                    command_port=self.port,
+                    pose_port=self.pose_port,
+                )
         address = self.host if self.port == COMMAND_PORT else f"{self.host}:{self.port}"
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         emulated.start()
@@ -128,13 +130,13 @@ def check_setup(address: str, poses: str | None, scene: str) -> list[Check]:
     """
     from oimppi_warp.network import split_address
     from oimppi_warp.perception.pose_feed import PORT, PoseReceiver
-    from oimppi_warp.plants.real.arm import Check
+    from oimppi_warp.plants.real.arm import Check, check_priority
     from oimppi_warp.plants.xarm.arm import XArm
     from oimppi_warp.plants.xarm.protocol import COMMAND_PORT
     from oimppi_warp.usd import load_scene
 
     robot = load_scene(scene).robot
-    found: list[Check] = []
+    found = [check_priority()]
     try:
         arm = XArm(address)
         try:

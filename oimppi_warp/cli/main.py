@@ -28,6 +28,7 @@ from oimppi_warp.cli.check import Check
 from oimppi_warp.cli.demos import Demos
 from oimppi_warp.cli.hardware import LabEmulator
 from oimppi_warp.cli.options import TaskOptions
+from oimppi_warp.cli.perceive import PerceiveCommand
 from oimppi_warp.cli.robot import AddRobot
 from oimppi_warp.cli.ros2 import Ros2Check, Ros2Plant
 from oimppi_warp.cli.scene import Import, New
@@ -201,6 +202,10 @@ Command = (
     | Annotated[
         Ros2Command,
         subcommand("ros2", prefix_name=False, description="Simulate a lab on ROS 2 topics, and check a real one."),
+    ]
+    | Annotated[
+        PerceiveCommand,
+        subcommand("perceive", prefix_name=False, description="Find the object with a camera, by tags on it."),
     ]
 )
 """All commands; to add one, add its dataclass to this union."""

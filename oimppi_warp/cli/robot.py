@@ -7,27 +7,34 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from oimppi_warp.errors import ConfigError, SceneError
 
-_USD = (".usd", ".usda", ".usdc", ".usdz")
+LIFTED = 0.1
+"""Height of the tip from which on nothing is said about it: enough to pass over the usual objects [m]."""
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from oimppi_warp.authoring.robots.chain import Chain
+    from oimppi_warp.scene import Robot
 
 
 @dataclass(frozen=True)
 class AddRobot:
-    """Convert a URDF or USD file to a robot for scenes.
+    """Convert a URDF, MJCF or USD file to a robot for scenes.
 
     The robot must be a serial arm of revolute or prismatic joints; a stick is added as its tool.
 
     Two files are written: the robot, robots/NAME.usda, and a sample task with a T block on an open table,
-    NAME_open.usda. Exit status: 0, or 2 for bad input.
+    NAME_open.usda. A robot that cannot do the sample task is written without it. Exit status: 0, or 2 for bad input.
     """
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
-    """URDF file, or USD file with one articulation.
+    """URDF file, MJCF file (MuJoCo's XML), or USD file with one articulation.
     The robot's base is placed at the world's origin with z up; the table's top is at z = 0."""
 
     tool_length: Annotated[float, arg(metavar="M")] = 0.17
@@ -40,7 +47,7 @@ class AddRobot:
     """Axis of the flange along which the stick points."""
 
     flange: Annotated[str, arg(metavar="LINK", help_behavior_hint="(default: the last link)")] = ""
-    """Link that carries the stick.
+    """Link that carries the stick; in an MJCF file, a body or a site.
     Moving links that are not between base and flange, such as the fingers of a gripper, are left out."""
 
     name: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the file's name)")] = ""
@@ -58,57 +65,80 @@ class AddRobot:
         self._check(name)
         from rich.console import Console
 
+        from oimppi_warp.authoring.robots.chain import short_name
         from oimppi_warp.compute.device import tell_compilation
 
         tell_compilation(Console(stderr=True, highlight=False).print)
         from oimppi_warp.authoring.robots import arm_usd
-        from oimppi_warp.authoring.robots.from_urdf import read_urdf
-        from oimppi_warp.authoring.robots.from_usd import read_usd
+        from oimppi_warp.authoring.robots.read import read_arm
         from oimppi_warp.authoring.robots.sample_task import write_sample_task
         from oimppi_warp.authoring.robots.start_pose import with_start
-        from oimppi_warp.geometry.reach import reach_of
 
         console = Console(highlight=False, soft_wrap=True)
         with console.status("reading the robot"):
-            read = read_usd if self.file.suffix in _USD else read_urdf
-            chain, robot = read(self.file, flange=self.flange)
-            made = robot.arm(
-                chain,
+            chain, made = read_arm(
+                self.file,
                 name="".join(part.capitalize() for part in name.replace("-", "_").split("_")),
                 doc=f"{name} with a stick of {self.tool_length:g} m, from {self.file.name}",
                 length=self.tool_length,
                 radius=self.tool_radius,
                 axis=self.tool_axis,
+                flange=self.flange,
             )
-            made = with_start(made, file=self.file)
+            made = with_start(made, file=self.file, links=chain.links, joints=chain.joints)
             robot = made.robot()
-            with tempfile.TemporaryDirectory() as folder:  # nothing is installed unless everything succeeds
+            with tempfile.TemporaryDirectory() as folder:  # nothing is installed unless the robot is complete
                 skin = f"{name}_skin.usdc"
                 drawn = arm_usd.write_visuals(made, Path(folder) / "robots" / skin)
                 arm_usd.write(made, Path(folder) / "robots" / f"{name}.usda", skin=skin if drawn else "")
-                scene = write_sample_task(robot, name, Path(folder), destination=self.out)
+                try:
+                    scene, no_trial = write_sample_task(robot, name, Path(folder), destination=self.out), ""
+                except SceneError as error:
+                    scene, no_trial = None, error.what
                 self._install(Path(folder))
-        bare = [group[0][0] for link, group in zip(made.links, chain.groups[1:], strict=True) if not link.colliders]
+        bare = [part for link, part in zip(made.links, chain.links, strict=True) if not link.colliders]
         if bare:
-            links = ", ".join(link.rpartition("/")[2] for link in bare)
+            links = ", ".join(short_name(link) for link in bare)
             console.print(
                 f"warning: no collision shapes on {links}: these links are not drawn, and collisions with them are not "
                 "detected"
             )
+        self._tell(console, robot, chain)
+        if scene is None:
+            console.print(f"warning: there is no sample task: {no_trial}", markup=False)
+            console.print(f"  to do:   write a task: oimppi scene new TASK --robot {name} --out {self.out}")
+        else:
+            console.print(f"  try it   oimppi run {self.out / scene.name}")
+        return 0
+
+    def _tell(self, console: Console, robot: Robot, chain: Chain) -> None:
+        """Prints what the robot is, and what it cannot do."""
+        from oimppi_warp.authoring.robots.chain import short_name
+        from oimppi_warp.geometry.reach import can_lift, can_tilt, highest_tip, reach_of
+
+        name = self.name or self.file.name.partition(".")[0]
         reach = reach_of(robot)
         console.print(f"{self.out / 'robots' / name}.usda: {robot.dof} joints ({robot.chain}), from {self.file.name}")
-        console.print(f"  joints   {', '.join(joint.rpartition('/')[2] for joint in chain.joints)}")
-        console.print(f"  stick    {self.tool_length:g} m along {self.tool_axis} of {chain.flange.rpartition('/')[2]}")
+        console.print(f"  joints   {', '.join(short_name(joint) for joint in chain.joints)}", markup=False)
+        console.print(
+            f"  stick    {self.tool_length:g} m along {self.tool_axis} of {short_name(chain.flange)}", markup=False
+        )
         console.print(f"  reach    {reach.radius:.2f} m from the origin, with the stick upright")
-        console.print(f"  try it   oimppi run {self.out / scene.name}")
-        return 0
+        highest = highest_tip(robot)
+        if not can_lift(robot):
+            console.print("  cannot   lift the stick: it goes around objects")
+        elif highest < LIFTED:
+            console.print(
+                f"  cannot   lift the stick above {highest:.2f} m: it goes around objects that are not much lower"
+            )
+        if can_lift(robot) and not can_tilt(robot):
+            console.print(f"  cannot   tilt the stick sideways, with {robot.dof} joints; pushing needs it upright only")
 
     def _check(self, name: str) -> None:
         """Checks the options, with the name that the robot gets.
 
         Raises:
             ConfigError: The name is not valid, a length is out of bounds, or a file would be overwritten.
-            SceneError: The robot's file is a xacro file.
         """
         if not name.replace("-", "_").isidentifier():
             raise ConfigError(
@@ -123,10 +153,6 @@ class AddRobot:
             raise ConfigError(
                 f"--tool-length {self.tool_length:g}: the stick is shorter than it is thick\n"
                 f"  allowed: above {2.0 * self.tool_radius:g} m, twice --tool-radius"
-            )
-        if self.file.suffix == ".xacro":
-            raise SceneError(
-                "the robot is a xacro file", file=self.file, allowed="URDF", fix="expand the file with xacro first"
             )
         for file in (self.out / "robots" / f"{name}.usda", self.out / f"{name}_open.usda"):
             if file.exists() and not self.force:

@@ -12,12 +12,19 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from oimppi_warp.cli.hardware import print_checks
 from oimppi_warp.cli.options import notices
+from oimppi_warp.config.ros2_topics import JOINT_STATES
 from oimppi_warp.errors import HardwareError
+from oimppi_warp.priority import real_time_priority
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from oimppi_warp.plants.real.arm import Check
+    from oimppi_warp.plants.ros2.link import Link
+
+
+_DISCOVERY = 1.0
+"""Time to look for others [s]."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +63,9 @@ class Ros2Plant:
             from oimppi_warp.plants.ros2.link import connect
 
             scene = prepare_scene(self.scene, start=start, goal=None, seed=self.seed)
-            link = connect(domain=self.domain, peers=self.peers)
+            with real_time_priority():  # for the threads of the connection
+                link = connect(domain=self.domain, peers=self.peers)
+            _refuse_company(link)
             simulated = Ros2Lab(scene, lab().lab, link, seed=self.seed)
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         simulated.start()
@@ -105,6 +114,20 @@ class Ros2Check:
         return print_checks(check_topics(self.plant_options, self.scene), json=self.json)
 
 
+def _refuse_company(link: Link) -> None:
+    """Refuses to simulate where an arm is already.
+
+    Raises:
+        HardwareError: Somebody publishes joint states.
+    """
+    time.sleep(_DISCOVERY)
+    if any(end.publishes for end in link.endpoints(JOINT_STATES)):
+        link.close()
+        raise HardwareError(
+            f"somebody publishes {JOINT_STATES} in {link.name} already\n  to do:   use another domain (--domain N)"
+        )
+
+
 def check_topics(assignments: Sequence[str], scene: str) -> list[Check]:
     """Checks an arm and the object's pose on ROS 2, item by item; nothing moves.
 
@@ -117,7 +140,7 @@ def check_topics(assignments: Sequence[str], scene: str) -> list[Check]:
         SceneError: The scene cannot be read.
     """
     from oimppi_warp.plants.factory import plant_options
-    from oimppi_warp.plants.real.arm import Check
+    from oimppi_warp.plants.real.arm import Check, check_priority
     from oimppi_warp.plants.ros2.link import connect
     from oimppi_warp.plants.ros2.plant import Ros2Plant, Setup
     from oimppi_warp.usd import load_scene
@@ -137,7 +160,7 @@ def check_topics(assignments: Sequence[str], scene: str) -> list[Check]:
         raise
     try:
         found = [Check(f"connected to {link.name}; topics there: {', '.join(link.topics())}", True)]
-        found += arm.check(task.robot)
+        found += [check_priority(), *arm.check(task.robot)]
         until = time.monotonic() + 4.0
         while not poses.poses and time.monotonic() < until:
             time.sleep(0.05)

@@ -9,10 +9,14 @@ import warp as wp
 
 from oimppi_warp.geometry.footprint import core_points, rotation_matrix
 from oimppi_warp.kernels.kinematics import Arm
-from oimppi_warp.scene import Collider, Robot
+from oimppi_warp.scene import Collider, Link, Robot
 
 SPHERE_SPACING = 0.03
 """Smallest spacing of the spheres that approximate a link [m]."""
+_TOUCHING = 1e-3
+"""Height below which a link's shapes touch the table [m]."""
+ROUNDED_ANGLE = 0.01
+"""Angle below which axes count as parallel [rad]: people round the angles in a robot's file, as in 3.14 or 1.57."""
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 """Cyclic successors of the axes x, y and z, and theirs."""
 
@@ -116,6 +120,50 @@ def tip_jacobian(robot: Robot, joints: np.ndarray) -> np.ndarray:
     return np.concatenate([linear, np.where(revolute, axes, 0.0)], axis=1).T
 
 
+@lru_cache(maxsize=8)
+def is_level(robot: Robot) -> np.ndarray:
+    """Returns which links no joint raises, lowers or tilts, such as a turret on a vertical axis, shape [dof].
+
+    They are the first links, as long as revolute axes are vertical and prismatic ones horizontal, up to
+    :data:`ROUNDED_ANGLE`.
+    """
+    axes = link_frames(robot, np.zeros(robot.dof))[0][:, :, 2]
+    upright, flat = parallel(axes, np.array([0.0, 0.0, 1.0])), np.abs(axes[:, 2]) < np.sin(ROUNDED_ANGLE)
+    return np.logical_and.accumulate(np.where(revolute_joints(robot), upright, flat))
+
+
+def parallel(axes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Returns which unit vectors, shape [..., 3], are parallel to another or opposite, up to :data:`ROUNDED_ANGLE`."""
+    return np.linalg.norm(np.cross(axes, axis), axis=-1) < np.sin(ROUNDED_ANGLE)
+
+
+def link_heights(robot: Robot, joints: np.ndarray) -> np.ndarray:
+    """Returns the height of the lowest point of each link's shapes, shape [dof] [m]; infinite without shapes.
+
+    Args:
+        robot: The arm.
+        joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
+    """
+    rotations, positions = link_frames(robot, joints)
+    heights = np.full(robot.dof, np.inf)
+    for number, link in enumerate(robot.links):
+        for collider in link.colliders:
+            points, radius = core_points(collider)
+            low = positions[number][2] + (points @ rotations[number][2]).min() - radius
+            heights[number] = min(heights[number], low)
+    return heights
+
+
+@lru_cache(maxsize=8)
+def touching_turret(robot: Robot) -> tuple[Link, ...]:
+    """Returns the links that no joint can lower (:func:`is_level`) and whose shapes reach down to the table, at z = 0.
+
+    They turn where they stand. A flat robot, whose links are all of this kind, has none.
+    """
+    low = is_level(robot) & (link_heights(robot, robot.start) < _TOUCHING)
+    return tuple(link for link, touches in zip(robot.links, low, strict=True) if touches and not is_level(robot).all())
+
+
 def collider_spheres(collider: Collider) -> np.ndarray:
     """Returns spheres (centre, radius) that cover a shape along its longest axis, shape [n, 4] [m].
 
@@ -155,6 +203,7 @@ def pack_arm(robot: Robot, speed: np.ndarray, device: str) -> Arm:
     arm.tip_rotation = wp.mat33(*rotation_matrix(robot.tip[3:]).ravel())
     arm.sphere = wp.array(np.concatenate(spheres), dtype=wp.vec4, device=device)
     arm.first_sphere = wp.array(np.cumsum([0, *map(len, spheres)]), dtype=int, device=device)
+    arm.turret = int(is_level(robot).sum())
     arm.hull = wp.array(np.array([enclosing_sphere(balls) for balls in spheres]), dtype=wp.vec4, device=device)
     return arm
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from oimppi_warp.compute.cache import cached, content_of_data, source_content
 from oimppi_warp.geometry.footprint import rotation_matrix
-from oimppi_warp.geometry.kinematics import link_frames, revolute_joints, tip_frame
-from oimppi_warp.geometry.reach import can_lift, reach_of
+from oimppi_warp.geometry.kinematics import ROUNDED_ANGLE, is_level, link_frames, revolute_joints, tip_frame
+from oimppi_warp.geometry.reach import can_correct, can_lift, can_tilt, correctable, reach_of, without_slight
 from oimppi_warp.scene import Robot
 
 STEP = 0.02
@@ -27,6 +27,8 @@ _LONGEST = 0.08
 """Longest correction of the tip in one least-squares step [m]."""
 _TOLERANCE = 1e-3
 """Largest error of a posture: of the tip [m], and of the tool's axis."""
+_SOLVED = 1e-5
+"""Largest error of a posture that is solved from a guess."""
 _SEEDS = 9
 """Nodes next to the start from which the postures are continued."""
 _FIRST, _NEXT = 60, 8
@@ -85,6 +87,54 @@ def postures_of(robot: Robot, top: float) -> Postures:
     packed = cached("postures", content, compute)
     dof = robot.dof
     return Postures(origin, packed[..., :dof], packed[..., dof : 2 * dof], packed[..., -1] > 0.5)
+
+
+def upright_from(robot: Robot, guesses: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solves for joint positions with the tip at a point and the tool pointing down, from several guesses at once.
+
+    Where no joint can correct a tilt, one of :data:`.ROUNDED_ANGLE` is accepted. The height of the point does not count
+    for a robot all of whose links stay at their heights.
+
+    Args:
+        robot: The robot.
+        guesses: Initial joint positions, shape [n, dof] [rad; m for a prismatic joint].
+        tip: Desired position of the tip in the world frame, shape [3] [m].
+
+    Returns:
+        The joint positions, and whether each is a solution, shape [n].
+    """
+    joints, good = _from_guesses(robot, guesses, tip, exact=True)
+    left = np.flatnonzero(~good & ~can_correct(_all_rates(robot, joints)[2][:, 3:]))
+    if len(left):
+        joints[left], good[left] = _from_guesses(robot, guesses[left], tip, exact=False)
+    return joints, good
+
+
+def _from_guesses(robot: Robot, guesses: np.ndarray, tip: np.ndarray, *, exact: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Returns joint positions from guesses, and which are solutions: with no tilt if ``exact``, else with a slight one.
+
+    If it is not ``exact``, joint positions at which the tool can be tilted to every side are no solutions.
+    """
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in robot.joints]).T
+    q = np.array(guesses, dtype=float)
+    good, flat = np.zeros(len(q), dtype=bool), bool(is_level(robot).all())
+    for _ in range(_FIRST + 1):
+        at, axis, jacobian = _all_rates(robot, q)
+        tilt, upright = axis[:, :2], axis[:, 2] < 0.0
+        if not exact:
+            stiff = ~can_correct(jacobian[:, 3:])
+            upright &= stiff & (np.linalg.norm(tilt, axis=1) < ROUNDED_ANGLE)
+            tilt = correctable(jacobian[:, 3:], tilt)
+            jacobian[:, 3:] = without_slight(jacobian[:, 3:])
+        error = np.concatenate([tip - at, -tilt], axis=1)
+        if flat:
+            error[:, 2], jacobian[:, 2] = 0.0, 0.0
+        good = (np.abs(error).max(axis=1) < _SOLVED) & upright
+        if good.all():
+            break
+        step = np.einsum("nij,ni->nj", _inverse(jacobian), error)
+        q = np.where(good[:, None], q, np.clip(q + step, lower, upper))
+    return q, good
 
 
 def halved(values: np.ndarray, *, jump: float = np.inf) -> np.ndarray:
@@ -160,16 +210,19 @@ def _solved(robot: Robot, joints: np.ndarray, tips: np.ndarray, steps: int) -> t
         home -= np.einsum("nij,nik,nk->nj", inverse, jacobian, home)
         q = np.clip(q + np.einsum("nij,ni->nj", inverse, error) + home, lower, upper)
     error, axis, _ = _errors(robot, q, tips)
-    return q, (np.abs(error).max(axis=1) < _TOLERANCE) & (axis[:, 2] < 0.0)
+    upright = (axis[:, 2] < 0.0) & (can_tilt(robot) | (np.linalg.norm(axis[:, :2], axis=1) < ROUNDED_ANGLE))
+    return q, (np.abs(error).max(axis=1) < _TOLERANCE) & upright
 
 
 def _errors(robot: Robot, joints: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the errors [n, 5] of tip and tool axis, the axis [n, 3], and the Jacobian [n, 5, dof].
 
-    A robot that cannot lift its tool has no error of height.
+    A robot that cannot lift its tool has no error of height, and one that cannot tilt it to every side none of a tilt
+    that comes of rounded angles.
     """
     tip, axis, jacobian = _rates(robot, joints)
-    error = np.concatenate([tips - tip, -axis[:, :2]], axis=1)
+    tilt = axis[:, :2] if can_tilt(robot) else correctable(jacobian[:, 3:], axis[:, :2])
+    error = np.concatenate([tips - tip, -tilt], axis=1)
     if not can_lift(robot):
         error[:, 2], jacobian[:, 2] = 0.0, 0.0
     return error, axis, jacobian
@@ -177,6 +230,14 @@ def _errors(robot: Robot, joints: np.ndarray, tips: np.ndarray) -> tuple[np.ndar
 
 def _rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns tip [n, 3] [m], tool axis [n, 3] and their Jacobian [n, 5, dof]: of the tip, and of the axis in x, y."""
+    tip, axis, jacobian = _all_rates(robot, joints)
+    if not can_tilt(robot):
+        jacobian[:, 3:] = without_slight(jacobian[:, 3:])
+    return tip, axis, jacobian
+
+
+def _all_rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns what :func:`_rates` does, with all rates of the axis."""
     rotations, positions = link_frames(robot, joints)
     tip = positions[:, -1] + rotations[:, -1] @ robot.tip[:3]
     axis = (rotations[:, -1] @ rotation_matrix(robot.tip[3:]))[:, :, 2]

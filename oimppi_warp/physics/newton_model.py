@@ -18,6 +18,7 @@ import numpy as np
 from oimppi_warp.compute.device import start_warp
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import collider_mesh, quaternion_product, rotation_matrix
+from oimppi_warp.geometry.kinematics import touching_turret
 from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import Collider, Joint, Link, Robot, Scene
 
@@ -122,7 +123,9 @@ def build_model(scene: Scene, *, worlds: int | None = None, device: str = "cpu")
     builder.custom_attributes["mujoco:gravcomp"].values = dict.fromkeys(bodies.values(), 1.0)
     builder.custom_attributes["mujoco:geom_solimp"].values = dict.fromkeys(range(len(roles)), SOFT_ONSET)
     builder.shape_material_mu[:] = _friction(scene, roles).tolist()
-    for a, b in _never_meet(roles):
+    turret = {bodies[part.path] for link in touching_turret(scene.robot) for part in (link, *link.welded)}
+    sunk = np.isin(builder.shape_body, list(turret)) & (roles == ROLES.index("arm"))
+    for a, b in _never_meet(roles, sunk):
         builder.add_shape_collision_filter_pair(a, b)
     coords = np.array([builder.joint_q_start[joint] for joint in joints])
     for coord, position in zip(coords, scene.robot.start, strict=True):
@@ -340,9 +343,12 @@ def _friction(scene: Scene, roles: np.ndarray) -> np.ndarray:
     return friction
 
 
-def _never_meet(roles: np.ndarray) -> list[tuple[int, int]]:
-    """Returns pairs of shapes that do not collide: the robot with itself, and its base with the table."""
+def _never_meet(roles: np.ndarray, sunk: np.ndarray) -> list[tuple[int, int]]:
+    """Returns pairs of shapes that do not collide: the robot with itself, and what stands on the table with the table.
+
+    That is the robot's base, and the shapes marked in ``sunk``, of a turret with coarse shapes that reach into it.
+    """
     base, arm, tool, table = (
         np.flatnonzero(roles == ROLES.index(role)).tolist() for role in ("base", "arm", "tool", "table")
     )
-    return [*combinations([*base, *arm, *tool], 2), *product(base, table)]
+    return [*combinations([*base, *arm, *tool], 2), *product([*base, *np.flatnonzero(sunk).tolist()], table)]

@@ -20,7 +20,7 @@ import shapely
 from oimppi_warp.config.settings import Reposition
 from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.geometry.footprint import footprint, outline, planar_points, wrap_angle
-from oimppi_warp.geometry.reach import can_lift, reach_of
+from oimppi_warp.geometry.reach import can_lift, highest_tip, reach_of
 from oimppi_warp.planning.stance import Outline, yaw_length_of
 from oimppi_warp.scene import Scene
 
@@ -80,7 +80,7 @@ class Repositioner:
         self._period = period
         self._radius = scene.robot.tool_radius
         self._heights = (height, geometry.top + _ABOVE)
-        self._lifts = can_lift(scene.robot)
+        self._lifts, self._over = can_lift(scene.robot), highest_tip(scene.robot) >= self._heights[1]
         self._reach = reach_of(scene.robot)
         self._outline = Outline(scene, geometry.surface, yaw_length=yaw_length_of(geometry.surface, w_theta))
         self._sides = self._outline.beside(self._radius + _GAP)  # tool positions, object frame
@@ -168,12 +168,13 @@ class Repositioner:
         straight = shapely.LineString([tip[:2], target])
         self._waypoints = [np.array([*target, low])]
         if shapely.distance(straight, body) < self._radius + 0.5 * _GAP:
-            if self._lifts:
+            if self._over:
                 aside = self._clear_of(tip[:2], body)
                 self._waypoints = [np.array([*aside, high]), np.array([*target, high]), *self._waypoints]
             else:
+                height = low if self._lifts else tip[2]
                 self._waypoints = [
-                    np.array([*point, tip[2]]) for point in (*self._around(tip[:2], target, body), target)
+                    np.array([*point, height]) for point in (*self._around(tip[:2], target, body), target)
                 ]
         self._time_left = self._settings.longest_seconds
 

@@ -94,7 +94,7 @@ def resolve(config: Config, scene: Scene, *, control_period: float | None = None
         effective = replace(_for_reach(config, reach), resolved_for=task)
         why = (
             f"the robot reaches {reach.radius:.2f} m"
-            if reach.border is None
+            if reach.border is None or reach.disc
             else "the robot does not turn about a base"
         )
         reasons |= {"cost.push_ring": why, "object_cost.push_ring": why}
@@ -137,21 +137,24 @@ def _task(reach: Reach, *, any_yaw: bool, tips: bool, tips_from: float) -> str:
     if tips and tips_from < _THIN:
         tipping = f"tips from {1000 * tips_from:.0f} mm"
     ring = f"reach x{_scale(reach):g}" if reach.border is None else "no ring of reach"
+    if reach.disc:
+        ring = f"reach x{_scale(reach):g}, {reach.offset:.2f} m beside the base"
     return ", ".join([ring, "any yaw" if any_yaw else "yaw counts", tipping])
 
 
 def _scale(reach: Reach) -> float:
     """Returns a robot's reach relative to that of the xArm6, rounded to hundredths."""
-    return round(reach.radius / _USUAL_REACH, 2)
+    return round((reach.disc or reach.radius) / _USUAL_REACH, 2)
 
 
 def _for_reach(config: Config, reach: Reach) -> Config:
     """Returns the settings with the rings scaled to a robot's reach."""
 
     def ring(given: tuple[float, float]) -> tuple[float, float]:
-        if reach.border is not None:
-            return (0.0, _EVERYWHERE)
-        return (_scale(reach) * given[0], _scale(reach) * given[1])
+        # Around the base, but within the ring around the axis in front of the arm.
+        inner, outer = _scale(reach) * given[0] + reach.offset, _scale(reach) * given[1]
+        turns = reach.border is None or reach.disc > 0.0
+        return (inner, outer) if turns and inner < outer else (0.0, _EVERYWHERE)
 
     return replace(
         config,

@@ -17,6 +17,8 @@ from oimppi_warp.registries import PLANTS
 from oimppi_warp.scene import Scene
 
 _GIVEN = ("scene", "config", "seed")
+_TEXTUAL = {str, int, float, bool}
+"""Types of options that can be given as text."""
 _TRUE, _FALSE = ("true", "1", "yes"), ("false", "0", "no")
 
 
@@ -62,7 +64,7 @@ def plant_options(make: Callable[..., Plant], name: str, assignments: Sequence[s
     Raises:
         ConfigError: The plant has no such option, or the value is not of its type.
     """
-    known = {key: kind for key, kind in _types(make).items() if key not in _GIVEN}
+    known = {key: kind for key, kind in _types(make).items() if key not in _GIVEN and {*_kinds(kind)} & _TEXTUAL}
     found: dict[str, Any] = {}
     for assignment in assignments:
         key, _, text = assignment.partition("=")

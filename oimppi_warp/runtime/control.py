@@ -22,6 +22,7 @@ from oimppi_warp.planning.plan import Plan
 from oimppi_warp.plants.drive import Drive
 from oimppi_warp.plants.plant import Plant, RealPlant
 from oimppi_warp.plants.safety_filter import Filtered, SafetyFilter
+from oimppi_warp.priority import lower_priority
 from oimppi_warp.runtime.estimator import Estimator, Event
 from oimppi_warp.runtime.watch import Watch
 
@@ -190,7 +191,7 @@ def real_time(
     job: Future[_TimedPlan] | None = None
     observation = _observed(plant, dof)
     known = estimator.update(observation)
-    own = ThreadPoolExecutor(1, thread_name_prefix="oimppi-planner") if executor is None else None
+    own = ThreadPoolExecutor(1, "oimppi-planner", lower_priority) if executor is None else None
     pool = executor or own
     assert pool is not None
     due = began = clock()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Generator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -42,6 +42,7 @@ from oimppi_warp.plants.plant import (
     latency_of,
 )
 from oimppi_warp.plants.safety_filter import SafetyFilter
+from oimppi_warp.priority import real_time_priority
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
 from oimppi_warp.registries import PLANTS
@@ -247,37 +248,38 @@ class Episode:
             wanted = wanted.strictest(self.scene.exact_tolerance)
         wanted_steps = hold_steps(settings.hold_seconds, self.config.control_period)
         held = 0
-        try:
-            for index in range(round(settings.max_sim_seconds / self.config.control_period)):
-                self._knock(index * self.config.control_period)
-                step = next(self._control_steps)
-                position_error, yaw_error = self._record(step)
-                yield step
-                if self.watch is not None and self.watch.given_up:
-                    self.log.header["ended"] = "stopped"
-                    break
-                if isinstance(self.plant, TruthfulPlant) and has_fallen(self.plant.truth()):
-                    self.log.header["ended"] = "object fell"
-                    break
-                if isinstance(self.plant, JudgingPlant):
-                    verdict = self.plant.verdict
-                    if verdict.success or verdict.over:
-                        self.log.header["ended"] = "success" if verdict.success else "time limit"
+        with real_time_priority() if isinstance(self.plant, RealPlant) else nullcontext():
+            try:
+                for index in range(round(settings.max_sim_seconds / self.config.control_period)):
+                    self._knock(index * self.config.control_period)
+                    step = next(self._control_steps)
+                    position_error, yaw_error = self._record(step)
+                    yield step
+                    if self.watch is not None and self.watch.given_up:
+                        self.log.header["ended"] = "stopped"
                         break
-                    continue
-                held = held + 1 if position_error <= wanted.position and yaw_error <= wanted.yaw else 0
-                if held == wanted_steps:
-                    self.log.header["ended"] = "success"
-                    break
-            else:
-                self.log.header["ended"] = "time limit"
-        finally:  # stop the arm first, however the episode ended
-            if isinstance(self.plant, RealPlant):
-                self.plant.close()
-            else:
-                with suppress(Exception):
-                    self._drive.stop()
-            self._control_steps.close()
+                    if isinstance(self.plant, TruthfulPlant) and has_fallen(self.plant.truth()):
+                        self.log.header["ended"] = "object fell"
+                        break
+                    if isinstance(self.plant, JudgingPlant):
+                        verdict = self.plant.verdict
+                        if verdict.success or verdict.over:
+                            self.log.header["ended"] = "success" if verdict.success else "time limit"
+                            break
+                        continue
+                    held = held + 1 if position_error <= wanted.position and yaw_error <= wanted.yaw else 0
+                    if held == wanted_steps:
+                        self.log.header["ended"] = "success"
+                        break
+                else:
+                    self.log.header["ended"] = "time limit"
+            finally:  # stop the arm first, however the episode ended
+                if isinstance(self.plant, RealPlant):
+                    self.plant.close()
+                else:
+                    with suppress(Exception):
+                        self._drive.stop()
+                self._control_steps.close()
 
     def _loop(self) -> Generator[ControlStep]:
         """Returns the control steps of plant and planner; a plant that reports the exact state needs no estimator."""

@@ -20,7 +20,7 @@ from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.authoring.robots.articulation import GREY, ToolAxis
 from oimppi_warp.authoring.robots.fitting import POINTS, fit_collider
 from oimppi_warp.authoring.robots.from_urdf import read_urdf
-from oimppi_warp.authoring.robots.start_pose import HEIGHT, table_clearance, with_start
+from oimppi_warp.authoring.robots.start_pose import HEIGHT, lowered_heights, with_start
 from oimppi_warp.cli.main import main
 from oimppi_warp.config.presets import best
 from oimppi_warp.errors import SceneError
@@ -153,7 +153,7 @@ def test_an_arm_begins_with_its_tool_upright_just_above_the_table(tmp_path):
     rotation, tip = tip_frame(robot, robot.start)
     assert tip[2] == pytest.approx(HEIGHT, abs=1e-3)
     np.testing.assert_allclose(rotation[:, 2], [0, 0, -1], atol=1e-3)
-    assert table_clearance(robot, robot.start) >= 0.02
+    assert lowered_heights(robot, robot.start).min() >= 0.02
     for limits, position in zip(robot.joints, robot.start, strict=True):
         assert limits.lower <= position <= limits.upper
 

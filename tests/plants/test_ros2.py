@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,9 +16,11 @@ from support import fake_rclpy, small_tasks
 from support.pushing import REST, TURN, Pushing, begun, speed, stops, time_to_rest, wait_until
 from support.ros2_lab import HERE, connected, new_domain, other_node, simulated
 
+from oimppi_warp.cli.main import main
 from oimppi_warp.config import ros2_topics
 from oimppi_warp.config.presets import lab
 from oimppi_warp.errors import ConfigError, HardwareError
+from oimppi_warp.perception.pose_source import StampedPose
 from oimppi_warp.plants.ros2 import messages
 from oimppi_warp.plants.ros2 import plant as ros2_plant
 from oimppi_warp.plants.ros2.arm import WATCHDOG
@@ -35,6 +38,12 @@ COMMANDS = ros2_topics.NOMINAL_COMMANDS
 def made() -> Iterator[Ros2Lab]:
     with simulated() as lab_made:
         yield lab_made
+
+
+def joint_state(names: list[str], positions: list[float]) -> SimpleNamespace:
+    """A joint state without a stamp."""
+    head = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id="")
+    return SimpleNamespace(name=names, position=positions, header=head)
 
 
 @pytest.mark.parametrize(
@@ -67,18 +76,15 @@ def test_the_arm_goes_to_its_start_and_follows_commands_of_every_type(topic, kin
 def test_joints_are_found_by_name_in_any_order(made):
     with connected(made) as plant:
         order = [3, 0, 5, 1, 4, 2]
-        shuffled = SimpleNamespace(
-            name=["gripper", *(made.names[i] for i in order)],
-            position=[9.0, *(0.1 * i for i in order)],
-            header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0)),
-        )
         made.frozen = True
         time.sleep(0.05)
-        plant.arm._take(shuffled)
-        assert plant.joints() == pytest.approx(0.1 * np.arange(6))
-        plant.arm._take(SimpleNamespace(name=["gripper", "joint1"], position=[1.0, 2.0]))
-        plant.arm._take(SimpleNamespace(name=["gripper"], position=[1.0]))
-        assert plant.joints()[0] == 0.0, "some of the joints only"
+        moved = made.state()[0] + 0.004 * np.arange(6)
+        names = ["gripper", *(made.names[i] for i in order)]
+        plant.arm._take(joint_state(names, [9.0, *(moved[i] for i in order)]))
+        assert plant.joints() == pytest.approx(moved)
+        plant.arm._take(joint_state(["gripper", "joint1"], [1.0, 2.0]))
+        plant.arm._take(joint_state(["gripper"], [1.0]))
+        assert plant.joints() == pytest.approx(moved), "some of the joints only"
         assert not plant.arm.fault(1, moving=False)
 
 
@@ -136,7 +142,7 @@ def test_joint_states_with_wrong_stamps(made, error, words):
 def test_joint_states_that_are_not_numbers(made):
     with connected(made) as plant, Pushing(plant) as pushing:
         begun(made)
-        plant.arm._take(SimpleNamespace(name=made.names, position=[math.nan] * 6, header=None))
+        plant.arm._take(joint_state(made.names, [math.nan] * 6))
         stops(made, pushing, "not finite")
 
 
@@ -147,6 +153,130 @@ def test_a_second_commander(made):
         stops(made, pushing, "another program publishes")
         with pytest.raises(HardwareError, match="another program publishes"):
             plant.recover()
+
+
+def test_the_end_of_a_run_needs_no_watchdog(made):
+    made.watchdog = math.inf
+    plant = Ros2Plant(small_tasks.shipped("lab01"), lab(), domain=made.domain, peers=HERE, yes=True)
+    plant.apply(TURN)
+    wait_until(lambda: speed(made) > 0.1)
+    zeros: list[float] = []
+    with other_node(made.domain) as node:
+        node.subscribe(COMMANDS, messages.NUMBERS, lambda message: zeros.append(max(map(abs, message.data))))
+        wait_until(lambda: any(not end.own and not end.publishes for end in node.endpoints(COMMANDS)))
+        plant.apply(TURN)
+        plant.close()
+        assert time_to_rest(made) < REST
+        wait_until(lambda: len(zeros) > 10)
+        assert zeros[-10:] == [0.0] * 10, "one zero could be lost"
+
+
+def test_a_stop_needs_no_watchdog(made):
+    with connected(made) as plant, Pushing(plant) as pushing:
+        begun(made)
+        made.watchdog = math.inf
+        made.stamp_error = 1.0
+        stops(made, pushing, "in the future")
+
+
+def test_trajectories_end_at_rest_and_never_lead_back(made):
+    made.watchdog = math.inf
+    topic = f"{COMMANDS}/joint_trajectory"
+    with connected(made, commands=topic, command_type=messages.TRAJECTORY) as plant, Pushing(plant) as pushing:
+        begun(made)
+        lowest = made.state()[1][0]
+        made.frozen = True
+        until = time.monotonic() + 1.0
+        while time.monotonic() < until:
+            lowest = min(lowest, made.state()[1][0])
+            time.sleep(0.002)
+        assert speed(made) < 1e-3
+        assert lowest > -0.05, "joint states that are old lead the arm back"
+        assert "joint report" in pushing.said[0]
+
+
+def test_a_loop_that_hangs_is_no_fault_of_the_arm(made):
+    with connected(made, resume=True) as plant, Pushing(plant) as pushing:
+        begun(made)
+        pushing.stuck = 1.0
+        wait_until(lambda: speed(made) < 1e-3)
+        wait_until(lambda: speed(made) > 0.1)
+        time.sleep(1.0)
+        assert not pushing.said
+
+
+def test_joint_states_that_come_again_with_a_fresh_stamp(made):
+    with connected(made) as plant, Pushing(plant) as pushing:
+        begun(made)
+        made.frozen = True
+        time.sleep(0.02)
+        joints = plant.joints().tolist()
+        until = time.monotonic() + 1.0
+        while time.monotonic() < until and not pushing.said:
+            plant.arm._take(joint_state(made.names, joints))
+            time.sleep(0.01)
+        assert "do not change" in pushing.said[0]
+
+
+def test_two_sources_of_joint_states(made):
+    with connected(made) as plant, Pushing(plant) as pushing, other_node(made.domain) as node:
+        begun(made)
+        publish = node.advertise(ros2_topics.JOINT_STATES, messages.JOINT_STATE)
+        elsewhere = {"name": made.names, "position": [0.3] * 6}
+        until = time.monotonic() + 5.0
+        while not pushing.said and time.monotonic() < until:
+            publish(elsewhere)
+            time.sleep(0.01)
+        assert "more than one program" in pushing.said[0]
+        assert time_to_rest(made) < REST
+
+
+def test_joint_states_that_are_late_count_from_when_they_were_true(made):
+    with connected(made) as plant:
+        made.stamp_error = -0.1
+        time.sleep(0.3)
+        assert time.monotonic() - plant.arm.reports.latest()[0] > 0.1
+
+
+def test_commands_beyond_a_limit_are_not_sent(made):
+    with connected(made) as plant:
+        plant.apply(np.full(6, 10.0))
+        wait_until(lambda: bool(plant.fault))
+        assert "at most" in plant.fault
+        plant.recover()
+        plant._limits[1, 0] = made.state()[0][0] + 0.01
+        plant.apply(TURN)
+        wait_until(lambda: bool(plant.fault))
+        assert "beyond its limits" in plant.fault
+        config = lab()
+        with pytest.raises(ConfigError, match="with the filter only"):
+            plant.limited(replace(config, safety=replace(config.safety, filter=False)))
+
+
+def test_the_first_run_of_an_arm_that_is_not_simulated_is_slow(made, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with connected(made) as plant:
+        assert plant.speed == 1.0
+        assert "can stop the arm" not in capsys.readouterr().err
+    monkeypatch.setattr("oimppi_warp.plants.ros2.lab.SIMULATED", "")
+    with connected(made) as plant:
+        assert plant.speed == 0.1
+        assert "only what receives" in capsys.readouterr().err
+
+
+def test_time_of_a_simulation(made):
+    with connected(made, use_sim_time=True) as plant:
+        assert plant.observe().object_pose == pytest.approx(made.state()[2], abs=1e-4)
+    with pytest.raises(HardwareError, match="nothing publishes /clock"):
+        Ros2Plant(small_tasks.shipped("lab01"), lab(), domain=new_domain(), peers=HERE, use_sim_time=True)
+
+
+def test_a_check_does_not_disturb_a_run(made, capsys):
+    with connected(made) as plant, Pushing(plant) as pushing:
+        begun(made)
+        assert main(["ros2", "check", "--plant-options", f"domain={made.domain}", f"peers={HERE}"]) in (0, 1)
+        assert "another program publishes" in capsys.readouterr().out, "the run itself"
+        assert not pushing.said
 
 
 def test_a_receiver_that_ends(made):
@@ -289,6 +419,29 @@ def test_the_object_in_messages_of_every_type(kind, values):
         assert poses.poses[-1].age == pytest.approx(1.0)
 
 
+def test_several_objects():
+    at = {"orientation": {"w": 1.0}}
+    first = {"id": "mug", "bbox": {"center": {"position": {"x": 0.5, "z": 0.05}, **at}}}
+    second = {"id": "can", "bbox": {"center": {"position": {"x": 0.7, "z": 0.05}, **at}}, "results": [{}]}
+    values = {"header": header(99.0, "world"), "detections": [first, second]}
+    message = messages.build(messages.DETECTIONS, values, messages.dds_type)
+    with other_node(new_domain()) as node:
+        made_of = {"kind": messages.DETECTIONS, "world": "world", "clock": lambda: 100.0}
+        anything = Ros2Poses(node, "/object", **made_of)
+        anything._take(message)
+        assert "has 2 objects" in anything.problem
+        can = Ros2Poses(node, "/object", wanted="can", **made_of)
+        can._take(message)
+        assert can.poses[-1].pose == pytest.approx([0.7, 0.0, 0.0]), "the box, since the hypothesis has no pose"
+        box = Ros2Poses(node, "/object", wanted="box", **made_of)
+        box._take(message)
+        assert "has no box" in box.problem
+        assert "can, mug" in box.problem
+        low = Ros2Poses(node, "/object", wanted="can", height=0.0, **made_of)
+        low._take(message)
+        assert "0.050 m above world" in low.problem
+
+
 def test_a_pose_in_a_frame_that_nobody_knows():
     with other_node(new_domain()) as node:
         poses = Ros2Poses(node, "/object", kind=messages.POSE, world="world", clock=lambda: 100.0)
@@ -332,6 +485,11 @@ def test_the_type_hash_is_told_to_others():
         alive = ReadCondition(reader, InstanceState.Alive | ViewState.Any | SampleState.Any)
         ends = [end for end in reader.read(100, condition=alive) if end.topic_name == "rt/a"]
         data = [policy.data for end in ends for policy in end.qos if isinstance(policy, Policy.Userdata)]
+        from cyclonedds.qos import Policy as DdsPolicy
+
+        writer = node._writers["/a", messages.POSE]
+        offered = [policy for policy in writer.get_qos() if isinstance(policy, DdsPolicy.DataRepresentation)]
+        assert [(each.use_cdrv0_representation, each.use_xcdrv2_representation) for each in offered] == [(True, False)]
         assert data == [f"typehash={messages.type_hash(messages.POSE)};".encode()]
 
 
@@ -375,3 +533,21 @@ def test_the_same_through_rclpy(monkeypatch):
 def test_without_ros_installed():
     with pytest.raises(ConfigError, match="rclpy cannot be imported"):
         RclpyLink()
+
+
+def test_the_object_from_a_source_in_this_process(made):
+    class Camera:
+        problem = ""
+        closed = False
+
+        @property
+        def poses(self) -> list[StampedPose]:
+            return [StampedPose(np.array([0.5, 0.2, 0.1]), time.monotonic(), 0.01, time.time() + i) for i in range(2)]
+
+        def close(self) -> None:
+            self.closed = True
+
+    camera = Camera()
+    with connected(made, poses=camera) as plant:
+        assert plant.observe().object_pose == pytest.approx([0.5, 0.2, 0.1])
+    assert camera.closed

@@ -85,7 +85,7 @@ def damaged(seed: int, number: int) -> bytes:
         (damage,) = chance.choices((_number, _word, _properties, _tokens, _lines), (8, 8, 6, 1, 1))
         text = damage(text, chance)
     raw = text.encode()
-    return _bytes(raw, chance) if chance.random() < 0.05 else raw
+    return bytes_damaged(raw, chance) if chance.random() < 0.05 else raw
 
 
 def _number(text: str, chance: random.Random) -> str:
@@ -149,7 +149,8 @@ def _lines(text: str, chance: random.Random) -> str:
     return "".join(lines)
 
 
-def _bytes(raw: bytes, chance: random.Random) -> bytes:
+def bytes_damaged(raw: bytes, chance: random.Random) -> bytes:
+    """A file cut short, or with a few other bytes."""
     at = chance.randrange(len(raw))
     match chance.randrange(3):
         case 0:
@@ -160,11 +161,18 @@ def _bytes(raw: bytes, chance: random.Random) -> bytes:
             return raw[:at] + bytes([raw[at] ^ (1 << chance.randrange(8))]) + raw[at + 1 :]
 
 
-def outcomes(seed: int, count: int, folder: Path) -> list[Outcome]:
-    """Read damaged stages in a process of its own, which is started again after each that it does not survive."""
+def outcomes(seed: int, count: int, folder: Path, *, module: str = __name__) -> list[Outcome]:
+    """Read damaged files in a process of its own, which is started again after each that it does not survive.
+
+    Args:
+        seed: Seed of the damage.
+        count: Number of files.
+        folder: Folder for them.
+        module: The module whose ``main`` reads them.
+    """
     found: list[Outcome] = []
     while len(found) < count and sum(not outcome.is_sound for outcome in found) < MOST:
-        command = [sys.executable, "-m", __name__, *map(str, (seed, len(found), count - len(found), folder))]
+        command = [sys.executable, "-m", module, *map(str, (seed, len(found), count - len(found), folder))]
         ended = subprocess.run(
             command, cwd=Path(__file__).parents[1], capture_output=True, text=True, errors="replace", check=False
         )

@@ -25,7 +25,7 @@ from oimppi_warp.kernels.fields.stance import StanceField
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.kernels.pushing import ObjectModel
 from oimppi_warp.kernels.upright import UprightArm
-from oimppi_warp.scene import Robot
+from oimppi_warp.scene import Link, Robot
 
 LENGTH_TOLERANCE = 2e-5
 """Kernel and twin agree on lengths to this [m] (float32 over coordinates of about a metre)."""
@@ -500,11 +500,19 @@ class World:
         """Remaining way of the tool to a good place [m]; 0 without a stance field."""
         return 0.0 if self.stance is None else stance(self.stance, tip, pose, target)
 
+    def _turret(self) -> list[Link]:
+        """The first links, as long as the heights of their frames do not depend on the joints."""
+        frames = [link_frames(self.robot, np.full(len(self.robot.joints), q)) for q in (-0.4, 0.3, 0.5)]
+        still = [np.ptp([frame[j][2] for frame in frames], axis=0).max() < 0.01 for j in range(len(self.robot.links))]
+        return list(self.robot.links[: still.index(False) if False in still else len(still)])
+
     def arm_clearance(self, joints: np.ndarray, *, table: float = 0.0) -> float:
         """Clearance of arm and tool to a table at a height and the obstacles (phi_3), at most a metre [m]."""
         arm_clearance = min(1.0, tip_frame(self.robot, joints)[2, 3] - table)
-        for *center, radius in arm_spheres(self.robot, joints):
-            arm_clearance = min(arm_clearance, center[2] - radius - table)
+        turret = sum(len(collider_spheres(c)) for link in self._turret() for c in link.colliders)
+        for number, (*center, radius) in enumerate(arm_spheres(self.robot, joints)):
+            if number >= turret:
+                arm_clearance = min(arm_clearance, center[2] - radius - table)
             if center[2] - radius < self.top:
                 arm_clearance = min(arm_clearance, space_field(self.obstacles, np.array(center)) - radius)
         return arm_clearance

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-import os
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,13 +16,25 @@ from oimppi_warp.plants.ros2.lab import Ros2Lab
 from oimppi_warp.plants.ros2.plant import Ros2Plant
 
 HERE = "127.0.0.1"
-_numbers = itertools.count()
+_AT_ONCE = 8
+"""Number of the latest domains of a process that stay locked."""
+_taken: list[socket.socket] = []
 
 
 def new_domain() -> int:
-    """A domain that no other test uses at the same time, in whichever process of pytest."""
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    return 20 + 40 * (worker % 5) + next(_numbers) % 40
+    """A domain that no other test on this machine uses at the same time: its number is locked by a port."""
+    for domain in range(20, 101):  # beyond it, the ports of a domain may be in use by any program
+        lock = socket.socket()
+        try:
+            lock.bind((HERE, 19000 + domain))
+        except OSError:
+            lock.close()
+            continue
+        _taken.append(lock)
+        if len(_taken) > _AT_ONCE:
+            _taken.pop(0).close()
+        return domain
+    raise RuntimeError("no domain is free")
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from oimppi_warp.authoring.robots.fitting import fit_collider
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import rotation_matrix, transform_points
 from oimppi_warp.scene import Collider
+from oimppi_warp.usd.stage import MAX_LENGTH
 
 if TYPE_CHECKING:
     import newton
@@ -70,21 +71,19 @@ class Articulation:
         own = [np.linalg.inv(self._base), *(matrix_of(self._builder.joint_X_c[j]) @ self._to_z(j) for j in joints)]
         placed = [self._placed(group) for group in chain.groups]
         links = [self._link(where, np.linalg.inv(frame)) for where, frame in zip(placed, own, strict=True)]
-        for link, group in zip(links[1:], chain.groups[1:], strict=True):
-            if link.mass <= 0.0:
-                what, fix = f"link {group[0][0]} has no mass", "give it a mass and an inertia"
-                raise SceneError(what, file=self._file, allowed="a mass above zero [kg]", fix=fix)
+        for link, where in zip(links[1:], placed[1:], strict=True):
+            self._check_mass(link, list(where))
         made = []
         for number, joint in enumerate(joints):
             parent = placed[number][self._names[self._builder.joint_parent[joint]]]
             frame = np.linalg.inv(own[number]) @ parent @ matrix_of(self._builder.joint_X_p[joint]) @ self._to_z(joint)
+            self._check_length(frame[:3, 3], f"joint {chain.joints[number]}")
             made.append(self._arm_joint(joint, frame, chain, number))
         mount = np.linalg.inv(own[-1]) @ placed[-1][chain.flange] @ _along(axis)
-        base = links[0]
         return Arm(
             name=name,
             doc=doc,
-            base=base if base.mass > 0.0 else replace(base, mass=BASE_MASS, center=np.zeros(3), inertia=np.eye(3)),
+            base=_still(links[0]),
             joints=tuple(made),
             links=tuple(links[1:]),
             stick=Stick(length, radius, position=mount[:3, 3], turn=matrix_quat(mount[:3, :3])),
@@ -140,11 +139,24 @@ class Articulation:
                 else:
                     visuals += self._visual(shape, frame, f"part{len(visuals)}")
         center = first / max(mass, 1e-12)
-        inertia = second - mass * _shifted(center)
-        if mass > 0.0 and np.linalg.eigvalsh(inertia)[0] <= 0.0:
-            what = f"link {next(iter(placed))} has a physically impossible inertia"
-            raise SceneError(what, file=self._file, allowed="principal moments above zero", fix="correct its inertia")
-        return ArmLink(mass, center, inertia, tuple(shapes), tuple(visuals))
+        return ArmLink(mass, center, second - mass * _shifted(center), tuple(shapes), tuple(visuals))
+
+    def _check_mass(self, link: ArmLink, parts: list[str]) -> None:
+        """Checks the mass and the inertia of a link that moves; its ``parts`` are the link and all that is fixed to it.
+
+        Raises:
+            SceneError: It has no mass, or an inertia that no body has; the part with the mistake is named.
+        """
+        if link.mass <= 0.0:
+            what, fix = f"link {parts[0]} has no mass", "give it a mass and an inertia"
+            raise SceneError(what, file=self._file, allowed="a mass above zero [kg]", fix=fix)
+        if np.linalg.eigvalsh(link.inertia)[0] > 0.0:
+            return
+        inertias = {part: self._builder.body_inertia[self._bodies[part]] for part in parts}
+        heavy = [part for part in parts if self._builder.body_mass[self._bodies[part]] > 0.0]
+        wrong = [p for p in heavy if np.linalg.eigvalsh(np.array(inertias[p], dtype=float).reshape(3, 3))[0] <= 0.0]
+        what = f"link {[*wrong, parts[0]][0]} has a physically impossible inertia"
+        raise SceneError(what, file=self._file, allowed="principal moments above zero", fix="correct its inertia")
 
     def _collider(self, shape: int, frame: np.ndarray, name: str, link: str) -> Collider:
         """Returns a collision shape in a frame."""
@@ -153,12 +165,22 @@ class Articulation:
             what = f"link {link} has a collision shape of an unsupported type"
             allowed = "boxes, spheres, cylinders, capsules and meshes"
             raise SceneError(what, file=self._file, allowed=allowed)
+        self._check_length(np.concatenate([found.transform[:3], found.size or (1.0,)]), f"a shape of link {link}")
         if found.vertices is None:
             return found
+        self._check_length(found.vertices, f"a mesh of link {link}")
         try:
             return fit_collider(name, transform_points(found.transform, found.vertices))
         except ValueError as error:
             raise SceneError(f"link {link}: {error}", file=self._file, allowed="solid collision meshes") from None
+
+    def _check_length(self, values: np.ndarray, owner: str) -> None:
+        """Raises SceneError if lengths [m] are not finite or too large."""
+        if not (np.abs(values) < MAX_LENGTH).all():
+            what = f"{owner} has a length of {float(np.abs(values).max()):g} m"
+            raise SceneError(
+                what, file=self._file, allowed=f"lengths below {MAX_LENGTH:g} m", fix="correct its numbers"
+            )
 
     def _visual(self, shape: int, frame: np.ndarray, name: str) -> list[Visual]:
         """Returns a display shape in a frame; empty if its type is not supported."""
@@ -197,6 +219,14 @@ def matrix_of(transform: object) -> np.ndarray:
     frame[:3, :3] = rotation_matrix(values[3:] / np.linalg.norm(values[3:]))
     frame[:3, 3] = values[:3]
     return frame
+
+
+def _still(base: ArmLink) -> ArmLink:
+    """Returns the base with a mass and an inertia that a body has; as it is fixed, their values have no effect."""
+    if base.mass > 0.0 and np.linalg.eigvalsh(base.inertia)[0] > 0.0:
+        return base
+    mass = base.mass if base.mass > 0.0 else BASE_MASS
+    return replace(base, mass=mass, center=np.zeros(3), inertia=mass * np.eye(3))
 
 
 def _linear(value: float) -> float:

@@ -41,12 +41,14 @@ class TreeJoint:
         kind: Motion that the joint allows: ``"turns"``, ``"slides"`` or ``"fixed"``.
         limits: Limits of the joint; ``None`` for a fixed joint, or if required limits are missing.
         follows: Whether the joint follows another one (mimic).
+        mistake: Mistake that keeps the joint from being driven; it does not matter if the joint is left out.
     """
 
     name: str
     kind: Kind
     limits: Limits | None = None
     follows: bool = False
+    mistake: SceneError | None = None
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,16 @@ class Chain:
     groups: tuple[tuple[tuple[str, str], ...], ...]
     flange: str
     limits: tuple[Limits, ...]
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Returns the name of the link that each joint moves."""
+        return tuple(group[0][0] for group in self.groups[1:])
+
+
+def short_name(name: str) -> str:
+    """Returns the name of a link or a joint as it is printed: of a prim's path, the last part."""
+    return name.rpartition("/")[2] if name.startswith("/") else name
 
 
 def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
@@ -164,6 +176,8 @@ def _flange(tree: nx.DiGraph, group: tuple[tuple[str, str], ...]) -> str:
 
 def _checked(joint: TreeJoint, file: Path) -> Limits:
     """Checks that a joint can be driven within its limits, and returns them."""
+    if joint.mistake is not None:
+        raise joint.mistake
     limits = joint.limits
     unit, force = ("m", "N") if joint.kind == "slides" else ("rad", "N m")
     if limits is None or (joint.kind == "slides" and not abs(limits.upper - limits.lower) < float("inf")):

@@ -1,15 +1,25 @@
-"""Reads a robot from a URDF: its tree of links, and the same links in Newton's builder."""
+"""Reads a robot from a URDF: its tree of links, and the links of its chain in Newton's builder."""
 
 from __future__ import annotations
 
+import copy
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import networkx as nx
+import numpy as np
 
 from oimppi_warp.authoring.robots.articulation import Articulation
 from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
+from oimppi_warp.authoring.robots.urdf_checks import (
+    check_inertial,
+    check_joint,
+    check_names,
+    check_shapes,
+    linked,
+    number,
+)
 from oimppi_warp.errors import SceneError
 
 _KINDS: dict[str, Kind] = {
@@ -20,10 +30,14 @@ _KINDS: dict[str, Kind] = {
 }
 _GREY = '<material name=""><color rgba="0.855 0.86 0.871 1"/></material>'
 """Material for visuals without a colour."""
+_MESHES = "collision meshes in STL, OBJ or PLY format"
 
 
 def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     """Reads the chain in a URDF, with the properties of its links and joints.
+
+    Only what belongs to the chain has to be right: a mistake in a link or a joint that is left out does not matter, nor
+    do the mass and the inertia of the base, which is fixed.
 
     Args:
         file: The URDF.
@@ -34,31 +48,34 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
             or refers to a mesh that is missing.
     """
     root = _parse(file)
+    check_names(file, root)
     chain = serial_chain(_tree(file, root), file=file, flange=flange)
-    _resolve(file, root, {link for group in chain.groups for link, _ in group})
+    members = [link for group in chain.groups for link, _ in group]
+    joints = [*chain.joints, *(joint for group in chain.groups for _, joint in group if joint)]
+    reduced = _reduced(file, root, members, joints, base={link for link, _ in chain.groups[0]})
     import newton
 
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     try:
-        builder.add_urdf(ET.tostring(root, encoding="unicode"))
+        builder.add_urdf(ET.tostring(reduced, encoding="unicode"))
     except Exception:  # mesh readers raise many kinds of exceptions
-        for link in root.findall("link"):
+        for link in reduced.findall("link"):
             _remove(link, link.findall("visual"))  # visuals may be in formats that no reader here supports
         builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
         try:
-            builder.add_urdf(ET.tostring(root, encoding="unicode"))
+            builder.add_urdf(ET.tostring(reduced, encoding="unicode"))
         except Exception as error:
             raise SceneError(
                 f"the robot cannot be read ({error})",
                 file=file,
-                allowed="a valid URDF, with collision meshes in STL, OBJ or PLY format",
+                allowed=f"a valid URDF, with {_MESHES}",
                 fix="correct the element that the reason concerns, or convert the meshes",
             ) from error
-    bodies, joints = (
-        {label.rpartition("/")[2]: index for index, label in enumerate(labels)}
-        for labels in (builder.body_label, builder.joint_label)
+    bodies, found = (
+        {names[int(label[1:])]: index for index, label in enumerate(labels) if label[1:].isdecimal()}
+        for names, labels in ((members, builder.body_label), (joints, builder.joint_label))
     )
-    return chain, Articulation(builder, bodies=bodies, joints=joints, file=file)
+    return chain, Articulation(builder, bodies=bodies, joints=found, file=file)
 
 
 def _parse(file: Path) -> ET.Element:
@@ -66,14 +83,15 @@ def _parse(file: Path) -> ET.Element:
         raise SceneError("there is no such file", file=file, allowed="a URDF")
     try:
         root = ET.parse(file).getroot()
-    except (ET.ParseError, UnicodeDecodeError, ValueError) as error:
+    except (ET.ParseError, LookupError, ValueError) as error:
         raise SceneError(f"the file cannot be read as XML ({error})", file=file, allowed="a URDF") from None
     if root.tag != "robot":
         raise SceneError(
             f"the root element is <{root.tag}>", file=file, allowed="a URDF, with the root element <robot>"
         )
     if any("ros.org/wiki/xacro" in str(element.tag) for element in root.iter()):
-        fix = f"expand it: xacro {file.name} > {file.name.removesuffix('.xacro').removesuffix('.urdf')}.urdf"
+        stem = file.name.removesuffix(".xacro").removesuffix(".urdf")
+        fix = f"expand it: xacro {file.name} > {stem}_expanded.urdf"
         raise SceneError("the file is xacro, not URDF", file=file, allowed="a URDF without macros", fix=fix)
     return root
 
@@ -83,75 +101,131 @@ def _tree(file: Path, root: ET.Element) -> nx.DiGraph:
     tree = nx.DiGraph()
     tree.add_nodes_from(link.get("name", "") for link in root.findall("link"))
     for joint in root.findall("joint"):
-        name, kind = joint.get("name", ""), joint.get("type", "")
-        ends = [_named(joint, end) for end in ("parent", "child")]
-        for link in ends:
-            if link not in tree:
-                raise SceneError(
-                    f"joint {name} refers to a missing link {link!r}", file=file, allowed="links of the URDF"
-                )
-        if kind not in _KINDS:
-            what = f"joint {name} between {ends[0]} and {ends[1]} is of type {kind or 'none'}"
-            fix = "the base must be fixed" if kind in ("floating", "planar") else "correct its type"
-            raise SceneError(what, file=file, allowed=", ".join(_KINDS), fix=fix)
+        name, ends = joint.get("name", ""), (linked(joint, "parent"), linked(joint, "child"))
+        if tree.has_edge(*ends):
+            what = f"link {ends[1]} has 2 parent joints: {tree.edges[ends]['joint'].name}, {name}"
+            raise SceneError(what, file=file, allowed="a tree of links", fix="keep only one of these joints")
+        limits, mistake = _limits(file, joint)
         follows = joint.find("mimic") is not None
-        tree.add_edge(*ends, joint=TreeJoint(name, _KINDS[kind], _limits(file, joint), follows))
+        tree.add_edge(*ends, joint=TreeJoint(name, _KINDS[joint.get("type", "")], limits, follows, mistake))
     return tree
 
 
-def _named(joint: ET.Element, end: str) -> str:
-    element = joint.find(end)
-    return "" if element is None else element.get("link", "")
-
-
-def _limits(file: Path, joint: ET.Element) -> Limits | None:
-    """Returns a joint's limits, or ``None`` if required ones are missing."""
-    limit, given = joint.find("limit"), dict[str, float]()
-    for key in ("lower", "upper", "effort", "velocity"):
-        text = None if limit is None else limit.get(key)
-        try:
-            given[key] = math.inf if text is None else float(text)
-        except ValueError:
-            what = f"joint {joint.get('name')}: {key} is {text!r}"
-            raise SceneError(what, file=file, allowed="a number") from None
+def _limits(file: Path, joint: ET.Element) -> tuple[Limits | None, SceneError | None]:
+    """Returns a joint's limits, ``None`` if required ones are missing, and the mistake in them, if there is one."""
+    limit = joint.find("limit")
+    texts = {key: None if limit is None else limit.get(key) for key in ("lower", "upper", "effort", "velocity")}
+    given = {key: number(text) for key, text in texts.items()}
     if joint.get("type") == "continuous":
         given["lower"], given["upper"] = -math.inf, math.inf
-    elif not (math.isfinite(given["lower"]) and math.isfinite(given["upper"])):
-        return None
-    return Limits(**given)
+    for key, value in given.items():
+        if math.isnan(value):
+            what = f"joint {joint.get('name')}: {key} is {texts[key]!r}"
+            return None, SceneError(what, file=file, allowed="a number", fix="correct its <limit>")
+    if joint.get("type") == "continuous" or (math.isfinite(given["lower"]) and math.isfinite(given["upper"])):
+        return Limits(**given), None
+    if texts["lower"] is not None and texts["upper"] is not None and joint.get("type") == "revolute":
+        what = f"joint {joint.get('name')}: the limits {texts['lower']} and {texts['upper']} are no limits"
+        fix = "set the joint's real limits; for a joint that turns without limits, use the type continuous"
+        return None, SceneError(what, file=file, allowed="a lower and an upper limit [rad]", fix=fix)
+    return None, None
 
 
-def _resolve(file: Path, root: ET.Element, members: set[str]) -> None:
-    """Makes mesh paths absolute, and removes shapes of other links and visuals whose file is missing."""
+def _reduced(file: Path, root: ET.Element, members: list[str], joints: list[str], *, base: set[str]) -> ET.Element:
+    """Returns a URDF of the chain alone, checked, with absolute mesh paths, and numbers for the names of links, joints.
+
+    Args:
+        file: The URDF.
+        root: Its root element.
+        members: The links, each with its number as the new name, after an ``l``.
+        joints: The joints between them, likewise after a ``j``.
+        base: The links that do not move.
+    """
+    reduced = ET.Element("robot")
+    reduced.extend(root.findall("material"))
+    for joint in root.findall("joint"):
+        if joint.get("name") not in joints:
+            continue
+        check_joint(file, joint)
+        made = ET.SubElement(
+            reduced, "joint", name=f"j{joints.index(joint.get('name', ''))}", type=joint.get("type", "")
+        )
+        for end in ("parent", "child"):
+            ET.SubElement(made, end, link=f"l{members.index(linked(joint, end))}")
+        made.extend(element for element in (joint.find("origin"), joint.find("axis")) if element is not None)
     for link in root.findall("link"):
-        if link.get("name") not in members:
-            _remove(link, [*link.findall("visual"), *link.findall("collision")])
-        for mesh in link.findall("collision/geometry/mesh"):
-            name = mesh.get("filename", "")
-            found = _mesh(file, name)
-            if found is None:
-                raise SceneError(
-                    f"link {link.get('name')}: the collision mesh {name!r} does not exist",
-                    file=file,
-                    allowed="a path relative to the URDF file, or package://NAME/PATH with the package folder NAME "
-                    "next to the URDF file or in a folder above it",
-                    fix="add the file, or remove the <collision> element that names it",
-                )
+        if link.get("name") in members:
+            made = copy.deepcopy(link)
+            _check_link(file, made, fixed=link.get("name") in base)
+            made.set("name", f"l{members.index(link.get('name', ''))}")
+            reduced.append(made)
+    return reduced
+
+
+def _check_link(file: Path, link: ET.Element, *, fixed: bool) -> None:
+    """Checks a link, makes its mesh paths absolute, and removes visuals that cannot be drawn."""
+    for capsule in link.findall("*/geometry/capsule"):  # named in two ways; Newton knows the second
+        size = capsule.get("length") or capsule.get("height") or ""
+        capsule.attrib.update(length=size, height=size)
+    check_shapes(file, link)
+    try:
+        check_inertial(file, link)
+    except SceneError:
+        if not fixed:
+            raise
+        _remove(link, link.findall("inertial"))  # of a fixed base, it does not matter
+    for mesh in link.findall("collision/geometry/mesh"):
+        mesh.set("filename", str(_collision_mesh(file, link.get("name", ""), mesh.get("filename", ""))))
+    for visual in link.findall("visual"):
+        mesh = visual.find("geometry/mesh")
+        found = None if mesh is None else _mesh(file, mesh.get("filename", ""))
+        if mesh is not None:
             mesh.set("filename", str(found))
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
-            found = None if mesh is None else _mesh(file, mesh.get("filename", ""))
-            if mesh is not None and found is None:
-                link.remove(visual)
-            elif mesh is not None:
-                mesh.set("filename", str(found))
-            if visual.find("material") is None and (found is None or found.suffix.lower() == ".stl"):
-                visual.append(ET.fromstring(_GREY))
+        if (mesh is not None and found is None) or not _is_sound(file, link, visual):
+            link.remove(visual)
+        elif visual.find("material") is None and (found is None or found.suffix.lower() == ".stl"):
+            visual.append(ET.fromstring(_GREY))
+
+
+def _is_sound(file: Path, link: ET.Element, visual: ET.Element) -> bool:
+    """Returns whether a visual's numbers can be used."""
+    alone = ET.Element("link", name=link.get("name", ""))
+    alone.append(visual)
+    try:
+        check_shapes(file, alone, "visual")
+    except SceneError:
+        return False
+    return True
 
 
 def _remove(link: ET.Element, elements: list[ET.Element]) -> None:
     for element in elements:
         link.remove(element)
+
+
+def _collision_mesh(file: Path, link: str, name: str) -> Path:
+    """Returns the file of a collision mesh, which can be read and is not empty."""
+    import trimesh
+
+    found = _mesh(file, name)
+    if found is None:
+        raise SceneError(
+            f"link {link}: the collision mesh {name!r} does not exist",
+            file=file,
+            allowed="a path relative to the URDF file, or package://NAME/PATH with the package folder NAME "
+            "next to the URDF file or in a folder above it",
+            fix="add the file, or remove the <collision> element that names it",
+        )
+    try:
+        faces = trimesh.load_mesh(found).triangles
+    except Exception as error:  # mesh readers raise many kinds of exceptions
+        what = f"link {link}: the collision mesh {name!r} cannot be read ({error or type(error).__name__})"
+        raise SceneError(what, file=file, allowed=_MESHES, fix="convert the mesh") from None
+    if not len(faces) or not np.isfinite(faces).all():
+        what = f"link {link}: the collision mesh {name!r} is {'empty' if not len(faces) else 'not finite'}"
+        fix = "export the mesh again, or remove the <collision> element that names it"
+        raise SceneError(what, file=file, allowed="a solid mesh", fix=fix)
+    return found
 
 
 def _mesh(file: Path, name: str) -> Path | None:
@@ -165,4 +239,7 @@ def _mesh(file: Path, name: str) -> Path | None:
     folder = file.resolve().parent
     place = name.removeprefix("package://").removeprefix("file://")
     folders = (folder, *folder.parents) if name.startswith("package://") else (folder,)
-    return next((above / place for above in folders if name and (above / place).is_file()), None)
+    try:
+        return next((above / place for above in folders if place and (above / place).is_file()), None)
+    except (OSError, ValueError):  # a name that is too long, or no name of a file
+        return None

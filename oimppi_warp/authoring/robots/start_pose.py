@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.errors import SceneError
-from oimppi_warp.geometry.kinematics import collider_spheres, link_frames, revolute_joints, tip_frame
-from oimppi_warp.geometry.reach import inverse_kinematics
+from oimppi_warp.geometry.kinematics import ROUNDED_ANGLE, is_level, link_heights, revolute_joints, tip_frame
+from oimppi_warp.geometry.postures import upright_from
+from oimppi_warp.geometry.reach import lowest_tip, reach_of
 from oimppi_warp.scene import Robot
 
 HEIGHT = 0.05
@@ -17,8 +19,8 @@ HEIGHT = 0.05
 PUSHING = (0.004, 0.03)
 """Range of tip heights allowed for a robot that cannot move its tool vertically [m]."""
 ROOM = 0.02
-"""Clearance that every link must have to the table [m]."""
-_DISTANCES = (0.36, 0.45, 0.30, 0.55, 0.25, 0.65, 0.80, 1.0)
+"""Clearance to the table of every link that a joint can lower [m]."""
+_DISTANCES = (0.36, 0.45, 0.30, 0.55, 0.25, 0.65, 0.80, 1.0, 0.20, 0.15)
 """Distances from the base at which a tip position is tried, in this order [m]."""
 _AZIMUTH = -0.588
 """Direction in which it is tried: slightly to one side, as in the shipped tasks [rad]."""
@@ -27,15 +29,17 @@ _SPARE = 0.03
 """Margin that every joint must have to its limits, as a share of its whole range."""
 
 
-def with_start(arm: Arm, *, file: object = "") -> Arm:
+def with_start(arm: Arm, *, file: object = "", links: Sequence[str] = (), joints: Sequence[str] = ()) -> Arm:
     """Returns the arm with a start pose, its joint positions rounded for readability.
 
     Args:
         arm: The arm, at any joint positions.
-        file: Path of the robot's source file, for the error message.
+        file: Path of the robot's source file, for error messages.
+        links, joints: Names of the moving links and of the joints, from base to flange, for error messages.
 
     Raises:
-        SceneError: No start pose was found.
+        SceneError: No start pose was found, or the tip does not get down to the table. The message gives the test that
+            all candidates failed.
     """
     robot = arm.robot()
     lower, upper = _limits(robot)
@@ -43,21 +47,108 @@ def with_start(arm: Arm, *, file: object = "") -> Arm:
     if is_flat(robot):
         height = float(tip_frame(robot, middle)[1][2])
         _check_height(robot, middle, height, file)
-    guesses, best = _guesses(robot, np.random.default_rng(0)), (-np.inf, ())
-    for distance in _DISTANCES:
-        target = np.array([distance * np.cos(_AZIMUTH), distance * np.sin(_AZIMUTH), height])
-        for guess in guesses:
-            joints = inverse_kinematics(robot, guess, target)
-            if joints is not None:
-                joints = _rounded(robot, joints)
-                best = max(best, (_score(robot, joints), tuple(joints.tolist())))
-        if best[0] > 0.0:
-            return replace(arm, start=best[1])
-    raise SceneError(
+    best, rejected = _search(robot, height, _AZIMUTH)
+    if best is None:
+        raise _no_start(robot, height, rejected, file, links, joints)
+    found = replace(arm, start=best)
+    _check_reach(found.robot(), file)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """Joint positions that hold the tool upright above the table, with what decides whether an arm can start there.
+
+    Attributes:
+        joints: Joint positions, shape [dof] [rad; m].
+        heights: Height of the lowest point of each link, shape [dof] [m]; see :func:`lowered_heights`.
+        spare: Distance of each joint to its limits, as a share of its range, shape [dof].
+    """
+
+    joints: np.ndarray
+    heights: np.ndarray
+    spare: np.ndarray
+
+
+def _search(
+    robot: Robot, height: float, azimuth: float, distances: Sequence[float] = _DISTANCES
+) -> tuple[tuple[float, ...] | None, list[_Candidate]]:
+    """Returns the best start with the tip in a direction [rad] at a height [m], and the unusable candidates."""
+    lower, upper = _limits(robot)
+    guesses, best = _guesses(robot, np.random.default_rng(0), azimuth), (-np.inf, ())
+    rejected: list[_Candidate] = []
+    for distance in distances:
+        target = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
+        solved, good = upright_from(robot, guesses, target)
+        for joints in solved[good]:
+            joints = _rounded(robot, joints)
+            spare = np.minimum(joints - lower, upper - joints) / (upper - lower)
+            found = _Candidate(joints, lowered_heights(robot, joints), spare)
+            if found.heights.min() < ROOM or found.spare.min() < _SPARE:
+                rejected.append(found)
+            else:
+                best = max(best, (_score(robot, found), tuple(joints.tolist())))
+        if best[1]:
+            return best[1], rejected
+    return None, rejected
+
+
+def _no_start(
+    robot: Robot,
+    height: float,
+    rejected: list[_Candidate],
+    file: object,
+    links: Sequence[str],
+    joints: Sequence[str],
+) -> SceneError:
+    """Returns the error for a robot without a start: it names what all candidates failed."""
+    clear = [each for each in rejected if each.heights.min() >= ROOM]
+    if clear:
+        nearest = max(clear, key=lambda each: each.spare.min())
+        number = int(np.argmin(nearest.spare))
+        lower, upper = robot.joints[number].lower, robot.joints[number].upper
+        name = joints[number] if joints else f"joint {number + 1}"
+        return SceneError(
+            f"the tool can be held upright above the table only with joint {name} at a limit "
+            f"({nearest.joints[number]:.3g}, where it goes from {lower:.3g} to {upper:.3g})",
+            file=file,
+            allowed=f"{100 * _SPARE:g} % of its range between each joint and its limits",
+            fix="choose another --tool-length, --tool-axis or --flange, or correct the limits of the joint",
+        )
+    if rejected:
+        highest = max(rejected, key=lambda each: each.heights.min())
+        number = int(np.argmin(highest.heights))
+        name = links[number] if links else f"{number + 1}"
+        return SceneError(
+            f"of {len(rejected)} joint positions that hold the tool upright above the table, the best has link {name} "
+            f"{highest.heights[number]:.3f} m above it",
+            file=file,
+            allowed=f"at least {ROOM:g} m below every link",
+            fix="use a longer --tool-length, or correct the collision shapes of the link",
+        )
+    sides = {"-x": np.pi, "y": np.pi / 2, "-y": -np.pi / 2}
+    side = next((name for name, azimuth in sides.items() if _search(robot, height, azimuth, _DISTANCES[::4])[0]), "")
+    turn = f"turn its base: the tool gets to the table on the side of {side}"
+    return SceneError(
         "no joint positions were found that hold the tool upright above the table in front of the arm",
         file=file,
-        allowed=f"a tip {HEIGHT:g} m above z = 0, {min(_DISTANCES):g} to {max(_DISTANCES):g} m from the base",
-        fix="check --flange and --tool-axis, and that z points up and is zero at the table's top",
+        allowed=f"a tip {HEIGHT:g} m above z = 0, {min(_DISTANCES):g} to {max(_DISTANCES):g} m from the base along x",
+        fix=turn
+        if side
+        else "check --flange, --tool-axis and --tool-length, and that z points up and is zero at the table's top",
+    )
+
+
+def _check_reach(robot: Robot, file: object) -> None:
+    """Raises SceneError if the tip does not get down to the table."""
+    if reach_of(robot).radius > 0.0:
+        return
+    low = lowest_tip(robot, robot.start)
+    raise SceneError(
+        f"the tip gets no lower than {low:.3f} m with the tool upright",
+        file=file,
+        allowed="a tip that gets down to the table, at z = 0",
+        fix=f"give a --tool-length that is longer by {low:.3f} m",
     )
 
 
@@ -68,26 +159,22 @@ def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return np.where(revolute, np.maximum(lower, -np.pi), lower), np.where(revolute, np.minimum(upper, np.pi), upper)
 
 
-def _guesses(robot: Robot, random: np.random.Generator) -> list[np.ndarray]:
-    """Returns initial guesses of joint positions: the first joint turned towards the tip, some of the others bent."""
+def _guesses(robot: Robot, random: np.random.Generator, azimuth: float) -> np.ndarray:
+    """Returns initial guesses of joint positions: the first joint turned to a direction, some of the others bent."""
     lower, upper = _limits(robot)
     middle, guesses = (lower + upper) / 2, []
     for _ in range(_TRIES):
         bent = np.where(random.random(robot.dof) < 0.6, random.uniform(lower, upper), middle)
-        bent[0] = np.clip(_AZIMUTH, lower[0], upper[0]) if revolute_joints(robot)[0] else middle[0]
+        bent[0] = np.clip(azimuth, lower[0], upper[0]) if revolute_joints(robot)[0] else middle[0]
         guesses.append(bent)
-    return [middle, *guesses]
+    return np.array([middle, *guesses])
 
 
-def _score(robot: Robot, joints: np.ndarray) -> float:
-    """Rates a start by table clearance, margin to the limits and lack of twists; not above 0 if it is unusable."""
+def _score(robot: Robot, found: _Candidate) -> float:
+    """Rates a start by table clearance, margin to the limits and lack of twists."""
     lower, upper = _limits(robot)
-    room = table_clearance(robot, joints)
-    spare = float(np.min(np.minimum(joints - lower, upper - joints) / (upper - lower)))
-    if (room < ROOM and not is_flat(robot)) or spare < _SPARE:
-        return -np.inf
-    twisted = float(np.linalg.norm((joints - (lower + upper) / 2) * revolute_joints(robot)))
-    return 1.0 + min(room, 0.1) + 0.2 * min(spare, 0.2) - 0.02 * twisted
+    twisted = float(np.linalg.norm((found.joints - (lower + upper) / 2) * revolute_joints(robot)))
+    return min(float(found.heights.min()), 0.1) + 0.2 * min(float(found.spare.min()), 0.2) - 0.02 * twisted
 
 
 def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
@@ -103,25 +190,20 @@ def is_flat(robot: Robot) -> bool:
 
     That is the case if every revolute axis is vertical and every prismatic axis is horizontal.
     """
-    rotations = link_frames(robot, np.zeros(robot.dof))[0]
-    upright = np.abs(rotations[:, 2, 2])
-    return bool(np.where(revolute_joints(robot), upright > 1.0 - 1e-6, upright < 1e-6).all())
+    return bool(is_level(robot).all())
 
 
-def table_clearance(robot: Robot, joints: np.ndarray) -> float:
-    """Returns the height of the lowest point of the moving links, excluding the stick [m]."""
-    rotations, positions = link_frames(robot, joints)
-    lowest = [1.0]
-    for link, rotation, position in zip(robot.links, rotations, positions, strict=True):
-        for collider in link.colliders:
-            balls = collider_spheres(collider)
-            lowest.append(float((position[2] + balls[:, :3] @ rotation[2] - balls[:, 3]).min()))
-    return min(lowest)
+def lowered_heights(robot: Robot, joints: np.ndarray) -> np.ndarray:
+    """Returns the height of the lowest point of each moving link, without the stick, shape [dof] [m].
+
+    It is infinite for a link without shapes, and for one that no joint can lower, such as a turret.
+    """
+    return np.where(is_level(robot), np.inf, link_heights(robot, joints))
 
 
 def _check_height(robot: Robot, joints: np.ndarray, height: float, file: object) -> None:
     """Raises SceneError if a robot without vertical motion has a tilted tool, or one at a wrong height for pushing."""
-    if tip_frame(robot, joints)[0][2, 2] > -1.0 + 1e-6:
+    if tip_frame(robot, joints)[0][2, 2] > -np.cos(ROUNDED_ANGLE):
         raise SceneError(
             "the stick does not point down",
             file=file,

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from oimppi_warp.priority import real_time_priority
 from oimppi_warp.scene import Robot
 
 OLDEST = 0.2
@@ -43,8 +44,15 @@ def check_limits(joints: np.ndarray, robot: Robot) -> Check:
     return Check(what, not outside, "move the arm by hand (manual mode)")
 
 
+def check_priority() -> Check:
+    """Checks whether the commands can be sent with priority over other programs."""
+    with real_time_priority() as given:
+        what = "real-time priority" if given else "no real-time priority: other programs can delay the commands"
+        return Check(what, given, "add `YOUR_USER - rtprio 20` to /etc/security/limits.conf, and log in anew", False)
+
+
 class JointReports:
-    """The newest joint reports, with their times of arrival; it may be used from several threads.
+    """The newest joint reports, with their times; it may be used from several threads.
 
     Attributes:
         count: Number of joint reports so far.
@@ -55,14 +63,20 @@ class JointReports:
         self._reports: deque[tuple[float, np.ndarray]] = deque(maxlen=_KEPT)
         self._lock = threading.Lock()
 
-    def take(self, joints: np.ndarray) -> None:
-        """Adds a report that has just arrived: joint positions, shape [joint] [rad]."""
+    def take(self, joints: np.ndarray, *, age: float = 0.0) -> None:
+        """Adds a report that has just arrived.
+
+        Args:
+            joints: Joint positions, shape [joint] [rad].
+            age: Time since the joints had these positions [s].
+        """
+        at = time.monotonic() - age
         with self._lock:
             self.count += 1
-            self._reports.append((time.monotonic(), joints))
+            self._reports.append((max(at, self._reports[-1][0] + 1e-6) if self._reports else at, joints))
 
     def latest(self) -> tuple[float, np.ndarray]:
-        """Returns the newest report: its time of arrival, of ``time.monotonic`` [s], and joint positions [joint] [rad].
+        """Returns the newest report: its time, of ``time.monotonic`` [s], and joint positions, shape [joint] [rad].
 
         Raises:
             IndexError: There is none yet.
@@ -71,7 +85,7 @@ class JointReports:
             return self._reports[-1]
 
     def since(self, time: float) -> list[tuple[float, np.ndarray]]:
-        """Returns the reports that arrived at or after a time; see :meth:`latest`."""
+        """Returns the reports since a time; see :meth:`latest`."""
         with self._lock:
             return [report for report in self._reports if report[0] >= time]
 
@@ -117,8 +131,11 @@ class Arm(Protocol):
         """Sends joint velocities, shape [dof] [rad/s]; returns why they are refused, empty if not."""
         ...
 
-    def rest(self) -> None:
-        """Is called instead of :meth:`send`, at the same rate, while nothing is to be sent."""
+    def rest(self) -> bool:
+        """Is called instead of :meth:`send`, at the same rate, while nothing is to be sent.
+
+        Returns whether it commanded the arm to be at rest.
+        """
         ...
 
     def stop(self) -> None:
@@ -139,5 +156,5 @@ class Arm(Protocol):
         ...
 
     def disconnect(self) -> None:
-        """Ends the connection."""
+        """Ends the connection, after :meth:`stop` if the arm was enabled."""
         ...

@@ -22,6 +22,8 @@ _ASTRAY, _ASTRAY_SECONDS = 0.06, 0.4
 something holds it [rad]."""
 _LEAST_ASTRAY = 0.3
 """Least share of this deviation that counts, at a low speed."""
+_COMING = 0.05
+"""Age of the newest report up to which reports come [s]."""
 _MOST_REPORTS = 0.85
 """Share of the usual number of joint reports that have to be there for this to be judged."""
 _RESPONSE, _SURELY = 0.06, 0.003
@@ -101,8 +103,8 @@ class Commands:
         reports = self._arm.reports.since(0.0)
         same = takewhile(lambda report: np.array_equal(report[1], reports[-1][1]), reversed(reports))
         now, since = time.monotonic(), min(at for at, _ in same)
-        if now - since < OLDEST - TICK:
-            return ""
+        if now - since < OLDEST - TICK or now - reports[-1][0] > _COMING:
+            return ""  # they may not come at all, which is another fault
         told = self._told(max(since, self._sent[0][0]), now - _RESPONSE)
         if told is None or np.abs(told).max() < _SURELY:
             return ""

@@ -32,9 +32,9 @@ def allowed_speed(arm: Arm, wanted: float) -> float:
 
 
 def remember(arm: Arm) -> None:
-    """Notes that an arm was moved."""
+    """Notes that an arm was moved, unless it is simulated."""
     known = _known()
-    if arm.place not in known:
+    if not arm.simulated and arm.place not in known:
         with suppress(OSError):
             _file().parent.mkdir(parents=True, exist_ok=True)
             _file().write_text(json.dumps([*known, arm.place]) + "\n")

@@ -29,6 +29,7 @@ from oimppi_warp.plants.real.commands import LATENCY, TICK, Commands
 from oimppi_warp.plants.real.known import allowed_speed, remember
 from oimppi_warp.plants.real.sight import Sight
 from oimppi_warp.plants.real.start import FIRST_POSE, StartProcedure
+from oimppi_warp.priority import SENDER, real_time_priority
 from oimppi_warp.scene import PlanarPose, Scene
 
 _SLOWEST_TOUCH = 1e-3
@@ -128,6 +129,8 @@ class ArmPlant:
         self.rules = StopRules(pose_timeout=options.pose_timeout, resume=options.resume)
         self._moves = dict(moves or {})
         self._scene, self._dof, self._dry_run = self.surveyed(scene), scene.robot.dof, options.dry_run
+        joints = scene.robot.joints
+        self._limits = np.array([(joint.lower, joint.upper, joint.velocity_limit) for joint in joints]).T
         self._origin = time.monotonic()
         self._fault, self._fault_passes = "", False
         self._streamed = 0
@@ -139,11 +142,12 @@ class ArmPlant:
         self._sender = threading.Thread(target=self._send_all, name="oimppi-arm", daemon=True)
         atexit.register(self.close)
         try:
-            self.check()
-            if options.dry_run:
-                self._sender.start()
-            else:
-                StartProcedure(self, self._scene).run(confirmed=options.yes)
+            with real_time_priority():  # for the thread that sends
+                self.check()
+                if options.dry_run:
+                    self._sender.start()
+                else:
+                    StartProcedure(self, self._scene).run(confirmed=options.yes)
             if self.sight.agreed(oldest=options.pose_timeout, wait=FIRST_POSE) is None:
                 raise self.sight.error()
         except BaseException:
@@ -151,7 +155,16 @@ class ArmPlant:
             raise
 
     def limited(self, config: Config) -> Config:
-        """Returns settings with which plans keep to the speed that was asked for, and as much more time."""
+        """Returns settings with which plans keep to the speed that was asked for, and as much more time.
+
+        Raises:
+            ConfigError: The safety filter is off.
+        """
+        if not config.safety.filter:
+            raise ConfigError(
+                f"safety.filter = false (preset {config.preset}): a real arm is moved with the filter only\n"
+                "  to do:   --set safety.filter=true, or --preset lab"
+            )
         s = self.speed
         robot, level, episode, move = config.robot, config.object, config.episode, config.reposition
         return replace(
@@ -274,11 +287,11 @@ class ArmPlant:
         """Stops the arm and ends the connection; it is also called when the process ends."""
         with uninterrupted():
             self._open = False
+            self._stop()
             if self._sender.is_alive():
                 self._sender.join(timeout=1.0)
+            self._stop()  # it may have sent one more command meanwhile
             with suppress(Exception):
-                if not self._dry_run:
-                    self.arm.stop()
                 self.arm.disconnect()
             with suppress(Exception):
                 self.sight.close()
@@ -286,8 +299,17 @@ class ArmPlant:
                 remember(self.arm)
             atexit.unregister(self.close)
 
+    def _stop(self) -> None:
+        if not self._dry_run:
+            with suppress(Exception):
+                self.arm.stop()
+
     def _send_all(self) -> None:
         """Sends the commands as they become due, and stops the arm at the first fault: the loop of the thread."""
+        with real_time_priority(SENDER):
+            self._keep_sending()
+
+    def _keep_sending(self) -> None:
         tick, due = 0, time.monotonic()
         while self._open:
             due = max(due + TICK, time.monotonic() - TICK)
@@ -307,18 +329,41 @@ class ArmPlant:
                     if command is None:
                         self._rest()
                     elif not self._dry_run:
-                        fault = self.arm.send(command)
+                        fault = self._beyond(command) or self.arm.send(command)
                         self._commands.note(command)
             except Exception as error:  # whatever it is, the arm must not go on
                 fault = str(error) or type(error).__name__
             if fault:
                 self._fault, self._fault_passes = fault, passes
-                if not self._dry_run:
-                    self.arm.stop()
+                self._stop()
 
     def _rest(self) -> None:
-        if not self._dry_run:
-            self.arm.rest()
+        if not self._dry_run and self.arm.rest():
+            self._commands.note(np.zeros(self._dof))
+
+    def _beyond(self, command: np.ndarray) -> str:
+        """Returns in words which limit a command would break until it expires; empty if none.
+
+        The planner and the safety filter keep the limits; this is what is left if they do not.
+        """
+        lower, upper, fastest = self._limits
+        here = self.joints()
+        then = here + self.arm.expires * command
+        fast = np.flatnonzero(np.abs(command) > 1.01 * fastest)
+        out = np.flatnonzero(((then > upper) & (command > 0.0)) | ((then < lower) & (command < 0.0)))
+        if len(fast):
+            joint = int(fast[0])
+            return (
+                f"joint {joint + 1} was to move at {command[joint]:.2f} rad/s (at most {fastest[joint]:.2f} rad/s)\n"
+                "  to do:   report it: plans keep the limits"
+            )
+        if len(out):
+            joint = int(out[0])
+            return (
+                f"joint {joint + 1}, at {here[joint]:.2f} rad, was to move beyond its limits\n"
+                "  to do:   move the arm away from its limits, and report it: plans keep them"
+            )
+        return ""
 
     def _lost(self) -> str:
         """Returns a fault if joint reports do not arrive any more."""
@@ -336,10 +381,20 @@ class ArmPlant:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Holds back Ctrl-C, and signals to end, until the block is over."""
-    held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, held)
+    """Holds back Ctrl-C, and signals to end, until the block is over; then the first one takes effect.
+
+    Python handles signals in the main thread, whichever thread the system gives them to.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    held = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {each: signal.signal(each, lambda number, _: came.append(number)) for each in held}
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for each, handler in before.items():
+            signal.signal(each, signal.SIG_DFL if handler is None else handler)
+    if came:
+        signal.raise_signal(came[0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,19 @@ from oimppi_warp.errors import HardwareError
 from oimppi_warp.plants.real.arm import Check, JointReports, check_limits
 from oimppi_warp.plants.ros2.link import Link, Qos, why_no_messages, why_nobody_listens
 from oimppi_warp.plants.ros2.messages import JOINT_STATE, seconds
-from oimppi_warp.plants.ros2.outlet import make_outlet
+from oimppi_warp.plants.ros2.outlet import Outlet, Way, outlet_class
 from oimppi_warp.scene import Robot
 
 WATCHDOG = 0.25
 """Time within which what receives the commands should stop the arm when they cease [s]."""
-OLDEST_STAMP, NEWEST_STAMP = 0.25, -0.25
-"""Largest and least age of a joint state by its stamp [s]."""
+SIMULATED = "oimppi_simulation"
+"""Frame of joint states that come from our own simulated lab."""
+_OLDEST, _NEWEST = 0.2, -0.05
+"""Largest and least age of a joint state by its stamp, when it arrives [s]."""
+_FASTEST, _JUMP = 3.5, 0.05
+"""Speed of any joint [rad/s], and amount beyond it by which joint states that follow each other may differ [rad]."""
+_STICKY = 0.5
+"""Time for which a defect of a joint state counts [s]."""
 _REST = 0.25
 """Time for which zeros are published after a stop [s]."""
 _LEAST_RATE = 20.0
@@ -28,8 +35,8 @@ _MEASURED = 0.5
 """Time over which their rate is measured [s]."""
 _FIRST = 5.0
 """Time to wait for the first joint state, and for somebody who listens [s]."""
-_LAST = 0.05
-"""Time that the last message has to arrive [s]."""
+_INTERVAL = 0.01
+"""Interval of the zeros at the end [s]."""
 _POLLS = 10
 """Ticks between two looks at who is on the topics."""
 
@@ -43,13 +50,12 @@ class Ros2Arm:
         states: Topic of the joint states.
         commands: Topic of the commands.
         command_type: Type of their messages.
-        simulated: Returns whether the arm is surely simulated.
         clock: Returns the time of the stamps, since 1970 [s].
 
     Attributes:
         address: The topics, for messages.
         place: Domain and topic of the commands.
-        simulated: Whether it is surely no real arm.
+        simulated: Whether the joint states are those of our own simulated lab.
         reports: The joint states, in the scene's order.
         report_rate: Their rate, as it was measured [1/s].
         expires: :data:`WATCHDOG`.
@@ -69,7 +75,6 @@ class Ros2Arm:
         states: str,
         commands: str,
         command_type: str,
-        simulated: Callable[[], bool] = lambda: False,
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._link, self._names, self._states, self._topic, self._kind = (
@@ -80,18 +85,19 @@ class Ros2Arm:
             command_type,
         )
         self._clock = clock
-        self._defect = ""
+        self._defect, self._defect_until = "", -math.inf
         self._others_seen: set[str] = set()
         self._stopped = -math.inf
-        self.reports = JointReports()
-        self._outlet = make_outlet(link, commands, command_type, joint_names)
+        self._outlet: Outlet | None = None
+        outlet_class(command_type)
+        self.reports, self.simulated = JointReports(), False
         link.subscribe(states, JOINT_STATE, self._take)
         self.address = f"{link.name}, {states}"
         self.place = f"{link.name}, {commands}"
         until = time.monotonic() + _FIRST
-        while self.reports.count < 2 and not self._defect and time.monotonic() < until:
+        while self.reports.count < 2 and time.monotonic() < until:
             time.sleep(0.01)
-        if self._defect:
+        if self.reports.count < 2 and self._defect:
             raise HardwareError(self._defect)
         if self.reports.count < 2 and self._others_seen:
             found = sorted(self._others_seen)
@@ -104,7 +110,6 @@ class Ros2Arm:
         before, began = self.reports.count, time.monotonic()
         time.sleep(_MEASURED)
         self.report_rate = (self.reports.count - before) / (time.monotonic() - began)
-        self.simulated = simulated()
 
     def check(self, robot: Robot) -> list[Check]:
         """Compares what is on the topics with the arm of a scene."""
@@ -119,6 +124,7 @@ class Ros2Arm:
                 needed=self.report_rate < _LEAST_RATE,
             ),
             self._others_check(),
+            self._states_check(),
             Check(
                 silent.partition("\n")[0] if silent else f"somebody listens to {self._topic}",
                 not silent,
@@ -141,28 +147,31 @@ class Ros2Arm:
         Raises:
             HardwareError: Nobody does, or somebody else sends commands.
         """
-        for problem in (self._wait_for_listener(), self._others()):
+        for problem in (self._others(), self._wait_for_listener(), self._present_defect()):
             if problem:
                 raise HardwareError(problem)
-        self._defect, self._stopped = "", -math.inf
+        way = Way(self._topic, self._names, self.reports.latest()[1], self._clock)
+        self._outlet, self._stopped = outlet_class(self._kind)(self._link, way), -math.inf
 
     def send(self, joint_velocity: np.ndarray) -> str:
         """Publishes joint velocities, shape [dof] [rad/s]; nobody refuses them."""
-        self._outlet.send(joint_velocity, self.reports.latest()[1])
+        if self._outlet is not None:
+            self._outlet.send(joint_velocity)
         return ""
 
-    def rest(self) -> None:
-        """Publishes zeros, for a while after a stop, and as long as nothing else is to be sent."""
-        if time.monotonic() < self._stopped + _REST or self._stopped == -math.inf:
-            self.send(np.zeros(len(self._names)))
+    def rest(self) -> bool:
+        """Publishes zeros: for a while after a stop, otherwise as long as nothing else is to be sent."""
+        over = self._stopped > -math.inf and time.monotonic() > self._stopped + _REST
+        if self._outlet is None or over:
+            return False
+        self.send(np.zeros(len(self._names)))
+        return True
 
     def stop(self) -> None:
         """Publishes zeros, which :meth:`rest` repeats for a while."""
         self._stopped = time.monotonic()
-        try:
+        with suppress(Exception):  # whatever fails here, the receiver's watchdog has to stop the arm
             self.send(np.zeros(len(self._names)))
-        except Exception:  # whatever fails here, the receiver's watchdog has to stop the arm
-            return
 
     def lost(self) -> str:
         """Returns nothing: the age of the joint states tells."""
@@ -170,15 +179,17 @@ class Ros2Arm:
 
     def fault(self, tick: int, *, moving: bool) -> str:
         """Returns why the arm must not move: joint states that cannot be used, or others that command the arm."""
-        if self._defect:
-            return self._defect
+        if defect := self._present_defect():
+            return defect
         if moving and tick % _POLLS == 0:
             return self._others() or why_nobody_listens(self._link, self._topic, self._kind, Qos())
         return ""
 
     def disconnect(self) -> None:
-        """Ends the connection, once the last message has had time to arrive."""
-        time.sleep(_LAST)
+        """Publishes zeros for a while if the arm was enabled, since one could be lost, and ends the connection."""
+        with suppress(Exception):
+            while self._stopped > -math.inf and self.rest():
+                time.sleep(_INTERVAL)
         self._link.close()
 
     def _take(self, message: Any) -> None:
@@ -187,21 +198,37 @@ class Ros2Arm:
             self._others_seen.update(message.name)  # such as those of a gripper
             return
         joints = np.array([message.position[message.name.index(name)] for name in self._names], dtype=float)
-        if not np.isfinite(joints).all():
-            self._defect = (
-                f"{self._states} has joint positions that are not finite\n  to do:   restart what publishes it"
-            )
-            return
         stamp = seconds(message.header.stamp)
         age = self._clock() - stamp if stamp else 0.0
-        if not NEWEST_STAMP <= age <= OLDEST_STAMP:
+        problem = self._problem(joints, age)
+        if problem:
+            self._defect, self._defect_until = problem, time.monotonic() + _STICKY
+            return
+        self.simulated = message.header.frame_id == SIMULATED
+        self.reports.take(joints, age=max(age, 0.0))
+
+    def _problem(self, joints: np.ndarray, age: float) -> str:
+        """Returns in words why a joint state cannot be used; empty if it can."""
+        if not np.isfinite(joints).all():
+            return f"{self._states} has joint positions that are not finite\n  to do:   restart what publishes them"
+        if not _NEWEST <= age <= _OLDEST:
             when = f"{age:.2f} s old" if age > 0 else f"{-age:.2f} s in the future"
-            self._defect = (
+            return (
                 f"the joint states of {self._states} are {when} by their stamps\n"
                 "  to do:   synchronise the clocks of arm and planner (NTP), or set use_sim_time"
             )
-            return
-        self.reports.take(joints)
+        if self.reports.count:
+            at, before = self.reports.latest()
+            jump = float(np.abs(joints - before).max())
+            if jump > _JUMP + _FASTEST * max(time.monotonic() - age - at, 0.0):
+                return (
+                    f"the joint states of {self._states} jump by {jump:.2f} rad\n"
+                    "  to do:   see whether more than one program publishes them (`ros2 topic info -v`)"
+                )
+        return ""
+
+    def _present_defect(self) -> str:
+        return self._defect if time.monotonic() < self._defect_until else ""
 
     def _others(self) -> str:
         """Returns a fault if somebody else publishes commands."""
@@ -215,6 +242,11 @@ class Ros2Arm:
         others = self._others()
         what, _, remedy = others.partition("\n  to do:   ")
         return Check(what or f"nobody else publishes {self._topic}", not others, remedy)
+
+    def _states_check(self) -> Check:
+        count = sum(end.publishes and not end.own for end in self._link.endpoints(self._states))
+        what = f"{count} programs publish {self._states}" if count != 1 else f"one program publishes {self._states}"
+        return Check(what, count == 1, "make sure that each publishes other joints", needed=False)
 
     def _wait_for_listener(self) -> str:
         """Waits until somebody listens to the commands; returns in words why nobody does."""

@@ -15,6 +15,7 @@ from oimppi_warp.errors import ConfigError, HardwareError
 from oimppi_warp.plants.ros2.link import Endpoint, Qos
 from oimppi_warp.plants.ros2.messages import build, dds_type, missing, ros_name, type_hash
 
+_HERE = "127.0.0.1"
 _DEPTH = 10
 """Number of messages that are kept for each subscriber."""
 _LATCHED_DEPTH = 100
@@ -53,6 +54,7 @@ class DdsLink:
             raise missing("cyclonedds") from None
 
         self.number = number = _domain(domain)
+        peers = peers or (_HERE if _stays_here() else "")
         self.name = f"ROS domain {number}"
         try:
             if peers:
@@ -75,19 +77,21 @@ class DdsLink:
         self._known: dict[Any, tuple[str, Endpoint]] = {}  # topic in DDS and endpoint, by the endpoint's key
         self._topics: dict[tuple[str, str], Any] = {}
         self._readers: list[tuple[Any, Callable[[Any], None]]] = []
-        self._writers: list[Any] = []  # each publishes until the connection ends
+        self._writers: dict[tuple[str, str], Any] = {}  # each publishes until the connection ends
         self._lock = threading.RLock()
         self._wait = WaitSet(self._participant)
         self._open = True
         self._thread = threading.Thread(target=self._receive, name="oimppi-dds", daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: str, take: Callable[[Any], None], *, latched: bool = False) -> None:
+    def subscribe(
+        self, topic: str, kind: str, take: Callable[[Any], None], *, latched: bool = False, depth: int = 10
+    ) -> None:
         """Receives messages of any reliability; see :class:`oimppi_warp.plants.ros2.link.Link`."""
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
 
-        qos = _qos(kind, latched=latched, reliable=latched)
+        qos = _qos(kind, latched=latched, reliable=latched, depth=depth)
         with self._lock:
             reader = DataReader(self._participant, self._topic(topic, kind), qos)
             condition = ReadCondition(reader, InstanceState.Alive | ViewState.Any | SampleState.NotRead)
@@ -101,10 +105,10 @@ class DdsLink:
         from cyclonedds.pub import DataWriter
 
         with self._lock:
-            writer = DataWriter(
-                self._participant, self._topic(topic, kind), _qos(kind, latched=latched, reliable=reliable)
-            )
-            self._writers.append(writer)
+            if (topic, kind) not in self._writers:
+                qos = _qos(kind, latched=latched, reliable=reliable, depth=_DEPTH)
+                self._writers[topic, kind] = DataWriter(self._participant, self._topic(topic, kind), qos)
+            writer = self._writers[topic, kind]
         return lambda values: writer.write(build(kind, values, dds_type))
 
     def endpoints(self, topic: str) -> list[Endpoint]:
@@ -164,6 +168,12 @@ class DdsLink:
                             take(message)
 
 
+def _stays_here() -> bool:
+    """Returns whether ROS's environment variables restrict it to this machine."""
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
+    return os.environ.get("ROS_LOCALHOST_ONLY") == "1" or reach in ("LOCALHOST", "OFF")
+
+
 def _domain(number: int) -> int:
     """Returns the number of the domain to use; -1 stands for that of the environment.
 
@@ -204,7 +214,7 @@ def _configure(domain: int, peers: str) -> Any:
         ) from None
 
 
-def _qos(kind: str, *, latched: bool, reliable: bool) -> Any:
+def _qos(kind: str, *, latched: bool, reliable: bool, depth: int) -> Any:
     """Returns a quality of service as nodes of ROS use it, with the type's hash."""
     from cyclonedds.qos import Policy
     from cyclonedds.qos import Qos as DdsQos
@@ -213,7 +223,7 @@ def _qos(kind: str, *, latched: bool, reliable: bool) -> Any:
     return DdsQos(
         Policy.Reliability.Reliable(duration(milliseconds=10)) if reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
-        Policy.History.KeepLast(_LATCHED_DEPTH if latched else _DEPTH),
+        Policy.History.KeepLast(_LATCHED_DEPTH if latched else depth),
         Policy.WriterDataLifecycle(autodispose=False),
         Policy.Userdata(f"typehash={type_hash(kind)};".encode()),
     )

@@ -13,29 +13,28 @@ import numpy as np
 from oimppi_warp.config import ros2_topics
 from oimppi_warp.config.lab import LabConfig
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.observation import Observation, planar_transform
+from oimppi_warp.observation import Observation
 from oimppi_warp.plants.realtime_lab import CYCLE, RealTimeLab
-from oimppi_warp.plants.ros2.arm import WATCHDOG
+from oimppi_warp.plants.ros2.arm import SIMULATED, WATCHDOG
 from oimppi_warp.plants.ros2.link import Link
 from oimppi_warp.plants.ros2.messages import (
     CLOCK,
     JOINT_JOG,
     JOINT_STATE,
     NUMBERS,
-    POSE,
     TRAJECTORY,
-    TRANSFORMS,
     header,
     seconds,
     time_fields,
 )
+from oimppi_warp.plants.ros2.poses import pose_publisher
 from oimppi_warp.scene import PlanarPose, Scene
 
 ACCELERATION = 10.0
 """Largest acceleration of a joint [rad/s^2]."""
 _STATES = 2
 """Cycles per joint state: 125 of them a second."""
-_HOLD = 0.05
+_HOLD = 0.07
 """Time by which the watchdog is early, so that the arm is at rest when it should be [s]."""
 
 
@@ -43,7 +42,7 @@ class Ros2Lab(RealTimeLab):
     """A simulated laboratory that publishes joint states, clock and the object's pose, and takes joint velocities.
 
     Commands of all three types are taken, each on a topic of its own. A watchdog stops the arm :data:`WATCHDOG` after
-    the last command.
+    the last command; trajectories are followed to their end instead.
 
     Args:
         scene, lab, start, joints, seed: See :class:`oimppi_warp.plants.realtime_lab.RealTimeLab`.
@@ -55,6 +54,7 @@ class Ros2Lab(RealTimeLab):
         taken: Number of commands taken so far.
         refused: Number of commands that were not finite, or of other joints.
         expired: Number of times that the watchdog stopped a moving arm.
+        watchdog: Time after the last command after which the watchdog stops the arm [s].
         frozen: Whether joint states are no longer published, as a fault.
         stamp_error: Offset of the joint states' stamps [s], as a fault.
     """
@@ -75,13 +75,14 @@ class Ros2Lab(RealTimeLab):
         dof = scene.robot.dof
         self.names = joint_names or [joint.name for joint in scene.robot.joints]
         self.taken = self.refused = self.expired = 0
+        self.watchdog = WATCHDOG - _HOLD
         self.frozen, self.stamp_error = False, 0.0
         self._link, self._cycles = link, 0
         self._command_lock = threading.Lock()
         self._wanted, self._driven, self._heard = np.zeros(dof), np.zeros(dof), -math.inf
+        self._way: list[tuple[float, np.ndarray]] = []  # ends of the parts of a trajectory [s], and their velocities
         self._states = link.advertise(ros2_topics.JOINT_STATES, JOINT_STATE)
-        self._poses = link.advertise(ros2_topics.OBJECT_POSE, POSE)
-        self._frames = link.advertise(ros2_topics.TF, TRANSFORMS)
+        self._see = pose_publisher(link, scene.object.rest_height)
         self._clock = link.advertise(ros2_topics.CLOCK, CLOCK, reliable=False)
         link.subscribe(commands, NUMBERS, lambda message: self._take(message.data))
         with suppress(ConfigError):  # of messages that a ROS installation may lack
@@ -91,7 +92,11 @@ class Ros2Lab(RealTimeLab):
     def drive(self) -> np.ndarray:
         """Returns the joint velocities of the next cycle: as commanded, with limited acceleration, [dof] [rad/s]."""
         with self._command_lock:
-            if time.monotonic() > self._heard + WATCHDOG - _HOLD:
+            now = time.monotonic()
+            while self._way and now > self._way[0][0]:
+                self._way.pop(0)
+                self._wanted = self._way[0][1] if self._way else np.zeros_like(self._wanted)
+            if not self._way and now > self._heard + self.watchdog:
                 self.expired += bool(np.any(self._wanted))
                 self._wanted = np.zeros_like(self._wanted)
             wanted = self._wanted
@@ -108,7 +113,7 @@ class Ros2Lab(RealTimeLab):
         self._clock({"clock": time_fields(now)})
         self._states(
             {
-                "header": header(now + self.stamp_error, ""),
+                "header": header(now + self.stamp_error, SIMULATED),
                 "name": self.names,
                 "position": state.joint_position.tolist(),
                 "velocity": state.joint_velocity.tolist(),
@@ -117,17 +122,7 @@ class Ros2Lab(RealTimeLab):
 
     def see(self, pose: np.ndarray, stamp: float) -> None:
         """Publishes a detection, on a topic and as a frame."""
-        x, y, yaw = map(float, pose)
-        px, py, pz, qx, qy, qz, qw = planar_transform((x, y, yaw), self._scene.object.rest_height).tolist()
-        head, turned = header(stamp, ros2_topics.WORLD_FRAME), {"x": qx, "y": qy, "z": qz, "w": qw}
-        place = {"x": px, "y": py, "z": pz}
-        self._poses({"header": head, "pose": {"position": place, "orientation": turned}})
-        frame = {
-            "header": head,
-            "child_frame_id": ros2_topics.OBJECT_FRAME,
-            "transform": {"translation": place, "rotation": turned},
-        }
-        self._frames({"transforms": [frame]})
+        self._see(pose, stamp)
 
     def disconnect(self) -> None:
         """Ends the connection."""
@@ -141,23 +136,25 @@ class Ros2Lab(RealTimeLab):
                 self.refused += 1
                 return
             self.taken += 1
-            self._wanted, self._heard = wanted, time.monotonic()
+            self._wanted, self._heard, self._way = wanted, time.monotonic(), []
 
     def _take_jog(self, message: Any) -> None:
         self._take(self._sorted(message.joint_names, message.velocities))
 
     def _take_trajectory(self, message: Any) -> None:
-        """Takes the velocity with which a trajectory leads from here to its first point."""
-        if not message.points:
-            self._take([])
-            return
-        first = message.points[0]
-        target = np.array(self._sorted(message.joint_names, first.positions))
-        within = seconds(first.time_from_start)
-        if len(target) != len(self.names) or within <= 0.0:
-            self._take([])
-            return
-        self._take((target - self.plant.observe().joint_position) / within)
+        """Takes a trajectory: straight from here to each of its points."""
+        here, began, way = self.state()[0], time.monotonic(), []
+        at = 0.0
+        for point in message.points:
+            target, then = np.array(self._sorted(message.joint_names, point.positions)), seconds(point.time_from_start)
+            if len(target) != len(here) or then <= at:
+                self._take([])
+                return
+            way.append((began + then, (target - here) / (then - at)))
+            here, at = target, then
+        self._take(way[0][1] if way else [])
+        with self._command_lock:
+            self._way = way
 
     def _sorted(self, names: list[str], values: list[float]) -> list[float]:
         """Returns values in the order of the joints; none if they are of other joints."""

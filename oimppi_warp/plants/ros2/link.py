@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
+
+from oimppi_warp.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,9 @@ class Link(Protocol):
 
     name: str
 
-    def subscribe(self, topic: str, kind: str, take: Callable[[Any], None], *, latched: bool = False) -> None:
+    def subscribe(
+        self, topic: str, kind: str, take: Callable[[Any], None], *, latched: bool = False, depth: int = 10
+    ) -> None:
         """Receives messages of any reliability.
 
         Args:
@@ -68,13 +73,17 @@ class Link(Protocol):
             kind: Type of the messages.
             take: Receives each message, in a thread of the connection.
             latched: Whether to ask for the last messages from before too.
+            depth: Number of messages that may wait.
         """
         ...
 
     def advertise(
         self, topic: str, kind: str, *, latched: bool = False, reliable: bool = True
     ) -> Callable[[Mapping[str, Any]], None]:
-        """Returns a function that publishes a message, given by its fields (see ``messages.build``)."""
+        """Returns a function that publishes a message, given by its fields (see ``messages.build``).
+
+        A topic that is advertised again has one publisher still.
+        """
         ...
 
     def endpoints(self, topic: str) -> list[Endpoint]:
@@ -106,7 +115,12 @@ def connect(*, domain: int, peers: str, through: str = "auto") -> Link:
     if through == "rclpy" or (through == "auto" and not peers and importlib.util.find_spec("rclpy") is not None):
         from oimppi_warp.plants.ros2.rclpy_link import RclpyLink
 
-        return RclpyLink(domain)
+        try:
+            return RclpyLink(domain)
+        except ConfigError as error:
+            if through == "rclpy":
+                raise
+            print(f"using Cyclone DDS: {str(error).splitlines()[0]}", file=sys.stderr)
     from oimppi_warp.plants.ros2.dds_link import DdsLink
 
     return DdsLink(domain, peers)

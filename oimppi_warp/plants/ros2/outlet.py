@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,10 +13,8 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.plants.ros2.link import Link
 from oimppi_warp.plants.ros2.messages import JOINT_JOG, NUMBERS, TRAJECTORY, header, time_fields
 
-_AHEAD, _BRAKE = 0.1, 0.2
+_AHEAD, _BRAKE = 0.1, 0.1
 """Time for which a trajectory goes on with its velocity, and then to brake [s]."""
-_ASTRAY = 0.05
-"""Distance of the joints from where trajectories have led them, from which on these begin at the joints again [rad]."""
 
 
 class Outlet(Protocol):
@@ -26,13 +26,8 @@ class Outlet(Protocol):
 
     kind: str
 
-    def send(self, joint_velocity: np.ndarray, joints: np.ndarray) -> None:
-        """Publishes joint velocities.
-
-        Args:
-            joint_velocity: Joint velocities, shape [dof] [rad/s].
-            joints: Joint positions, shape [dof] [rad].
-        """
+    def send(self, joint_velocity: np.ndarray) -> None:
+        """Publishes joint velocities, shape [dof] [rad/s]."""
         ...
 
 
@@ -41,11 +36,11 @@ class NumbersOutlet:
 
     kind = NUMBERS
 
-    def __init__(self, link: Link, topic: str, joint_names: list[str]) -> None:
-        self._publish = link.advertise(topic, self.kind)
+    def __init__(self, link: Link, way: Way) -> None:
+        self._publish = link.advertise(way.topic, self.kind)
 
-    def send(self, joint_velocity: np.ndarray, joints: np.ndarray) -> None:
-        """Publishes joint velocities; see :class:`Outlet`."""
+    def send(self, joint_velocity: np.ndarray) -> None:
+        """Publishes joint velocities, shape [dof] [rad/s]."""
         self._publish({"data": joint_velocity.tolist()})
 
 
@@ -54,35 +49,32 @@ class JointJogOutlet:
 
     kind = JOINT_JOG
 
-    def __init__(self, link: Link, topic: str, joint_names: list[str]) -> None:
-        self._publish, self._names = link.advertise(topic, self.kind), joint_names
+    def __init__(self, link: Link, way: Way) -> None:
+        self._publish, self._way = link.advertise(way.topic, self.kind), way
 
-    def send(self, joint_velocity: np.ndarray, joints: np.ndarray) -> None:
-        """Publishes joint velocities; see :class:`Outlet`."""
-        values = {"joint_names": self._names, "velocities": joint_velocity.tolist()}
-        self._publish({"header": header(time.time(), ""), **values})
+    def send(self, joint_velocity: np.ndarray) -> None:
+        """Publishes joint velocities, shape [dof] [rad/s]."""
+        values = {"joint_names": self._way.joint_names, "velocities": joint_velocity.tolist()}
+        self._publish({"header": header(self._way.clock(), ""), **values})
 
 
 class TrajectoryOutlet:
     """A short trajectory that goes on with the velocity and then brakes, as joint trajectory controllers take it.
 
-    If no other follows, the arm comes to rest at its end.
+    It leads on from where the trajectories before have led, beginning at the joints' positions at first. If no other
+    follows, the arm comes to rest at its end.
     """
 
     kind = TRAJECTORY
 
-    def __init__(self, link: Link, topic: str, joint_names: list[str]) -> None:
-        self._publish, self._names = link.advertise(topic, self.kind), joint_names
-        self._reference: np.ndarray | None = None
-        self._sent = 0.0
+    def __init__(self, link: Link, way: Way) -> None:
+        self._publish, self._names = link.advertise(way.topic, self.kind), way.joint_names
+        self._reference, self._sent = way.joints.copy(), time.monotonic()
 
-    def send(self, joint_velocity: np.ndarray, joints: np.ndarray) -> None:
-        """Publishes joint velocities; see :class:`Outlet`."""
+    def send(self, joint_velocity: np.ndarray) -> None:
+        """Publishes joint velocities, shape [dof] [rad/s]."""
         now = time.monotonic()
-        if self._reference is None or np.abs(self._reference - joints).max() > _ASTRAY:
-            self._reference, self._sent = joints.copy(), now
-        here = self._reference
-        self._reference = here + min(now - self._sent, _AHEAD) * joint_velocity
+        self._reference = self._reference + min(now - self._sent, _AHEAD) * joint_velocity
         self._sent = now
         ahead = self._reference + _AHEAD * joint_velocity
         points = [
@@ -97,27 +89,38 @@ class TrajectoryOutlet:
         self._publish({"joint_names": self._names, "points": [_point(**each) for each in points]})
 
 
+@dataclass(frozen=True, eq=False)
+class Way:
+    """What an outlet needs to know.
+
+    Attributes:
+        topic: Name of the topic.
+        joint_names: Names of the joints, in the scene's order.
+        joints: Positions of the joints now, shape [dof] [rad].
+        clock: Returns the time of the stamps, since 1970 [s].
+    """
+
+    topic: str
+    joint_names: list[str]
+    joints: np.ndarray
+    clock: Callable[[], float]
+
+
 OUTLETS: dict[str, type[NumbersOutlet | JointJogOutlet | TrajectoryOutlet]] = {
     outlet.kind: outlet for outlet in (NumbersOutlet, JointJogOutlet, TrajectoryOutlet)
 }
 """Outlets by the type of their messages."""
 
 
-def make_outlet(link: Link, topic: str, kind: str, joint_names: list[str]) -> Outlet:
-    """Makes the outlet of a type of messages.
-
-    Args:
-        link: The connection.
-        topic: Name of the topic.
-        kind: Type of the messages.
-        joint_names: Names of the joints, in the scene's order.
+def outlet_class(kind: str) -> type[NumbersOutlet | JointJogOutlet | TrajectoryOutlet]:
+    """Returns the outlet for a type of messages.
 
     Raises:
-        ConfigError: There is no such outlet.
+        ConfigError: There is none.
     """
     if kind not in OUTLETS:
         raise ConfigError(f"command_type {kind} cannot be published\n  allowed: {', '.join(OUTLETS)}")
-    return OUTLETS[kind](link, topic, joint_names)
+    return OUTLETS[kind]
 
 
 def _point(*, positions: np.ndarray, velocities: np.ndarray, time_from_start: float) -> dict[str, Any]:

@@ -7,20 +7,26 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from oimppi_warp.config import ros2_topics
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError, HardwareError
 from oimppi_warp.observation import planar_pose
+from oimppi_warp.perception.pose_source import PoseSource
 from oimppi_warp.plants.real.plant import ArmOptions, ArmPlant, ticks_of
 from oimppi_warp.plants.ros2.arm import Ros2Arm
-from oimppi_warp.plants.ros2.link import Link, connect
+from oimppi_warp.plants.ros2.link import Link, connect, why_no_messages
 from oimppi_warp.plants.ros2.messages import CLOCK, NUMBERS, seconds
 from oimppi_warp.plants.ros2.poses import Ros2Poses
 from oimppi_warp.plants.ros2.tf import planar
+from oimppi_warp.priority import real_time_priority
 from oimppi_warp.scene import Obstacle, PlanarPose, Scene
 
+_STEADY = 0.01
+"""Difference of two poses of an obstacle that stands still [m, rad]."""
 _FRAMES = 5.0
-"""Time to wait for the frames of obstacles [s]."""
+"""Time to wait for /clock, and for the frames of obstacles [s]."""
 
 
 class Ros2Plant(ArmPlant):
@@ -33,9 +39,10 @@ class Ros2Plant(ArmPlant):
         domain: Number of the ROS domain; -1: that of the environment variable ``ROS_DOMAIN_ID``, or 0.
         peers: Addresses of other machines, with commas, where multicast does not reach them.
         through: ``rclpy``, ``dds`` or ``auto``: rclpy where it can be imported.
-        joint_states, joint_names, object, object_type, world, commands, command_type, obstacles, use_sim_time: See
-            :class:`Setup`.
+        joint_states, joint_names, object, object_type, object_class, world, commands, command_type, obstacles,
+            use_sim_time: See :class:`Setup`.
         speed, yes, dry_run, resume, pose_timeout: See :class:`oimppi_warp.plants.real.plant.ArmOptions`.
+        poses: Source of the object's poses in this process, such as a camera, instead of a topic or frame.
 
     Raises:
         ConfigError: An option cannot be used, or no package for ROS 2 is installed.
@@ -55,6 +62,7 @@ class Ros2Plant(ArmPlant):
         joint_names: str = "",
         object: str = ros2_topics.OBJECT_FRAME,
         object_type: str = "",
+        object_class: str = "",
         world: str = ros2_topics.WORLD_FRAME,
         commands: str = ros2_topics.NOMINAL_COMMANDS,
         command_type: str = NUMBERS,
@@ -65,6 +73,7 @@ class Ros2Plant(ArmPlant):
         dry_run: bool = False,
         resume: bool = False,
         pose_timeout: float = 2.5,
+        poses: PoseSource | None = None,
     ) -> None:
         options = ArmOptions(speed=speed, yes=yes, dry_run=dry_run, resume=resume, pose_timeout=pose_timeout)
         ticks_of(config)
@@ -73,19 +82,23 @@ class Ros2Plant(ArmPlant):
             joint_names=joint_names,
             object=object,
             object_type=object_type,
+            object_class=object_class,
             world=world,
             commands=commands,
             command_type=command_type,
             obstacles=obstacles,
             use_sim_time=use_sim_time,
         )
-        link = connect(domain=domain, peers=peers, through=through)
+        with real_time_priority():  # for the threads of the connection
+            link = connect(domain=domain, peers=peers, through=through)
         try:
-            arm, poses, moves = setup.find(link, scene)
+            arm, received, moves = setup.find(link, scene)
         except BaseException:
             link.close()
+            if poses is not None:
+                poses.close()
             raise
-        super().__init__(scene, config, arm, poses, options, moves=moves)
+        super().__init__(scene, config, arm, poses or received, options, moves=moves)
 
 
 @dataclass(frozen=True)
@@ -97,6 +110,7 @@ class Setup:
         joint_names: Names of the joints, in the scene's order, with commas; empty: those in the scene.
         object: Topic of the object's pose, with a slash in front, or TF frame of the object.
         object_type: Type of that topic; empty: as it is published.
+        object_class: Class of the object among several detections, by ``class_id`` or ``id``; empty: any.
         world: TF frame of the scene, whose origin is the robot's base.
         commands: Topic of the commands.
         command_type: Type of the commands: ``std_msgs/msg/Float64MultiArray``, ``control_msgs/msg/JointJog`` or
@@ -110,6 +124,7 @@ class Setup:
     joint_names: str = ""
     object: str = ros2_topics.OBJECT_FRAME
     object_type: str = ""
+    object_class: str = ""
     world: str = ros2_topics.WORLD_FRAME
     commands: str = ros2_topics.NOMINAL_COMMANDS
     command_type: str = NUMBERS
@@ -132,15 +147,24 @@ class Setup:
             HardwareError: No joint states arrive, they are of other joints, or a frame is missing.
         """
         names, frames = _joint_names(self.joint_names, scene), _obstacle_frames(self.obstacles, scene)
+        states, commands = (f"/{topic.lstrip('/')}" for topic in (self.joint_states, self.commands))
         clock = _Clock(link, simulated=self.use_sim_time)
-        poses = Ros2Poses(link, self.object, kind=self.object_type, world=self.world, clock=clock.now)
+        clock.wait()
+        poses = Ros2Poses(
+            link,
+            self.object,
+            kind=self.object_type,
+            wanted=self.object_class,
+            world=self.world,
+            height=scene.object.rest_height,
+            clock=clock.now,
+        )
         arm = Ros2Arm(
             link,
             names,
-            states=self.joint_states,
-            commands=self.commands,
+            states=states,
+            commands=commands,
             command_type=self.command_type,
-            simulated=lambda: clock.ticks,
             clock=clock.now,
         )
         return arm, poses, _moves(scene, frames, poses, self.world)
@@ -149,25 +173,38 @@ class Setup:
 class _Clock:
     """The time of the stamps: that of this machine, or that of the topic /clock.
 
-    Attributes:
-        ticks: Whether somebody publishes /clock, as simulators alone do.
+    Args:
+        link: The connection.
+        simulated: Whether it is that of /clock.
     """
 
     def __init__(self, link: Link, *, simulated: bool) -> None:
-        self.ticks = False
-        self._simulated = simulated
-        self._latest = (0.0, 0.0)
-        link.subscribe(ros2_topics.CLOCK, CLOCK, self._take)
+        self._link, self._simulated = link, simulated
+        self._latest: tuple[float, float] | None = None
+        if simulated:
+            link.subscribe(ros2_topics.CLOCK, CLOCK, self._take)
+
+    def wait(self) -> None:
+        """Waits for the first message.
+
+        Raises:
+            HardwareError: None arrives.
+        """
+        until = time.monotonic() + _FRAMES
+        while self._simulated and self._latest is None:
+            if time.monotonic() > until:
+                raise HardwareError(why_no_messages(self._link, ros2_topics.CLOCK, CLOCK))
+            time.sleep(0.01)
 
     def now(self) -> float:
         """Returns the present time of the stamps [s]."""
-        if not self._simulated:
+        if self._latest is None:
             return time.time()
         stamp, arrived = self._latest
-        return stamp + time.monotonic() - arrived if self.ticks else time.time()
+        return stamp + time.monotonic() - arrived
 
     def _take(self, message: Any) -> None:
-        self._latest, self.ticks = (seconds(message.clock), time.monotonic()), True
+        self._latest = seconds(message.clock), time.monotonic()
 
 
 def _joint_names(text: str, scene: Scene) -> list[str]:
@@ -213,19 +250,33 @@ def _moves(scene: Scene, frames: dict[str, str], poses: Ros2Poses, world: str) -
     moves: dict[str, PlanarPose] = {}
     for name, frame in frames.items():
         obstacle = next(each for each in scene.obstacles if _name(each) == name)
-        until = time.monotonic() + _FRAMES
-        while (found := poses.tree.lookup(world, frame)) is None and time.monotonic() < until:
-            time.sleep(0.02)
+        found = _steady(poses, world, frame)
         if found is None:
             known = ", ".join(poses.tree.frames()) or "none"
             raise HardwareError(
-                f"the frame {frame} of the obstacle {name} is not connected with {world}\n"
+                f"the frame {frame} of the obstacle {name} is not connected with {world}, or does not stand still\n"
                 f"  to do:   publish it, or name another one; there are {known}"
             )
-        x, y, yaw = planar(found[0])
+        x, y, yaw = found
         at, was = obstacle.center, planar_pose(obstacle.colliders[0].transform)[2]
         moves[obstacle.path] = (float(x - at[0]), float(y - at[1]), math.remainder(yaw - was, math.tau))
     return moves
+
+
+def _steady(poses: Ros2Poses, world: str, frame: str) -> np.ndarray | None:
+    """Returns the planar pose of a frame that was twice in the same place, shape [3] [m, m, rad], or ``None``."""
+    until, before = time.monotonic() + _FRAMES, None
+    while time.monotonic() < until:
+        found = poses.tree.lookup(world, frame)
+        if found is not None:
+            seen = planar(found[0])
+            if before is not None and np.abs(seen - before[0]).max() < _STEADY:
+                if found[1] == math.inf or found[1] > before[1]:
+                    return seen
+            elif before is None or found[1] > before[1]:
+                before = seen, found[1]
+        time.sleep(0.02)
+    return None
 
 
 def _name(obstacle: Obstacle) -> str:

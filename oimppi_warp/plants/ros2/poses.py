@@ -1,4 +1,4 @@
-"""The object's pose from a ROS 2 topic or a TF frame."""
+"""The object's pose from a ROS 2 topic or a TF frame, and to both."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from oimppi_warp.config.ros2_topics import TF, TF_STATIC
+from oimppi_warp.config.ros2_topics import OBJECT_FRAME, OBJECT_POSE, TF, TF_STATIC, WORLD_FRAME
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.observation import planar_transform
 from oimppi_warp.perception.pose_source import StampedPose
 from oimppi_warp.plants.ros2.link import Link, why_no_messages
 from oimppi_warp.plants.ros2.messages import (
@@ -21,34 +23,53 @@ from oimppi_warp.plants.ros2.messages import (
     POSE,
     POSE_COVARIANCE,
     TRANSFORMS,
+    header,
     seconds,
 )
 from oimppi_warp.plants.ros2.tf import TfTree, matrix_of, planar
 
 _KEPT = 4
 """Number of the latest poses that are kept."""
+_TF_DEPTH = 100
+"""Number of messages of /tf that may wait."""
+_OFF = 0.03
+"""Distance of the object's frame from its height on the table from which on its pose cannot be right [m]."""
+_MOVED = 0.5
+"""Difference of the stamps of a pose and of the frame in which it is given, up to which they belong together [s]."""
 _LEAST_UPRIGHT = 0.9
 """Least vertical component of the object's z axis with which it lies flat."""
 
 
-def _pose(message: Any) -> list[Any]:
-    return [message.pose]
+@dataclass(frozen=True)
+class _Seen:
+    """A pose in a message, and the classes that it may be of."""
+
+    pose: Any
+    classes: tuple[str, ...] = ()
 
 
-def _pose_with_covariance(message: Any) -> list[Any]:
-    return [message.pose.pose]
+def _pose(message: Any) -> list[_Seen]:
+    return [_Seen(message.pose)]
 
 
-def _detection(message: Any) -> list[Any]:
+def _pose_with_covariance(message: Any) -> list[_Seen]:
+    return [_Seen(message.pose.pose)]
+
+
+def _detection(message: Any) -> list[_Seen]:
+    """Returns the pose of the best hypothesis or, if it has none, that of the bounding box."""
     best = max(message.results, key=lambda result: result.hypothesis.score, default=None)
-    return [message.bbox.center if best is None else best.pose.pose]
+    classes = (message.id, *(() if best is None else (best.hypothesis.class_id,)))
+    pose = None if best is None else best.pose.pose
+    unset = pose is None or not any((pose.position.x, pose.position.y, pose.position.z))
+    return [_Seen(message.bbox.center if unset else pose, classes)]
 
 
-def _detections(message: Any) -> list[Any]:
-    return [pose for each in message.detections for pose in _detection(each)]
+def _detections(message: Any) -> list[_Seen]:
+    return [seen for each in message.detections for seen in _detection(each)]
 
 
-_READERS: dict[str, Callable[[Any], list[Any]]] = {
+_READERS: dict[str, Callable[[Any], list[_Seen]]] = {
     POSE: _pose,
     POSE_COVARIANCE: _pose_with_covariance,
     DETECTION: _detection,
@@ -64,7 +85,9 @@ class Ros2Poses:
         link: The connection.
         source: Name of a topic, with a slash in front, or of a TF frame.
         kind: Type of the topic's messages; empty: as it is published.
+        wanted: Class of the object among several detections; empty: any.
         world: Frame of the scene, in which poses are wanted.
+        height: Height of the object's frame while the object lies on the table [m]; ``None``: it is not checked.
         clock: Returns the time of the stamps, since 1970 [s].
 
     Attributes:
@@ -80,19 +103,22 @@ class Ros2Poses:
         source: str,
         *,
         kind: str = "",
+        wanted: str = "",
         world: str,
+        height: float | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         if kind and kind not in _READERS:
             raise ConfigError(f"object_type {kind} cannot be read\n  allowed: {', '.join(_READERS)}")
         self._link, self._source, self._world, self._clock = link, source, world, clock
+        self._wanted, self._height = wanted, height
         self._kind = "" if source.startswith("/") else TRANSFORMS
         self._poses: deque[StampedPose] = deque(maxlen=_KEPT)
         self._defect = ""
         self._open = True
         self._lock = threading.Lock()
         self.tree = TfTree()
-        link.subscribe(TF, TRANSFORMS, self._take_transforms)
+        link.subscribe(TF, TRANSFORMS, self._take_transforms, depth=_TF_DEPTH)
         link.subscribe(TF_STATIC, TRANSFORMS, lambda message: self.tree.take(message, static=True), latched=True)
         if kind:
             self._subscribe(kind)
@@ -161,14 +187,30 @@ class Ros2Poses:
                     f"  to do:   publish that transform on {TF_STATIC}"
                 )
                 return
-            to_world = found[0]
-        seen = [to_world @ matrix_of(pose.position, pose.orientation) for pose in _READERS[self._kind](message)]
+            to_world, placed = found
+            if placed != math.inf and abs(placed - stamp) > _MOVED:
+                self._defect = (
+                    f"the object's pose is given in the frame {frame}, whose place is known for another time only "
+                    f"({abs(placed - stamp):.1f} s away)\n  to do:   publish that transform at 10 Hz or more"
+                )
+                return
+        every = _READERS[self._kind](message)
+        seen = [each for each in every if not self._wanted or self._wanted in each.classes]
         if not seen:
+            if every:
+                classes = ", ".join(sorted({name for each in every for name in each.classes if name}))
+                self._defect = (
+                    f"{self._source} has no {self._wanted}\n  to do:   object_class, one of {classes or 'none'}"
+                )
             return
+        if len(seen) > 1 and not self._poses:
+            self._defect = f"{self._source} has {len(seen)} objects\n  to do:   say which with object_class"
+            return
+        matrices = [to_world @ matrix_of(each.pose.position, each.pose.orientation) for each in seen]
         if self._poses:
             last = self._poses[-1].pose
-            seen.sort(key=lambda matrix: float(np.hypot(*(planar(matrix) - last)[:2])))
-        self._add(seen[0], stamp)
+            matrices.sort(key=lambda matrix: float(np.hypot(*(planar(matrix) - last)[:2])))
+        self._add(matrices[0], stamp)
 
     def _add(self, matrix: np.ndarray, stamp: float) -> None:
         if not self._open:
@@ -186,6 +228,37 @@ class Ros2Poses:
                 "  to do:   use a frame whose z axis points up while the object lies on the table"
             )
             return
+        if self._height is not None and abs(matrix[2, 3] - self._height) > _OFF:
+            self._defect = (
+                f"the object's frame from {self._source} is {matrix[2, 3]:.3f} m above {self._world}, not "
+                f"{self._height:.3f} m\n"
+                f"  to do:   check that {self._world} is at the robot's base, and where on the object the frame is"
+            )
+            return
         self._defect = ""
         if not any(known.stamp == stamp for known in self._poses):  # a frame is repeated until it changes
             self._poses.append(StampedPose(planar(matrix), time.monotonic(), self._clock() - stamp, stamp))
+
+
+def pose_publisher(link: Link, height: float) -> Callable[[np.ndarray, float], None]:
+    """Returns a function that publishes the object's pose, as a topic and as a TF frame.
+
+    Its arguments are a planar pose, shape [3] [m, m, rad], and the time at which the object had it, in seconds since
+    1970.
+
+    Args:
+        link: The connection.
+        height: Height of the object's frame while the object lies on the table [m].
+    """
+    topic, frames = link.advertise(OBJECT_POSE, POSE), link.advertise(TF, TRANSFORMS)
+
+    def publish(pose: np.ndarray, stamp: float) -> None:
+        x, y, yaw = map(float, pose)
+        px, py, pz, qx, qy, qz, qw = planar_transform((x, y, yaw), height).tolist()
+        place, turn = {"x": px, "y": py, "z": pz}, {"x": qx, "y": qy, "z": qz, "w": qw}
+        head = header(stamp, WORLD_FRAME)
+        topic({"header": head, "pose": {"position": place, "orientation": turn}})
+        moved = {"translation": place, "rotation": turn}
+        frames({"transforms": [{"header": head, "child_frame_id": OBJECT_FRAME, "transform": moved}]})
+
+    return publish

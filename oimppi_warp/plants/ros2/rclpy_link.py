@@ -9,6 +9,7 @@ import os
 import threading
 import uuid
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
@@ -51,20 +52,32 @@ class RclpyLink:
         self.name = f"ROS domain {number}"
         self._node_name = f"oimppi_{uuid.uuid4().hex[:8]}"  # no other planner has it
         self._node = rclpy.create_node(self._node_name, context=self._context)
+        self._publishers: dict[tuple[str, str], Any] = {}
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._executor.spin, name="oimppi-rclpy", daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: str, take: Callable[[Any], None], *, latched: bool = False) -> None:
+    def subscribe(
+        self, topic: str, kind: str, take: Callable[[Any], None], *, latched: bool = False, depth: int = 10
+    ) -> None:
         """Receives messages of any reliability; see :class:`oimppi_warp.plants.ros2.link.Link`."""
-        self._node.create_subscription(_class(kind), topic, take, _profile(latched=latched, reliable=latched))
+
+        def guarded(message: Any) -> None:
+            with suppress(Exception):  # of a message that is broken; the others go on
+                take(message)
+
+        profile = _profile(latched=latched, reliable=latched, depth=depth)
+        self._node.create_subscription(_class(kind), topic, guarded, profile)
 
     def advertise(
         self, topic: str, kind: str, *, latched: bool = False, reliable: bool = True
     ) -> Callable[[Mapping[str, Any]], None]:
         """Returns a function that publishes; see :class:`oimppi_warp.plants.ros2.link.Link`."""
-        publisher = self._node.create_publisher(_class(kind), topic, _profile(latched=latched, reliable=reliable))
+        if (topic, kind) not in self._publishers:
+            profile = _profile(latched=latched, reliable=reliable, depth=_DEPTH)
+            self._publishers[topic, kind] = self._node.create_publisher(_class(kind), topic, profile)
+        publisher = self._publishers[topic, kind]
         return lambda values: publisher.publish(build(kind, values, _class))
 
     def endpoints(self, topic: str) -> list[Endpoint]:
@@ -109,11 +122,11 @@ def _class(kind: str) -> Any:
         ) from None
 
 
-def _profile(*, latched: bool, reliable: bool) -> Any:
+def _profile(*, latched: bool, reliable: bool, depth: int) -> Any:
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
     return QoSProfile(
-        depth=_LATCHED_DEPTH if latched else _DEPTH,
+        depth=_LATCHED_DEPTH if latched else depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

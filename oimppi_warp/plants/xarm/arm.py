@@ -9,6 +9,7 @@ import statistics
 import sys
 import threading
 import time
+import warnings
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +44,8 @@ def _sdk() -> Any:
         ConfigError: It is not installed.
     """
     try:
-        with redirect_stdout(io.StringIO()):
+        with redirect_stdout(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)  # it has some on Python 3.12
             import xarm.wrapper as sdk
             from xarm.core.utils.log import logger, origin_logger
     except ImportError:
@@ -258,8 +260,9 @@ class XArm:
         )
         return self._refusal(code)
 
-    def rest(self) -> None:
-        """Does nothing: the controller stops the arm by itself."""
+    def rest(self) -> bool:
+        """Does nothing, and returns so: the controller stops the arm by itself."""
+        return False
 
     def lost(self) -> str:
         """Returns in words that the connection for commands is lost; empty if it is not."""

@@ -7,9 +7,11 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.network import split_address
 from oimppi_warp.perception.pose_feed import PORT as POSE_PORT
 from oimppi_warp.perception.pose_feed import PoseReceiver
+from oimppi_warp.perception.pose_source import PoseSource
 from oimppi_warp.plants.real.plant import ArmOptions, ArmPlant, ticks_of
 from oimppi_warp.plants.xarm.arm import XArm
 from oimppi_warp.plants.xarm.protocol import COMMAND_PORT
+from oimppi_warp.priority import real_time_priority
 from oimppi_warp.scene import Scene
 
 
@@ -24,6 +26,7 @@ class XArmPlant(ArmPlant):
         pose_address: Address of the object's poses (:mod:`oimppi_warp.perception.pose_feed`); empty: that of the
             controller, as with the emulator.
         speed, yes, dry_run, resume, pose_timeout: See :class:`oimppi_warp.plants.real.plant.ArmOptions`.
+        poses: Source of the object's poses in this process, such as a camera, instead of an address.
 
     Raises:
         ConfigError: An option cannot be used, or the SDK is not installed.
@@ -43,6 +46,7 @@ class XArmPlant(ArmPlant):
         dry_run: bool = False,
         resume: bool = False,
         pose_timeout: float = 2.5,
+        poses: PoseSource | None = None,
     ) -> None:
         if not robot_address:
             raise ConfigError(
@@ -51,9 +55,10 @@ class XArmPlant(ArmPlant):
         options = ArmOptions(speed=speed, yes=yes, dry_run=dry_run, resume=resume, pose_timeout=pose_timeout)
         ticks_of(config)
         host, _ = split_address(robot_address, COMMAND_PORT)
-        poses = PoseReceiver(pose_address or f"{host}:{POSE_PORT}")
+        poses = poses or PoseReceiver(pose_address or f"{host}:{POSE_PORT}")
         try:
-            arm = XArm(robot_address)
+            with real_time_priority():  # for the threads of the SDK
+                arm = XArm(robot_address)
         except BaseException:
             poses.close()
             raise

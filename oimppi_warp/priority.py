@@ -1,0 +1,39 @@
+"""Priority over other programs, for threads that have to keep time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+SENDER, LOOP, PLANNER = 20, 10, 1
+"""Real-time priorities, of 1 to 99: of the thread that sends commands, of the control loop, and of the planner."""
+
+
+@contextmanager
+def real_time_priority(level: int = LOOP) -> Iterator[bool]:
+    """Gives this thread, and those that it starts meanwhile, real-time priority, where the system allows it.
+
+    On Linux it is allowed to root, and to users with an ``rtprio`` in ``/etc/security/limits.conf``. Threads that were
+    started keep the priority. Yields whether it is given.
+
+    Args:
+        level: Priority.
+    """
+    try:
+        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(level))
+    except (AttributeError, OSError):
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
+
+
+def lower_priority() -> None:
+    """Gives this thread the planner's priority if it has inherited a higher one."""
+    with suppress(AttributeError, OSError):
+        if os.sched_getscheduler(0) == os.SCHED_RR:
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(PLANNER))

@@ -1,0 +1,385 @@
+"""Robots as people bring them: what does not matter refuses nothing, and a refusal gives the true reason."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.sample_arms import ARMS, FORMATS, Part, SampleArm, Shape, mjcf, urdf, write_arm
+
+from oimppi_warp.authoring.robots.read import read_arm
+from oimppi_warp.cli.main import main
+from oimppi_warp.config.presets import best
+from oimppi_warp.geometry.feasibility import check_task, sample_start
+from oimppi_warp.geometry.kinematics import link_frames, tip_frame, touching_turret
+from oimppi_warp.geometry.postures import postures_of
+from oimppi_warp.geometry.reach import can_tilt, reach_of
+from oimppi_warp.record.metrics import summarize
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.scene import Robot, Scene
+from oimppi_warp.usd import load_scene
+
+REACH = {"ur5_like": 0.90, "panda_like": 0.80, "widowx_like": 0.48, "so101_like": 0.31, "lite6_like": 0.44}
+"""With the stick upright, from the base's origin [m]."""
+EVERY = [pytest.param(name, form, id=f"{name}-{form}") for name in ARMS for form in FORMATS]
+
+
+def desk_arm(size: float = 1.0, **changes: Part) -> SampleArm:
+    """An arm of five joints that pans, lifts twice, nods and rolls, 0.69 m long at size 1, with changed parts."""
+    long, thick, half = 0.35 * size, 0.03, np.pi / 2
+    rod = (Shape("box", (long, thick, thick), (long / 2, 0, 0)),)
+    parts = {
+        "base": Part("base", shapes=(Shape("box", (0.1, 0.1, 0.02), (0, 0, 0.01)),)),
+        "turret": Part(
+            "turret", "base", axis=(0, 0, 1), limits=(-2, 2), shapes=(Shape("cylinder", (0.03, 0.06), (0, 0, 0.08)),)
+        ),
+        "upper": Part("upper", "turret", (0, 0, 0.12), (half, 0, 0), (0, 0, 1), (-0.2, 2.8), mass=0.4, shapes=rod),
+        "fore": Part("fore", "upper", (long, 0, 0), axis=(0, 0, 1), limits=(-2.8, 0.5), mass=0.3, shapes=rod),
+        "hand": Part("hand", "fore", (long, 0, 0), axis=(0, 0, 1), limits=(-2.5, 2.5), mass=0.1),
+        "flange": Part("flange", "hand", (0.06, 0, 0), (0, half, 0), (0, 0, 1), mass=0.05),
+    }
+    return SampleArm("desk_arm", tuple((parts | changes).values()), effort=20.0, velocity=2.0)
+
+
+def part(arm: SampleArm, name: str) -> Part:
+    return next(each for each in arm.parts if each.name == name)
+
+
+def added(folder: Path, text: str, *options: str, form: str = "urdf") -> int:
+    """The exit status of ``oimppi scene robot`` for a file of this text."""
+    file = folder / f"arm.{form}"
+    file.write_text(text)
+    return main(["scene", "robot", str(file), "--out", str(folder / "out"), *options])
+
+
+def trial(folder: Path) -> Scene:
+    return load_scene(folder / "out" / "arm_open.usda")
+
+
+def one_message(words: str) -> str:
+    """The error message in what the command told, of which there must be one."""
+    assert len(re.findall("^oimppi: ", words, re.MULTILINE)) == 1
+    assert "Traceback" not in words
+    return words[words.index("oimppi: ") :]
+
+
+# The arms
+
+
+@pytest.mark.parametrize(("name", "form"), EVERY)
+def test_an_arm_becomes_a_robot_with_a_task_in_front_of_it(tmp_path, capsys, name, form):
+    file, options = write_arm(tmp_path, name, form)
+    assert main(["scene", "robot", str(file), "--out", str(tmp_path), *options]) == 0
+    told = capsys.readouterr().out
+    assert ("cannot   tilt the stick sideways, with 5 joints" in told) == (name == "so101_like")
+    scene = load_scene(tmp_path / f"{name}_open.usda")
+    check_task(scene)
+    assert scene.start[0] > 0.1
+    assert scene.goal[0] > 0.1
+    assert reach_of(scene.robot).radius == pytest.approx(REACH[name], abs=0.006)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_an_arm_is_the_same_from_both_formats(tmp_path, name):
+    arms = []
+    for form in FORMATS:
+        file, options = write_arm(tmp_path, name, form)
+        flange = options[options.index("--flange") + 1] if "--flange" in options else ""
+        arms.append(read_arm(file, name="Arm", doc="", length=0.17, radius=0.008, flange=flange)[1])
+    (one, other), random = arms, np.random.default_rng(1)
+    for _ in range(5):
+        joints = random.uniform(-1.0, 1.0, len(one.joints))
+        for a, b in zip(tip_frame(one.robot(), joints), tip_frame(other.robot(), joints), strict=True):
+            np.testing.assert_allclose(a, b, atol=2e-6)
+    for a, b in zip(one.links, other.links, strict=True):
+        assert a.mass == pytest.approx(b.mass, rel=1e-5)
+        np.testing.assert_allclose(a.inertia, b.inertia, atol=1e-6)
+    for a, b in zip(one.joints, other.joints, strict=True):
+        assert a.kind == b.kind
+        assert (a.lower, a.upper, a.effort) == pytest.approx((b.lower, b.upper, b.effort), rel=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("name", "form"), EVERY)
+def test_an_arm_pushes_the_object_to_its_goal_gently(tmp_path, device, name, form):
+    file, options = write_arm(tmp_path, name, form)
+    assert main(["scene", "robot", str(file), "--out", str(tmp_path), *options]) == 0
+    scene = load_scene(tmp_path / f"{name}_open.usda")
+    start = scene.with_start(sample_start(scene, 1))
+    found = summarize(Episode(start, best("cloi"), method="cloi", device=device, seed=1).run())
+    assert found.success, found.ended
+    assert found.max_contact_robot_obstacle_n <= 5.0
+    assert found.max_contact_object_obstacle_n <= 30.0
+    assert found.max_contact_tool_object_n <= 25.0
+
+
+# Turrets
+
+
+@pytest.mark.parametrize(("radius", "bottom"), [(0.08, 0.05), (0.03, 0.015), (0.06, 0.0), (0.06, -0.05)])
+def test_a_turret_may_be_near_the_table_which_no_joint_brings_it_nearer_to(tmp_path, radius, bottom):
+    shape = Shape("cylinder", (radius, 0.06), (0, 0, bottom + 0.03))
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), shapes=(shape,)))
+    assert added(tmp_path, urdf(arm)) == 0
+    assert [link.path for link in touching_turret(trial(tmp_path).robot)] == (
+        ["/World/Robot/link1"] if bottom <= 0 else []
+    )
+
+
+def test_a_link_that_comes_too_near_the_table_is_named_with_its_height(tmp_path, capsys):
+    bulky = (Shape("sphere", (0.28,), (0, 0, 0)),)
+    arm = desk_arm(hand=replace(part(desk_arm(), "hand"), shapes=bulky))
+    assert added(tmp_path, urdf(arm)) == 2
+    words = one_message(capsys.readouterr().err)
+    assert re.search(r"the best has link hand 0\.\d+ m above|the best has link hand -0\.\d+ m above", words)
+    assert "at least 0.02 m below every link" in words
+    assert "--tool-length" in words
+
+
+def test_a_joint_that_has_to_be_at_its_limit_is_named(tmp_path, capsys):
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=(-0.589, 2.0)))
+    assert added(tmp_path, urdf(arm)) == 2
+    words = one_message(capsys.readouterr().err)
+    assert "only with joint turret_joint at a limit (-0.588, where it goes from -0.589 to 2)" in words
+
+
+def test_an_arm_that_faces_the_other_way_is_told_so(tmp_path, capsys):
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), rpy=(0, 0, np.pi), limits=(-1.0, 1.0)))
+    assert added(tmp_path, urdf(arm)) == 2
+    assert "turn its base: the tool gets to the table on the side of -x" in one_message(capsys.readouterr().err)
+
+
+# The sample task
+
+
+@pytest.mark.parametrize("size", [0.34, 0.42, 0.5, 0.6, 0.7])
+def test_the_task_of_a_short_arm_is_in_front_of_it(tmp_path, size):
+    assert added(tmp_path, urdf(desk_arm(size)), "--tool-length", "0.1") == 0
+    scene = trial(tmp_path)
+    check_task(scene)
+    reach = reach_of(scene.robot).radius
+    assert 0.2 < reach < 0.56
+    assert scene.start[0] > 0.3 * reach
+    assert scene.goal[0] > 0.3 * reach
+
+
+def test_a_robot_is_written_even_if_it_cannot_do_the_task(tmp_path, capsys):
+    desk = (Shape("box", (2.0, 2.0, 0.03), (0, 0, 0.015)),)
+    arm = desk_arm(base=Part("base", shapes=desk))
+    assert added(tmp_path, urdf(arm)) == 0
+    told = capsys.readouterr().out
+    assert "there is no sample task: the object's start" in told
+    assert "oimppi scene new TASK --robot arm" in told
+    assert sorted(file.name for file in (tmp_path / "out").rglob("*.usda")) == ["arm.usda"]
+
+
+# Names
+
+
+def test_names_with_slashes_and_quotes_are_names(tmp_path, capsys):
+    text = urdf(desk_arm())
+    for name in ("base", "turret", "upper", "fore", "hand", "flange"):
+        text = re.sub(rf'"{name}(_joint)?"', rf'"desk/it&apos;s/{name}\1"', text)
+    assert added(tmp_path, text, "--flange", "desk/it's/flange") == 0
+    told = capsys.readouterr().out
+    assert "along z of desk/it's/flange" in told
+    assert "desk/it's/turret_joint, desk/it's/upper_joint" in told
+
+
+# Rounded angles
+
+
+@pytest.mark.parametrize("angle", [0.0001, 0.0016, 0.008])
+@pytest.mark.parametrize("name", ["turret", "upper", "hand", "flange"])
+def test_rounded_angles_change_neither_reach_nor_postures(tmp_path, name, angle):
+    exact = desk_arm()
+    x, y, z = part(exact, name).rpy
+    tilted = desk_arm(**{name: replace(part(exact, name), rpy=(x + angle, y, z))})
+    robots: list[Robot] = []
+    for number, arm in enumerate((exact, tilted)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        assert added(folder, urdf(arm)) == 0
+        robots.append(trial(folder).robot)
+    reaches = [reach_of(robot) for robot in robots]
+    assert reaches[1].border is None
+    assert reaches[1].radius == pytest.approx(reaches[0].radius, abs=0.006)
+    assert not any(map(can_tilt, robots))
+    reached = [int(postures_of(robot, 0.02).reached.sum()) for robot in robots]
+    assert reached[1] == pytest.approx(reached[0], rel=0.03)
+    assert tip_frame(robots[1], robots[1].start)[0][2, 2] < -np.cos(1.2 * angle + 1e-3)
+
+
+def test_slides_with_rounded_angles_stay_flat(tmp_path):
+    def gantry(angle: float) -> SampleArm:
+        head = (Shape("box", (0.05, 0.05, 0.05), (0, 0, 0.05)),)
+        return SampleArm(
+            "gantry",
+            (
+                Part("base"),
+                Part("bridge", "base", (0, 0, 0.182), (angle, 0, 0), (0, 1, 0), (-0.7, 0.7), slides=True),
+                Part("carriage", "bridge", axis=(1, 0, 0), limits=(0.05, 0.9), slides=True, shapes=head),
+            ),
+        )
+
+    assert added(tmp_path, urdf(gantry(3.14)), "--tool-axis=z") == 0
+    (lower, upper) = reach_of(trial(tmp_path).robot).bounds
+    np.testing.assert_allclose([*lower, *upper], [0.05, -0.7, 0.9, 0.7], atol=2e-3)
+
+
+# What is wrong
+
+
+def scara(stroke: float) -> SampleArm:
+    """Two upright joints, and a quill whose tip gets down to 0.23 m minus the stroke with a stick of 0.17 m."""
+    arm = (Shape("box", (0.3, 0.05, 0.05), (0.15, 0, 0)),)
+    return SampleArm(
+        "scara",
+        (
+            Part("base", mass=3.0),
+            Part("arm1", "base", (0, 0, 0.4), axis=(0, 0, 1), limits=(-2.5, 2.5), shapes=arm),
+            Part("arm2", "arm1", (0.3, 0, 0), axis=(0, 0, 1), limits=(-2.5, 2.5), shapes=arm),
+            Part("quill", "arm2", (0.3, 0, 0), axis=(0, 0, 1), limits=(-stroke, 0.0), slides=True, mass=0.3),
+        ),
+    )
+
+
+def test_a_tip_that_does_not_get_down_to_the_table_is_told_how_low_it_gets(tmp_path, capsys):
+    assert added(tmp_path, urdf(scara(0.24)), "--tool-axis=-z") == 0
+    capsys.readouterr()
+    assert added(tmp_path, urdf(scara(0.22)), "--tool-axis=-z", "--force") == 2
+    words = one_message(capsys.readouterr().err)
+    assert "the tip gets no lower than 0.010 m" in words
+    assert "give a --tool-length that is longer by 0.010 m" in words
+    assert added(tmp_path, urdf(scara(0.22)), "--tool-axis=-z", "--tool-length", "0.185", "--force") == 0
+
+
+def changed(what: str, to: str, count: int = 1) -> str:
+    text = urdf(desk_arm())
+    assert what in text
+    return text.replace(what, to, count)
+
+
+BAD: dict[str, tuple[Callable[[], str], str]] = {
+    "two joints of one name": (lambda: changed("fore_joint", "upper_joint"), "2 joints have the name upper_joint"),
+    "two links of one name": (
+        lambda: changed('<link name="fore"', '<link name="upper"'), "2 links have the name upper",
+    ),
+    "a link without a name": (lambda: changed('<link name="fore"', "<link"), "<link> number 4 has no name"),
+    "no child": (lambda: changed('<child link="fore"/>', ""), "joint fore_joint has no child"),
+    "an unknown link": (lambda: changed('<child link="fore"/>', '<child link="arm"/>'), "a missing link 'arm'"),
+    "an axis of zero": (
+        lambda: changed('<axis xyz="0 0 1"/><limit lower="-2.8"', '<axis xyz="0 0 0"/><limit lower="-2.8"'),
+        "joint fore_joint: the axis is 0 0 0",
+    ),
+    "an axis of two numbers": (
+        lambda: changed('<axis xyz="0 0 1"', '<axis xyz="0 1"'), "joint turret_joint: xyz is '0 1'",
+    ),
+    "an angle that is none": (
+        lambda: changed('rpy="1.5708 0 0"', 'rpy="nan 0 0"'), "joint upper_joint: rpy is 'nan 0 0'",
+    ),
+    "an offset in the sky": (lambda: changed('xyz="0 0 0.12"', 'xyz="0 0 1e9"'), "joint upper_joint: xyz is '0 0 1e9'"),
+    "no effort": (lambda: changed('effort="20"', 'effort="0"'), "joint turret_joint: the effort limit is 0 N m"),
+    "limits from a converter": (
+        lambda: changed('lower="-2" upper="2"', 'lower="-3.4e38" upper="3.4e38"'),
+        "joint turret_joint: the limits -3.4e38 and 3.4e38 are no limits",
+    ),
+    "infinite limits": (
+        lambda: changed('lower="-2" upper="2"', 'lower="-inf" upper="inf"'), "turret_joint: the limits -inf and inf",
+    ),
+    "a limit that is none": (lambda: changed('lower="-2"', 'lower="nan"'), "joint turret_joint: lower is 'nan'"),
+    "a size of zero": (
+        lambda: changed('<cylinder radius="0.03"', '<cylinder radius="0"'),
+        "link turret: the radius of its <cylinder> is 0",
+    ),
+    "no size": (lambda: changed('radius="0.03" ', ""), "link turret: <cylinder> has no radius"),
+    "no shape": (
+        lambda: changed('<cylinder radius="0.03" length="0.06"/>', ""), "link turret: <collision> has no shape",
+    ),
+    "a mass that is none": (lambda: changed('value="0.4"', 'value="heavy"'), "link upper: mass is 'heavy'"),
+    "a negative mass": (lambda: changed('value="0.4"', 'value="-0.4"'), "link upper: the mass is -0.4"),
+    "an inertia of zero": (
+        lambda: changed('ixx="0.0016" iyy="0.0016" izz="0.0016"', 'ixx="0" iyy="0" izz="0"'),
+        "link upper has a physically impossible inertia",
+    ),
+    "a mesh that is empty": (
+        lambda: changed('<cylinder radius="0.03" length="0.06"/>', '<mesh filename="empty.obj"/>'),
+        "link turret: the collision mesh 'empty.obj'",
+    ),
+    "a mesh that is none": (
+        lambda: changed('<cylinder radius="0.03" length="0.06"/>', '<mesh filename="none.stl"/>'),
+        "link turret: the collision mesh 'none.stl' is empty",
+    ),
+    "a mesh that is flat": (
+        lambda: changed('<cylinder radius="0.03" length="0.06"/>', '<mesh filename="flat.obj"/>'),
+        "link turret: a collision mesh encloses no volume",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_plain_mistake_gives_one_message_that_names_the_element(tmp_path, capsys, case):
+    text, what = BAD[case]
+    (tmp_path / "empty.obj").write_text("")
+    (tmp_path / "none.stl").write_text("nothing")
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    assert added(tmp_path, text()) == 2
+    assert what in one_message(capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_does_not_matter_refuses_nothing(tmp_path):
+    text = urdf(desk_arm())
+    base = 'ixx="0.004" iyy="0.004" izz="0.004"'
+    assert added(tmp_path, text.replace(base, 'ixx="0" iyy="0" izz="0"', 1)) == 0
+    assert added(tmp_path, text.replace(base, 'ixx="nan" iyy="a" izz="-1"', 1), "--force") == 0
+    finger = Part("finger", "flange", axis=(0, 0, 1), slides=True, shapes=(Shape("sphere", (0.01,)),))
+    wrong = urdf(SampleArm("desk_arm", (*desk_arm().parts, finger)))
+    for what, to in (
+        ('radius="0.01"', 'radius="x"'),
+        ('<axis xyz="0 0 1"/><limit lower="-3"', '<axis xyz="0 0 0"/><limit lower="a"'),
+    ):
+        head, found, tail = wrong.rpartition(what)
+        assert found
+        wrong = head + to + tail
+    assert added(tmp_path, wrong, "--flange", "flange", "--force") == 0
+
+
+def test_an_inertia_that_no_body_has_is_that_of_the_part_that_is_named(tmp_path, capsys):
+    arm = desk_arm()
+    cover = Part("cover", "fore", mass=0.4)
+    text = urdf(SampleArm("desk_arm", (*arm.parts, cover)))
+    head, found, tail = text.rpartition('ixx="0.0016" iyy="0.0016" izz="0.0016"')
+    assert found
+    assert added(tmp_path, f'{head}ixx="-0.02" iyy="-0.02" izz="-0.02"{tail}') == 2
+    assert "link cover has a physically impossible inertia" in one_message(capsys.readouterr().err)
+
+
+def test_the_advice_for_a_xacro_file_keeps_the_file(tmp_path, capsys):
+    macro = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m"/></robot>'
+    for form in ("urdf", "urdf.xacro", "xacro"):
+        assert added(tmp_path, macro, form=form) == 2
+        (source, made) = re.findall(r"xacro (\S+) > (\S+)", one_message(capsys.readouterr().err))[0]
+        assert (source, made) == (f"arm.{form}", "arm_expanded.urdf")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "<", "<robot/>", "<mujoco/>", "<sdf/>", "nothing", '<?xml version="1.0" encoding="x"?><a/>']
+)
+def test_what_is_no_robot_is_refused_in_one_message(tmp_path, capsys, text):
+    for form in ("urdf", "xml", "usda"):
+        assert added(tmp_path, text, form=form) == 2
+        one_message(capsys.readouterr().err)
+    assert main(["scene", "robot", str(tmp_path / "none.xml")]) == 2
+    assert "there is no such file" in one_message(capsys.readouterr().err)
+
+
+def test_a_format_is_known_by_its_root_element(tmp_path):
+    for form, text in (("xml", urdf(desk_arm())), ("urdf", mjcf(desk_arm()))):
+        assert added(tmp_path, text, "--force", form=form) == 0
+        assert len(link_frames(trial(tmp_path).robot, trial(tmp_path).robot.start)[1]) == 5

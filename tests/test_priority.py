@@ -1,0 +1,46 @@
+"""Real-time priority is taken where the system allows it, inherited by threads, and given back."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import pytest
+
+from oimppi_warp.priority import LOOP, PLANNER, lower_priority, real_time_priority
+
+
+def test_it_is_given_back_and_threads_keep_it():
+    before = os.sched_getscheduler(0)
+    found: list[tuple[int, int]] = []
+    ended = threading.Event()
+
+    def look(lower: bool) -> None:
+        ended.wait()
+        if lower:
+            lower_priority()
+        found.append((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority))
+
+    with real_time_priority() as given:
+        if not given:
+            pytest.skip("this user may not have real-time priority")
+        assert os.sched_getscheduler(0) == os.SCHED_RR
+        threads = [threading.Thread(target=look, args=(lower,)) for lower in (False, True)]
+        for thread in threads:
+            thread.start()
+    assert os.sched_getscheduler(0) == before
+    ended.set()
+    for thread in threads:
+        thread.join()
+    assert sorted(found) == [(os.SCHED_RR, PLANNER), (os.SCHED_RR, LOOP)]
+    lower_priority()
+    assert os.sched_getscheduler(0) == before
+
+
+def test_without_permission_nothing_changes(monkeypatch):
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with real_time_priority() as given:
+        assert not given
