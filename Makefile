@@ -84,7 +84,7 @@ ci: ## run all steps of the continuous integration locally
 lock: ## update the dependency locks (needs uv)
 	$(COMPILE) --group build pyproject.toml -o requirements.lock
 	$(COMPILE) $(LOCKED_EXTRAS:%=--extra %) -c requirements.lock pyproject.toml -o requirements-extras.lock \
-		$$(sed -n 's/^\([a-z0-9-]*\)==.*/--no-emit-package \1/p' requirements.lock)
+		$$(sed -n "/== 'win32'/!s/^\([a-z0-9-]*\)==.*/--no-emit-package \1/p" requirements.lock)
 
 clean: ## remove build products and caches, except .venv
 	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
