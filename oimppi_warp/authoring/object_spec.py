@@ -40,7 +40,9 @@ class ShapeOptions:
         size: Height of a capital letter in its plane [m]; ``None``: 0.103, or less if a long word requires it.
         font: Name of an installed font, or path of a font file; ``None``: the built-in alphabet.
         scale: Unit of a mesh: mm, cm, m or inch; ``None``: metres.
-        lay: Pose of a mesh: its most stable one, or the one in which it was modelled.
+        lay: Pose of a mesh: its most stable one, its most stable one on a flat side, or the one in which it was
+            modelled.
+        wall: Thickness of the wall to give to an open mesh [m]; ``None``: its holes are closed.
     """
 
     mass: float | None = None
@@ -50,6 +52,7 @@ class ShapeOptions:
     font: str | None = None
     scale: str | None = None
     lay: Lay = "stable"
+    wall: float | None = None
 
     def given(self) -> dict[str, Any]:
         """Returns the options that were given, by name."""

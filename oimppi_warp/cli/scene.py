@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from oimppi_warp.scene import PushedObject
 
 _Unit = Literal["mm", "cm", "m", "inch"]
-_Lay = Literal["stable", "as-is"]
+_Lay = Literal["stable", "flat", "as-is"]
 
 
 def _taken_by(option: str, default: str) -> Callable[[str], str]:
@@ -69,7 +69,11 @@ class ObjectOptions:
     """Length unit of the mesh, which STL and OBJ files do not specify."""
 
     lay: Annotated[_Lay, arg(help_behavior_hint=_taken_by("lay", "stable"))] = "stable"
-    """Pose of the mesh on the table: its most stable pose (stable), or as modelled, with its z axis up (as-is)."""
+    """Pose of the mesh on the table: its most stable pose (stable), its most stable one on a flat side, in which it
+    does not roll (flat), or as modelled, with its z axis up (as-is)."""
+
+    wall: Annotated[float | None, arg(metavar="M", help_behavior_hint=_taken_by("wall", "holes are closed"))] = None
+    """Thickness of the wall to give to an open mesh, a shell without thickness [m]."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
     """Folder to write to; objects go to DIR/objects."""
@@ -89,6 +93,7 @@ class ObjectOptions:
             font=self.font,
             scale=self.scale,
             lay=self.lay,
+            wall=self.wall,
         )
 
 
@@ -161,6 +166,7 @@ class New(ObjectOptions):
             print(f"wrote {file}")
         body = written.scene.object
         print(_summary(obj.doc, body))
+        _warn_of_rolling(body)
         if can_tip(body):
             print(
                 f"a push higher than {1000 * tipping_height(body):.0f} mm above the table tips the object over, so "
@@ -209,13 +215,23 @@ class Import(ObjectOptions):
         file = write_object(obj, self.out, force=self.force, picture=True)
         print(f"wrote {file}")
         print(f"wrote {file.with_suffix('.png')}")
-        print(_summary(obj.doc, read_body(file)))
+        body = read_body(file)
+        print(_summary(obj.doc, body))
         for note in obj.notes if isinstance(obj, MeshObject) else ():
             print(f"  {note}")
+        _warn_of_rolling(body)
         out = [] if self.out == Path(".") else ["--out", str(self.out)]
         print("next:")
         print("  " + shlex.join(["oimppi", "scene", "new", f"push_{obj.name}", "--object", obj.name, *out]))
         return 0
+
+
+def _warn_of_rolling(body: PushedObject) -> None:
+    """Prints a warning about an object that rolls instead of sliding."""
+    from oimppi_warp.geometry.rolling import IN_WORDS, REMEDY, rolling
+
+    if rolls := rolling(body):
+        print(f"warning: {IN_WORDS[rolls]}, while the planner predicts sliding only\n  to do:   {REMEDY}")
 
 
 def _working(on: str) -> AbstractContextManager[object]:

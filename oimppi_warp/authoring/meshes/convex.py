@@ -13,10 +13,8 @@ import trimesh
 from scipy.spatial import KDTree
 from shapely.geometry.base import BaseGeometry
 
+from oimppi_warp.authoring.meshes.hulls import Hull, limited_hull
 from oimppi_warp.authoring.meshes.moments import moments, points_in_box
-
-Hull = tuple[np.ndarray, np.ndarray]
-"""Corners [n, 3] [m] and triangles [m, 3] of a convex piece."""
 
 THRESHOLDS = (0.05, 0.02)
 """Concavity thresholds for CoACD, coarse to fine; the first whose result is close enough is used."""
@@ -107,7 +105,7 @@ def _piece_budgets(solids: Sequence[trimesh.Trimesh]) -> list[int]:
 def _cut(solid: trimesh.Trimesh, threshold: float, max_pieces: int) -> list[Hull]:
     """Returns the convex pieces of one solid part."""
     if solid.is_convex or max_pieces == 1:
-        return [_hull(solid.vertices)]
+        return [limited_hull(solid.vertices, CORNERS)]
     parts = coacd.run_coacd(
         coacd.Mesh(solid.vertices, solid.faces),
         threshold=threshold,
@@ -117,7 +115,7 @@ def _cut(solid: trimesh.Trimesh, threshold: float, max_pieces: int) -> list[Hull
         seed=0,
     )
     solid_parts = [np.asarray(corners) for corners, _ in parts if _spans_volume(np.asarray(corners))]
-    return [_hull(corners) for corners in solid_parts] or [_hull(solid.vertices)]
+    return [limited_hull(corners, CORNERS) for corners in solid_parts] or [limited_hull(solid.vertices, CORNERS)]
 
 
 def _spans_volume(points: np.ndarray) -> bool:
@@ -203,17 +201,3 @@ def _depth(hull: Hull, points: np.ndarray) -> np.ndarray:
     shell = trimesh.Trimesh(*hull, process=False)
     inward = np.einsum("fi,fi->f", shell.face_normals, shell.triangles[:, 0]) - points @ shell.face_normals.T
     return inward.min(axis=1)
-
-
-def _hull(points: np.ndarray) -> Hull:
-    """Returns the convex hull of points, with its corners rounded as they are written.
-
-    A hull with more than :data:`CORNERS` corners is replaced by the hull of fewer of them, one per cell of a grid; it
-    shrinks by at most one cell.
-    """
-    hull = trimesh.convex.convex_hull(np.round(points, 5))
-    cell = 0.0005
-    while len(hull.vertices) > CORNERS:
-        _, kept = np.unique(np.round(hull.vertices / cell), axis=0, return_index=True)
-        hull, cell = trimesh.convex.convex_hull(hull.vertices[np.sort(kept)]), 1.5 * cell
-    return np.asarray(hull.vertices), np.asarray(hull.faces)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from oimppi_warp.authoring.meshes.convex import Fit, Hull, decompose
+from oimppi_warp.authoring.meshes.convex import Fit, decompose
+from oimppi_warp.authoring.meshes.hulls import Hull
 from oimppi_warp.authoring.meshes.moments import moments
 from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
 from oimppi_warp.authoring.meshes.read import read_surface
@@ -24,6 +25,7 @@ from oimppi_warp.authoring.prims import (
     physics_material,
 )
 from oimppi_warp.errors import SceneError
+from oimppi_warp.geometry.rolling import rolling_of_points
 
 STEEL: Color = (0.45, 0.47, 0.5)
 
@@ -82,8 +84,8 @@ class MeshObject:
 
     @property
     def yaw_matters(self) -> bool:
-        """Returns whether the object's yaw is visible."""
-        return True
+        """Returns whether the object's yaw is visible; that of a ball is not."""
+        return rolling_of_points(np.vstack([corners for corners, _ in self.hulls]) - self.center) != "every way"
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
         """Writes the object's display geometry below ``root``."""
@@ -113,6 +115,7 @@ def import_mesh(
     friction: float = FRICTION,
     scale: str | None = None,
     lay: Lay = "stable",
+    wall: float | None = None,
     color: Color = STEEL,
 ) -> MeshObject:
     """Imports a mesh as an object: closes it, lays it on the table and cuts it into convex pieces.
@@ -123,7 +126,9 @@ def import_mesh(
         mass: Mass [kg]; ``None``: that of wood of the same volume.
         friction: Coulomb coefficient with the table.
         scale: Unit of the mesh: mm, cm, m or inch; ``None``: metres.
-        lay: Pose on the table: ``"stable"`` (its most stable pose) or ``"as-is"`` (as modelled, z up).
+        lay: Pose on the table: ``"stable"`` (its most stable pose), ``"flat"`` (its most stable one in which it does
+            not roll) or ``"as-is"`` (as modelled, z up).
+        wall: Thickness of the wall to give to an open surface [m]; ``None``: its holes are closed.
         color: Red, green and blue, each from 0 to 1.
 
     Raises:
@@ -132,7 +137,7 @@ def import_mesh(
     """
     file = Path(file).expanduser()
     friction = checked_friction(friction)
-    found = read_surface(file, scale)
+    found = read_surface(file, scale, wall)
     surface = found.mesh
     done = lay_on_table(surface, lay, file)
     height = float(surface.extents[2])
