@@ -215,6 +215,14 @@ MESH = Shape(
     options=("scale", "lay", "wall"),
     noun="a mesh",
 )
+MJCF = Shape(
+    about="the rigid body in an MJCF file, with its defaults, includes and meshes",
+    make=deferred(f"{_AUTHORING}.objects.mjcf:import_mjcf"),
+    example="mug.xml",
+    files=(".xml", ".mjcf"),
+    options=("lay",),
+    noun="an MJCF file",
+)
 
 
 # Descriptions ------------------------------------------------------------------------------------------------------

@@ -40,7 +40,7 @@ def test_a_ball_is_imported_and_rolls_every_way(tmp_path, kind, capsys):
 @pytest.mark.parametrize("sections", [12, 32, 200])
 def test_a_rod_lies_down_however_finely_it_is_made_or_stands_if_asked(tmp_path, sections):
     rod = trimesh.creation.cylinder(0.015, 0.12, sections=sections)
-    rests = resting_poses(rod)
+    rests = resting_poses(rod, rod.center_mass)
     assert [rest.rolls for rest in rests] == ["one way", "", ""]
     assert rests[0].probability > 0.95
     file = saved(rod, tmp_path, "rod.stl")
@@ -63,7 +63,7 @@ def test_a_finely_meshed_solid_rests_on_one_of_its_own_faces():
     loaf.apply_scale((1.5, 1.0, 1.0))
     loaf = loaf.slice_plane((0.0, 0.0, -0.02), (0.0, 0.0, 1.0), cap=False).convex_hull
     loaf.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1.0, 2.0, 0.5)))
-    best = resting_poses(loaf)[0]
+    best = resting_poses(loaf, loaf.center_mass)[0]
     assert best.rolls == ""
     # the cut is a face of its own: on it, its points are level
     heights = loaf.vertices @ best.up
@@ -71,7 +71,7 @@ def test_a_finely_meshed_solid_rests_on_one_of_its_own_faces():
 
 
 def test_the_faces_of_a_box_are_ways_of_their_own():
-    rests = resting_poses(trimesh.creation.box((0.1, 0.05, 0.03)))
+    rests = resting_poses(trimesh.creation.box((0.1, 0.05, 0.03)), np.zeros(3))
     assert len(rests) == 6
     assert sum(rest.probability for rest in rests) == pytest.approx(1.0)
     assert np.abs(rests[0].up).tolist() == pytest.approx([0.0, 0.0, 1.0])

@@ -45,7 +45,9 @@ class Rest:
     rolls: Rolling
 
 
-def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
+def lay_on_table(
+    mesh: trimesh.Trimesh, how: Lay, file: Path, *, center: np.ndarray | None = None
+) -> tuple[np.ndarray, str]:
     """Turns a mesh into its pose on the table, and centres it: centre of mass on the z axis, origin at half its height.
 
     The most stable pose is the one in which it would most often come to rest if dropped (trimesh, after Goldberg et
@@ -57,16 +59,18 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
         how: ``"stable"`` for its most stable pose, ``"flat"`` for its most stable one in which it does not roll,
             ``"as-is"`` to keep its z axis up, as it was modelled.
         file: Source file, for error messages.
+        center: Centre of mass, shape [3] [m]; ``None``: that of the mesh at uniform density.
 
     Returns:
-        A description of the operation.
+        The motion, shape [4, 4], and a description of it.
 
     Raises:
         SceneError: The mesh cannot rest in this pose.
     """
-    done = "placed as it was modelled"
+    done, motion = "placed as it was modelled", np.eye(4)
+    center = moments(mesh).center if center is None else center
     if how == "as-is":
-        if not _is_stable(mesh):
+        if not _is_stable(mesh, center):
             raise SceneError(
                 "the object would fall over in this pose: its centre of mass is not above its support area",
                 file=file,
@@ -74,7 +78,7 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
                 fix="lay it in its most stable pose (--lay stable), or rotate it in your modelling program",
             )
     else:
-        rests = resting_poses(mesh)
+        rests = resting_poses(mesh, center)
         if how == "flat":
             rests = [rest for rest in rests if not rest.rolls]
         if not rests:
@@ -88,22 +92,30 @@ def lay_on_table(mesh: trimesh.Trimesh, how: Lay, file: Path) -> str:
         turn = np.eye(4)
         turn[:3, :3] = rotation_matrix(z_to(rest.up)).T
         mesh.apply_transform(turn)
-        mesh.apply_transform(_along_axes(mesh))
+        straight = _along_axes(mesh)
+        mesh.apply_transform(straight)
+        motion = straight @ turn
         tilt = np.degrees(np.arccos(np.clip(turn[2, 2], -1.0, 1.0)))
         which = "most stable pose" if how == "stable" else "most stable pose on a flat side"
         done = f"placed in its {which} ({100 * rest.probability:.0f} % of drops)"
         done += f", tilted by {tilt:.0f} degrees" if tilt > 1.0 else ", as it was modelled"
-    (low, high), center = mesh.bounds, moments(mesh).center
-    mesh.apply_translation([-center[0], -center[1], -(low[2] + high[2]) / 2])
-    return done
+    (low, high), (x, y, _) = mesh.bounds, motion[:3, :3] @ center
+    move = np.eye(4)
+    move[:3, 3] = -x, -y, -(low[2] + high[2]) / 2
+    mesh.apply_transform(move)
+    return move @ motion, done
 
 
-def resting_poses(mesh: trimesh.Trimesh) -> list[Rest]:
+def resting_poses(mesh: trimesh.Trimesh, center: np.ndarray) -> list[Rest]:
     """Returns the ways in which a mesh comes to rest, the likeliest first.
 
     A round side is one of them, however many faces it is made of.
+
+    Args:
+        mesh: A closed surface [m].
+        center: Its centre of mass, shape [3] [m].
     """
-    center, hull = moments(mesh).center, mesh.convex_hull
+    hull = mesh.convex_hull
     coarse = hull
     if len(hull.faces) > _HULL_FACES:
         corners, faces = limited_hull(hull.vertices, _HULL_FACES // 2)
@@ -155,8 +167,8 @@ def _along_axes(mesh: trimesh.Trimesh) -> np.ndarray:
     return trimesh.transformations.rotation_matrix(-(angle - np.pi / 2 * np.round(angle / (np.pi / 2))), [0, 0, 1])
 
 
-def _is_stable(mesh: trimesh.Trimesh) -> bool:
+def _is_stable(mesh: trimesh.Trimesh, center: np.ndarray) -> bool:
     """Returns whether the centre of mass lies above the hull of the points that touch the table."""
     low = mesh.vertices[mesh.vertices[:, 2] < mesh.bounds[0, 2] + 1e-4]
     hull = MultiPoint(low[:, :2]).convex_hull
-    return hull.geom_type == "Polygon" and bool(shapely.contains_xy(hull, *moments(mesh).center[:2]))
+    return hull.geom_type == "Polygon" and bool(shapely.contains_xy(hull, *center[:2]))

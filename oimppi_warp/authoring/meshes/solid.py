@@ -139,15 +139,8 @@ def import_mesh(
     friction = checked_friction(friction)
     found = read_surface(file, scale, wall)
     surface = found.mesh
-    done = lay_on_table(surface, lay, file)
-    height = float(surface.extents[2])
-    if height < LOWEST:
-        raise SceneError(
-            f"the object is too flat for the stick: {1000 * height:.1f} mm high in this pose",
-            file=file,
-            allowed=f"{1000 * LOWEST:.0f} mm or more",
-            fix="make the part thicker, or stand it up in your modelling program and use --lay as-is",
-        )
+    _, done = lay_on_table(surface, lay, file)
+    check_height(file, float(surface.extents[2]))
     solid = moments(surface)
     weight = checked_mass(mass, solid.volume)
     hulls, fit = decompose(surface)
@@ -167,6 +160,25 @@ def import_mesh(
         notes=(*found.notes, done, pieces),
         color=color,
     )
+
+
+def check_height(file: Path, height: float) -> None:
+    """Checks that an object is high enough for the stick.
+
+    Args:
+        file: Its file, for the error.
+        height: Its height in its pose on the table [m].
+
+    Raises:
+        SceneError: It is too flat.
+    """
+    if height < LOWEST:
+        raise SceneError(
+            f"the object is too flat for the stick: {1000 * height:.1f} mm high in this pose",
+            file=file,
+            allowed=f"{1000 * LOWEST:.0f} mm or more",
+            fix="make the part thicker, or stand it up in your modelling program and use --lay as-is",
+        )
 
 
 def plain_name(text: str) -> str:
