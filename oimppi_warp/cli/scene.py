@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -148,15 +148,16 @@ class New(ObjectOptions):
         start, goal = checked_pose("--start", self.start), checked_pose("--goal", self.goal)
         options = self.shape_options()
         check_used(options, (self.object, *self.obstacle))
-        with _working("making the object"):
+        with _working():
             obj = parse_object(self.object, options, folder=self.out)
+            obstacles = parse_obstacles(self.obstacle, options, folder=self.out)
         task = Task(
             name=self.name.removesuffix(".usda"),
             title=self.title or f"Push {_with_article(obj.doc)} to its goal",
             object=obj,
             start=start,
             goal=goal,
-            obstacles=parse_obstacles(self.obstacle, options, folder=self.out),
+            obstacles=obstacles,
             tolerance=PAPER if obj.yaw_matters else (PAPER[0], math.inf),
             tight=(0.05, 0.1 if obj.yaw_matters else math.inf),
             robot=self.robot,
@@ -166,6 +167,9 @@ class New(ObjectOptions):
             print(f"wrote {file}")
         body = written.scene.object
         print(_summary(obj.doc, body))
+        for note in getattr(obj, "notes", ()):
+            if note.startswith("warning"):
+                print(note)
         _warn_of_rolling(body)
         if can_tip(body):
             print(
@@ -183,9 +187,9 @@ class New(ObjectOptions):
 class Import(ObjectOptions):
     """Convert a mesh to an object: close it, lay it on the table, split it into convex pieces, and render a picture.
 
-    The deviation of the pieces from the mesh is reported, and a mesh that cannot be pushed is rejected with the reason.
-    Other shapes, such as letter:X or text:WORD, are accepted as well. Exit status: 0, or 2 for an unusable mesh or bad
-    input.
+    The deviation of the pieces from the mesh is reported, with a warning if it is large, and a mesh that cannot be
+    pushed is rejected with the reason. The rigid body in an MJCF file is converted as well, and so are other shapes,
+    such as letter:X or text:WORD. Exit status: 0, or 2 for an unusable file or bad input.
 
     For example:
 
@@ -193,7 +197,7 @@ class Import(ObjectOptions):
     """
 
     source: Annotated[Positional[str], arg(metavar="MESH")]
-    """STL, OBJ, GLB, PLY or OFF file, or any other object listed by `oimppi scene new --help`."""
+    """STL, OBJ, GLB, PLY or OFF file, MJCF file, or any other object listed by `oimppi scene new --help`."""
 
     name: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: the file's name)")] = None
     """Name of the object; DIR/objects/NAME.usda is written."""
@@ -208,7 +212,7 @@ class Import(ObjectOptions):
         from oimppi_warp.authoring.project import write_object
 
         check_used(self.shape_options(), (self.source,))
-        with _working("making the object"):
+        with _working():
             obj = parse_object(self.source, self.shape_options())
         if self.name is not None:
             obj = replace(obj, name=plain_name(self.name))  # pyright: ignore[reportArgumentType]
@@ -234,11 +238,20 @@ def _warn_of_rolling(body: PushedObject) -> None:
         print(f"warning: {IN_WORDS[rolls]}, while the planner predicts sliding only\n  to do:   {REMEDY}")
 
 
-def _working(on: str) -> AbstractContextManager[object]:
-    """Returns a context in which a status message is shown, if stderr is a terminal."""
+@contextmanager
+def _working() -> Iterator[None]:
+    """Returns a context in which a progress bar is shown while an object is made, if stderr is a terminal."""
     from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    return Console(stderr=True).status(on)
+    from oimppi_warp.authoring.meshes.progress import listening
+
+    columns = (BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("making the object", total=1.0)
+        with listening(lambda doing, share: bar.update(task, description=doing, completed=share)):
+            yield
 
 
 def _summary(doc: str, body: PushedObject) -> str:

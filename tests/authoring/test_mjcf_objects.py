@@ -126,6 +126,11 @@ REFUSED = {
         "nothing in the file collides",
     ),
     "a world of geoms without a mass": (f"<mujoco><worldbody>{BOX}</worldbody></mujoco>", "the body has no mass"),
+    "a centre of mass that is elsewhere": (
+        '<mujoco><worldbody><body><inertial pos="0.2 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
+        '<geom size="0.04"/></body></worldbody></mujoco>',
+        "its centre of mass is not within its convex hull",
+    ),
     "a house": ('<mujoco><worldbody><body><geom type="box" size="5 5 5"/></body></worldbody></mujoco>', "too large"),
     "a crumb": ('<mujoco><worldbody><body><geom size="0.001"/></body></worldbody></mujoco>', "too small"),
     "no friction": (

@@ -13,7 +13,8 @@ _SAME_ANGLE = 1e-6  # for faces of a wall to count as back to back [rad]
 def merged(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Returns the mesh itself, with duplicate vertices merged and degenerate faces removed."""
     mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=7)
-    mesh.update_faces(mesh.nondegenerate_faces())
+    if len(mesh.faces):
+        mesh.update_faces(mesh.nondegenerate_faces())
     mesh.remove_unreferenced_vertices()
     return mesh
 

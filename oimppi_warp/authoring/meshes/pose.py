@@ -27,6 +27,7 @@ _ALIKE = 0.9  # poses with at least this share of the best one's probability cou
 _ROLLING_ANGLE, _ROLLING_HEIGHT = np.radians(31.0), 0.03
 """Two resting poses are one, on a round side, if the object is turned by less and lifted by less from one to the other:
 angle [rad], and relative change of the centre of mass's height."""
+_INSIDE = 1e-4  # least depth of the centre of mass within the hull [m]
 _HULL_FACES = 400  # a hull of more faces is simplified to find the poses
 
 
@@ -81,6 +82,13 @@ def lay_on_table(
         rests = resting_poses(mesh, center)
         if how == "flat":
             rests = [rest for rest in rests if not rest.rolls]
+        if not rests and how == "stable":
+            raise SceneError(
+                "the object has no pose of rest: its centre of mass is not within its convex hull",
+                file=file,
+                allowed="a centre of mass inside the object",
+                fix="correct the centre of mass, or the size of the shapes",
+            )
         if not rests:
             raise SceneError(
                 "the object has no flat side to rest on",
@@ -113,9 +121,11 @@ def resting_poses(mesh: trimesh.Trimesh, center: np.ndarray) -> list[Rest]:
 
     Args:
         mesh: A closed surface [m].
-        center: Its centre of mass, shape [3] [m].
+        center: Its centre of mass, shape [3] [m]; there is no resting pose if it is not inside the convex hull.
     """
     hull = mesh.convex_hull
+    if depth_within(hull, center) < _INSIDE:
+        return []
     coarse = hull
     if len(hull.faces) > _HULL_FACES:
         corners, faces = limited_hull(hull.vertices, _HULL_FACES // 2)
@@ -138,6 +148,11 @@ def resting_poses(mesh: trimesh.Trimesh, center: np.ndarray) -> list[Rest]:
         turned = points @ rotation_matrix(z_to(up))
         found.append(Rest(up, float(probabilities[members].sum()), rolling_of_points(turned)))
     return sorted(found, key=lambda rest: -rest.probability)
+
+
+def depth_within(hull: trimesh.Trimesh, point: np.ndarray) -> float:
+    """Returns the depth of a point [3] within a convex hull [m]; negative outside."""
+    return float(np.einsum("fi,fi->f", hull.triangles[:, 0] - point, hull.face_normals).min())
 
 
 def _best(rests: list[Rest]) -> Rest:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +13,7 @@ import numpy as np
 import trimesh
 
 from oimppi_warp.authoring.meshes.formats import MESHES
+from oimppi_warp.authoring.meshes.orient import orient
 from oimppi_warp.authoring.meshes.parts import cleaned, merged
 from oimppi_warp.authoring.meshes.sides import one_side, thickened
 from oimppi_warp.errors import ConfigError, SceneError
@@ -79,6 +83,8 @@ def read_surface(file: str | Path, scale: str | None = None, wall: float | None 
     _check_size(file, mesh, scale)
     mesh.apply_scale(UNITS[scale or "m"])
     mesh = merged(mesh)
+    if not len(mesh.faces):
+        raise _flat_error(file, "all of its faces are degenerate")
     single = None if mesh.is_watertight else one_side(mesh)
     mesh = cleaned(mesh if single is None else single)
     notes = [] if single is None else ["double-sided: each face was listed for both sides, and now counts once"]
@@ -118,7 +124,8 @@ def _read(file: Path) -> trimesh.Trimesh:
             f"the extension ({file.suffix or 'none'}) is not that of a mesh", file=file, allowed=formats, fix=fix
         )
     try:
-        mesh = trimesh.load_scene(str(file)).to_mesh()
+        with _silent():
+            mesh = trimesh.load_scene(str(file)).to_mesh()
     except Exception as error:  # readers of a dozen formats raise many kinds of exceptions
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise SceneError(f"the mesh cannot be read ({reason})", file=file, allowed=formats) from None
@@ -127,6 +134,9 @@ def _read(file: Path) -> trimesh.Trimesh:
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
         what = "the mesh has no faces" if not len(mesh.faces) else "the mesh has vertices that are not finite"
         raise SceneError(what, file=file, allowed="triangles that enclose a volume")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        what = "the mesh has faces whose corners do not exist"
+        raise SceneError(what, file=file, allowed=f"corners from 0 to {len(mesh.vertices) - 1}", fix="export it again")
     if len(mesh.faces) > FACES:
         raise SceneError(
             f"the mesh has {len(mesh.faces)} triangles",
@@ -135,6 +145,19 @@ def _read(file: Path) -> trimesh.Trimesh:
             fix="export it at a lower resolution, or decimate it: an accuracy of 0.5 mm is sufficient",
         )
     return mesh
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Returns a context in which trimesh logs nothing: it logs the tracebacks of what it tries."""
+    log = logging.getLogger("trimesh")
+    before, log.disabled = log.disabled, True
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.disabled = before
 
 
 def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
@@ -181,7 +204,7 @@ def _with_wall(file: Path, mesh: trimesh.Trimesh, wall: float) -> trimesh.Trimes
             allowed="--wall with an open surface only",
             fix="leave out --wall",
         )
-    trimesh.repair.fix_winding(mesh)
+    orient(mesh)
     rim = mesh.edges[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]
     if len(rim):  # the inner side is the one that closing the rim would enclose
         a, b, c = np.moveaxis(mesh.triangles - mesh.vertices[rim.ravel()].mean(axis=0), 1, 0)
@@ -194,7 +217,7 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
     """Closes the surface and returns a list of the changes made."""
     notes: list[str] = []
     if not mesh.is_winding_consistent:
-        trimesh.repair.fix_winding(mesh)
+        orient(mesh)
         notes.append("inconsistently oriented faces were flipped")
     if not mesh.is_watertight:
         area, holes = float(mesh.area), _hole_count(mesh)
@@ -234,7 +257,7 @@ def _stitch(mesh: trimesh.Trimesh) -> None:
     """Closes the larger holes with fans of triangles."""
     with suppress(ValueError):  # no rim forms a closed loop: the mesh stays open
         mesh.faces = np.vstack([mesh.faces, trimesh.repair.stitch(mesh)])
-    trimesh.repair.fix_winding(mesh)
+    orient(mesh)
 
 
 def _open_error(file: Path, what: str) -> SceneError:

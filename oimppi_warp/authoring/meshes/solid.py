@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from oimppi_warp.authoring.meshes.convex import Fit, decompose
+from oimppi_warp.authoring.meshes.convex import FAR_OFF, Fit, decompose
 from oimppi_warp.authoring.meshes.hulls import Hull
 from oimppi_warp.authoring.meshes.moments import moments
 from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
+from oimppi_warp.authoring.meshes.progress import report
 from oimppi_warp.authoring.meshes.read import read_surface
 from oimppi_warp.authoring.objects.outlines import FRICTION, checked_friction, checked_mass
 from oimppi_warp.authoring.prims import (
@@ -137,13 +138,20 @@ def import_mesh(
     """
     file = Path(file).expanduser()
     friction = checked_friction(friction)
+    report("reading the mesh", 0.0)
     found = read_surface(file, scale, wall)
     surface = found.mesh
+    report("laying it on the table", 0.15)
     _, done = lay_on_table(surface, lay, file)
     check_height(file, float(surface.extents[2]))
     solid = moments(surface)
     weight = checked_mass(mass, solid.volume)
-    hulls, fit = decompose(surface)
+    try:
+        hulls, fit = decompose(
+            surface, progress=lambda share: report("cutting it into convex pieces", 0.2 + 0.8 * share)
+        )
+    except SceneError as error:
+        raise SceneError(error.what, file=file, allowed=error.allowed, fix=error.fix) from None
     size = " x ".join(f"{side:.3g}" for side in surface.extents)
     pieces = f"{len(hulls)} convex piece{'' if len(hulls) == 1 else 's'}: {fit}"
     shown = ((np.asarray(surface.vertices), np.asarray(surface.faces)),) if len(surface.faces) <= DISPLAY_FACES else ()
@@ -157,8 +165,19 @@ def import_mesh(
         center=solid.center,
         inertia=weight * solid.inertia,
         fit=fit,
-        notes=(*found.notes, done, pieces),
+        notes=(*found.notes, done, pieces, *_far_off(fit)),
         color=color,
+    )
+
+
+def _far_off(fit: Fit) -> tuple[str, ...]:
+    """Returns a warning about pieces that are far from the mesh, as notes."""
+    if not fit.is_far_off:
+        return ()
+    percent, mm = 100 * FAR_OFF[0], 1000 * FAR_OFF[2]
+    return (
+        f"warning: the pieces are not the mesh: {fit}; allowed are {percent:g} % and {mm:g} mm\n"
+        "    to do: fill cavities that the arm cannot reach, cut the part into simpler meshes, or model it coarsely",
     )
 
 
