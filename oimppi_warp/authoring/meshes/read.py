@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 
 from oimppi_warp.authoring.meshes.formats import MESHES
+from oimppi_warp.authoring.meshes.holes import fill_holes
 from oimppi_warp.authoring.meshes.orient import orient
 from oimppi_warp.authoring.meshes.parts import cleaned, merged
 from oimppi_warp.authoring.meshes.sides import one_side, thickened
@@ -221,17 +222,14 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
         notes.append("inconsistently oriented faces were flipped")
     if not mesh.is_watertight:
         area, holes = float(mesh.area), _hole_count(mesh)
-        if holes:
-            trimesh.repair.fill_holes(mesh)
-        if not mesh.is_watertight:
-            if not _hole_count(mesh):
-                raise SceneError(
-                    "the mesh is not manifold: some edges are shared by more than two faces",
-                    file=file,
-                    allowed="a mesh whose edges each belong to at most two faces",
-                    fix=_MAKE_SOLID,
-                )
-            _stitch(mesh)
+        if not holes:
+            raise SceneError(
+                "the mesh is not manifold: some edges are shared by more than two faces",
+                file=file,
+                allowed="a mesh whose edges each belong to at most two faces",
+                fix=_MAKE_SOLID,
+            )
+        fill_holes(mesh)
         share = 1.0 - area / float(mesh.area)
         missing = (
             f"{_count_text(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of the surface"
@@ -251,13 +249,6 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
         )
     trimesh.repair.fix_inversion(mesh, multibody=mesh.body_count > 1)
     return notes
-
-
-def _stitch(mesh: trimesh.Trimesh) -> None:
-    """Closes the larger holes with fans of triangles."""
-    with suppress(ValueError):  # no rim forms a closed loop: the mesh stays open
-        mesh.faces = np.vstack([mesh.faces, trimesh.repair.stitch(mesh)])
-    orient(mesh)
 
 
 def _open_error(file: Path, what: str) -> SceneError:
