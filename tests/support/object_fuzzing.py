@@ -17,7 +17,7 @@ from pathlib import Path
 
 from support.fuzzing import MARK, MOST, NUMBERS, TOKEN, Outcome
 
-LIMIT = 30.0
+LIMIT = 60.0
 """Time that one file may take [s]."""
 
 ENDINGS = ("obj", "ply", "stl", "glb", "off", "xml", "usda")
