@@ -60,7 +60,7 @@ def rolling_of_points(points: np.ndarray, radii: np.ndarray | float = 0.0) -> Ro
     radii = np.broadcast_to(radii, len(points))
     now = float((radii - points[:, 2]).max())
     heights = np.stack([(points @ way.T + radii[:, None]).max(axis=0) for way in down])
-    ways = (np.abs(heights / now - 1.0) <= LEVEL).all(axis=0)
+    ways = np.asarray((np.abs(heights / now - 1.0) <= LEVEL).all(axis=0))
     if ways.all():
         return "every way"
-    return "one way" if (ways & np.roll(ways, len(ways) // 2)).any() else ""
+    return "one way" if (ways & np.roll(ways, ways.size // 2)).any() else ""

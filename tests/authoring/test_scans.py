@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import os
 
 import numpy as np
 import pytest
@@ -22,16 +22,22 @@ LONGEST = 20.0
 """Time that an import may take [s]."""
 
 
+def _computing_time() -> float:
+    """Time that this process and those that it started have computed [s]."""
+    return sum(os.times()[:4])
+
+
 @pytest.mark.parametrize("kind", ["banana", *(pytest.param(k, marks=pytest.mark.slow) for k in SCANS if k != "banana")])
 def test_a_scan_is_imported_within_twenty_seconds_and_what_is_far_off_is_said(tmp_path, kind):
     file = saved(scan(kind), tmp_path, f"{kind}.ply")
-    began, shares = time.monotonic(), [0.0]
+    began, shares = _computing_time(), [0.0]
     with listening(lambda _, share: shares.append(share)):
         solid = import_mesh(file)
-    assert time.monotonic() - began < LONGEST
+    assert _computing_time() - began < LONGEST
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert any(note.startswith("closed") for note in solid.notes)
+    assert not solid.fit.stopped
     assert solid.fit.is_far_off == any(note.startswith("warning: the pieces") for note in solid.notes)
 
 
@@ -43,13 +49,12 @@ def test_a_fit_is_far_off_from_ten_percent_or_five_millimetres_on():
 
 
 def test_where_time_runs_out_the_hull_is_used_and_the_figures_are_given(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(convex, "SECONDS", 0.0)
-    monkeypatch.setattr(convex.decompose, "__kwdefaults__", convex.decompose.__kwdefaults__ | {"seconds": 0.0})
+    monkeypatch.setattr(convex.decompose, "__kwdefaults__", convex.decompose.__kwdefaults__ | {"seconds": 1e-6})
     file = saved(bracket(), tmp_path, "l.stl")
     assert main(["scene", "import", str(file), "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "one convex piece" in out
-    assert "warning: the pieces are not the mesh: volume +" in out
+    assert "warning: the pieces are not the mesh (cutting it was stopped after 11 s of computing): volume +" in out
     assert main(["scene", "new", "mine", "--object", str(file), "--out", str(tmp_path)]) == 0
     assert "warning: the pieces are not the mesh" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""Runs CoACD in a process of its own until it is done or its time is over."""
+"""Runs CoACD in a process of its own until it is done or its computing time is over."""
 
 from __future__ import annotations
 
@@ -19,24 +19,28 @@ from oimppi_warp.compute.step import core_count
 from oimppi_warp.errors import SceneError
 
 _EVERY = 0.1  # how often to look whether it is done [s]
+_LONGEST = 20.0  # a process that waits longer than this many times its computing time is stuck
 
 
 def run_coacd(
     solids: Sequence[trimesh.Trimesh],
     options: Sequence[Mapping[str, Any]],
-    ends: float,
+    seconds: float,
     waiting: Callable[[float], None] = lambda _: None,
-) -> list[list[np.ndarray]] | None:
-    """Cuts solids into convex pieces, or returns ``None`` if that takes too long.
+) -> tuple[list[list[np.ndarray]] | None, float]:
+    """Cuts solids into convex pieces, unless that takes too long.
+
+    Computing time is limited, not time on the clock, so that a busy machine gives the same pieces.
 
     Args:
         solids: Closed surfaces [m].
         options: CoACD's options for each.
-        ends: Time by ``time.monotonic`` until which it may take [s].
-        waiting: Called again and again with the time that is left [s].
+        seconds: Computing time that it may take [s].
+        waiting: Called again and again with the computing time that it took so far [s].
 
     Returns:
-        The corners of each solid's pieces, shape [n, 3] [m] each.
+        The corners of each solid's pieces, shape [n, 3] [m] each, or ``None`` if it took too long; and the computing
+        time [s].
 
     Raises:
         SceneError: CoACD failed.
@@ -52,11 +56,13 @@ def run_coacd(
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
         settings = os.environ | {"OMP_NUM_THREADS": str(core_count()), "PYTHONPATH": path}
         process = subprocess.Popen(command, env=settings, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        began, used = time.monotonic(), 0.0
         try:
             while process.poll() is None:
-                if time.monotonic() > ends:
-                    return None
-                waiting(ends - time.monotonic())
+                used = max(used, _computed(process.pid))
+                if used > seconds or time.monotonic() - began > _LONGEST * seconds:
+                    return None, used
+                waiting(used)
                 time.sleep(_EVERY)
         finally:
             if process.poll() is None:
@@ -76,4 +82,13 @@ def run_coacd(
                     key=lambda name: int(name.rpartition("_")[2]),
                 )
                 found.append([pieces[name] for name in names])
-        return found
+        return found, used
+
+
+def _computed(process: int) -> float:
+    """Returns the computing time of a running process [s]; 0 once it has ended."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")  # in user and in system mode

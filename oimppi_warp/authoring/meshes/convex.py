@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
+import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -38,7 +38,7 @@ QUICK = {"preprocess_mode": "off", "mcts_iterations": 40, "mcts_nodes": 10, "res
 are tried."""
 
 SECONDS = 11.0
-"""Time that cutting may take in all [s]; then the best pieces found so far are used."""
+"""Computing time that cutting may take in all [s]; then the best pieces found so far are used."""
 
 _FINER = 2.0  # how much longer the next finer threshold takes, at least
 _FLAT = 1e-4
@@ -75,11 +75,13 @@ class Fit:
         footprint: Area of the table covered by only one of the two, relative to the mesh's.
         distance: Sampled Hausdorff distance [m]: from the mesh's surface to the pieces, or from parts of them that
             protrude to the mesh. Slits between pieces inside the mesh do not count, as nothing can enter them.
+        stopped: Whether the pieces are whole parts, since cutting them took too long.
     """
 
     volume: float
     footprint: float
     distance: float
+    stopped: bool = False
 
     @property
     def is_close(self) -> bool:
@@ -112,7 +114,7 @@ def decompose(
     Args:
         mesh: A closed surface [m].
         progress: Called with the share of the time that is over, from 0 to 1.
-        seconds: Time that the cutting may take [s].
+        seconds: Computing time that the cutting may take [s].
 
     Returns:
         The pieces, and how closely they match the mesh.
@@ -125,23 +127,28 @@ def decompose(
         Job(solid if len(solid.faces) <= FINE else coarsened(solid, COARSE), pieces, len(solid.faces) > FINE)
         for solid, pieces in zip(solids, _piece_budgets(solids), strict=True)
     ]
-    target, best = Target.of(mesh), None
-    ends = time.monotonic() + seconds
+    target, best, before = Target.of(mesh), None, 0.0
     for threshold in THRESHOLDS:
-        began = time.monotonic()
-        hulls = _cut(jobs, threshold, ends, lambda left: progress(1.0 - left / seconds))
+        share = functools.partial(_share, progress, before, seconds)
+        hulls, used = _cut(jobs, threshold, seconds - before, share)
+        before += used
         if hulls is None:
             break
         fit = target.fit(hulls)
         if best is None or fit.footprint + fit.distance < best[1].footprint + best[1].distance:
             best = hulls, fit
-        if fit.is_close or len(hulls) >= PIECES or time.monotonic() + _FINER * (time.monotonic() - began) > ends:
+        if fit.is_close or len(hulls) >= PIECES or before + _FINER * used > seconds:
             break
     if best is None:  # nothing was found in time
         hulls = tuple(limited_hull(solid.vertices, CORNERS) for solid in solids)
-        best = hulls, target.fit(hulls)
+        best = hulls, replace(target.fit(hulls), stopped=True)
     progress(1.0)
     return best
+
+
+def _share(progress: Callable[[float], None], before: float, seconds: float, used: float) -> None:
+    """Tells the progress that a time [s] makes of all, after the time of what was done before [s]."""
+    progress(min((before + used) / max(seconds, 1e-9), 1.0))
 
 
 def _piece_budgets(solids: Sequence[trimesh.Trimesh]) -> list[int]:
@@ -153,27 +160,29 @@ def _piece_budgets(solids: Sequence[trimesh.Trimesh]) -> list[int]:
     return budgets.tolist()
 
 
-def _cut(jobs: list[Job], threshold: float, ends: float, waiting: Callable[[float], None]) -> tuple[Hull, ...] | None:
-    """Returns the convex pieces of all parts, or ``None`` if that takes too long.
+def _cut(
+    jobs: list[Job], threshold: float, seconds: float, waiting: Callable[[float], None]
+) -> tuple[tuple[Hull, ...] | None, float]:
+    """Returns the convex pieces of all parts, or ``None`` if that takes too long, and the computing time [s].
 
     Args:
         jobs: The parts.
         threshold: Concavity threshold.
-        ends: Time by ``time.monotonic`` until which it may take [s].
-        waiting: Called again and again with the time that is left [s].
+        seconds: Computing time that it may take [s].
+        waiting: Called again and again with the computing time that it took so far [s].
     """
     hard = [job for job in jobs if not job.solid.is_convex and job.pieces > 1]
     options = [{"threshold": threshold, "max_convex_hull": job.pieces, "seed": 0} for job in hard]
     options = [each | QUICK if job.reduced else each for each, job in zip(options, hard, strict=True)]
-    found = run_coacd([job.solid for job in hard], options, ends, waiting) if hard else []
+    found, used = run_coacd([job.solid for job in hard], options, seconds, waiting) if hard else ([], 0.0)
     if found is None:
-        return None
+        return None, used
     by_job = {id(job): pieces for job, pieces in zip(hard, found, strict=True)}
     hulls: list[Hull] = []
     for job in jobs:
         pieces = [corners for corners in by_job.get(id(job), []) if _spans_volume(corners)]
         hulls += [limited_hull(corners, CORNERS) for corners in pieces or [job.solid.vertices]]
-    return tuple(hulls)
+    return tuple(hulls), used
 
 
 def _spans_volume(points: np.ndarray) -> bool:

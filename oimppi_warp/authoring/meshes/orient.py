@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_matrix
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 
@@ -23,8 +23,8 @@ def orient(mesh: trimesh.Trimesh) -> None:
     (one, other), (a, b) = mesh.face_adjacency[first_time].T, mesh.face_adjacency_edges[first_time].T
     agree = _runs_along(mesh.faces[one], a, b) != _runs_along(mesh.faces[other], a, b)
     weights = np.where(agree, 1, 2)
-    graph = coo_matrix((weights, (one, other)), shape=(count, count)).tocsr()
-    graph = graph.maximum(graph.T)
+    both = np.r_[one, other], np.r_[other, one]
+    graph = csr_matrix((np.r_[weights, weights], both), shape=(count, count))
     number, parts = connected_components(graph, directed=False)
     flipped = np.zeros(count, dtype=bool)
     for first in np.unique(parts, return_index=True)[1] if number > 1 else [0]:

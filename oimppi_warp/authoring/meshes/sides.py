@@ -53,7 +53,7 @@ def _opposites(mesh: trimesh.Trimesh) -> np.ndarray:
     near = _NEAR * float(np.linalg.norm(mesh.extents))
     _, candidates = KDTree(centers).query(centers, k=min(_CANDIDATES, len(centers)))
     found = np.full(len(centers), -1)
-    for other in candidates.T[::-1]:  # the nearest last: it overwrites the others
+    for other in np.asarray(candidates).T[::-1]:  # the nearest last: it overwrites the others
         back = np.einsum("fi,fi->f", normals, normals[other]) < _FOLDED + 1e-4
         level = np.abs(np.einsum("fi,fi->f", centers - centers[other], normals)) < near
         rows = np.flatnonzero(back & level)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from oimppi_warp.authoring.meshes.convex import FAR_OFF, Fit, decompose
+from oimppi_warp.authoring.meshes.convex import FAR_OFF, SECONDS, Fit, decompose
 from oimppi_warp.authoring.meshes.hulls import Hull
 from oimppi_warp.authoring.meshes.moments import moments
 from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
@@ -175,8 +175,9 @@ def _far_off(fit: Fit) -> tuple[str, ...]:
     if not fit.is_far_off:
         return ()
     percent, mm = 100 * FAR_OFF[0], 1000 * FAR_OFF[2]
+    why = f" (cutting it was stopped after {SECONDS:g} s of computing)" if fit.stopped else ""
     return (
-        f"warning: the pieces are not the mesh: {fit}; allowed are {percent:g} % and {mm:g} mm\n"
+        f"warning: the pieces are not the mesh{why}: {fit}; allowed are {percent:g} % and {mm:g} mm\n"
         "    to do: fill cavities that the arm cannot reach, cut the part into simpler meshes, or model it coarsely",
     )
 
