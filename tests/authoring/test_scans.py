@@ -54,7 +54,7 @@ def test_where_time_runs_out_the_hull_is_used_and_the_figures_are_given(tmp_path
     assert main(["scene", "import", str(file), "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "one convex piece" in out
-    assert "warning: the pieces are not the mesh (cutting it was stopped after 11 s of computing): volume +" in out
+    assert "warning: the pieces are not the mesh (cutting it was stopped after 13 s of computing): volume +" in out
     assert main(["scene", "new", "mine", "--object", str(file), "--out", str(tmp_path)]) == 0
     assert "warning: the pieces are not the mesh" in capsys.readouterr().out
 

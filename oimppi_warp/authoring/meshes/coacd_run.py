@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from oimppi_warp.compute.step import core_count
 from oimppi_warp.errors import SceneError
 
 _EVERY = 0.1  # how often to look whether it is done [s]
@@ -54,7 +53,7 @@ def run_coacd(
         command = [sys.executable, "-m", module, str(source), str(target), json.dumps([dict(o) for o in options])]
         root = str(Path(__file__).resolve().parents[3])
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
-        settings = os.environ | {"OMP_NUM_THREADS": str(core_count()), "PYTHONPATH": path}
+        settings = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": path}  # more would wait in vain, and count
         process = subprocess.Popen(command, env=settings, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         began, used = time.monotonic(), 0.0
         try:

@@ -33,11 +33,11 @@ PIECES, CORNERS = 32, 200
 FINE, COARSE = 6000, 3000
 """A part with more triangles, a scan, is reduced to fewer before it is cut: cutting it directly would take minutes."""
 
-QUICK = {"preprocess_mode": "off", "mcts_iterations": 40, "mcts_nodes": 10, "resolution": 1000}
+QUICK = {"preprocess_mode": "off", "mcts_iterations": 25, "mcts_nodes": 10, "resolution": 1000}
 """CoACD's options for such a part: it is cut as it is, not remeshed on a grid, which would thicken it, and fewer cuts
 are tried."""
 
-SECONDS = 11.0
+SECONDS = 13.0
 """Computing time that cutting may take in all [s]; then the best pieces found so far are used."""
 
 _FINER = 2.0  # how much longer the next finer threshold takes, at least
