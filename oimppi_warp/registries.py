@@ -69,6 +69,7 @@ SHAPES: Registry[Any] = Registry(
         "cylinder": "oimppi_warp.authoring.named_shapes:CYLINDER",
         "prism": "oimppi_warp.authoring.named_shapes:PRISM",
         "mesh": "oimppi_warp.authoring.named_shapes:MESH",
+        "mjcf": "oimppi_warp.authoring.named_shapes:MJCF",
     },
 )
 """Named shapes of objects and obstacles, such as ``letter:S`` (:class:`oimppi_warp.authoring.named_shapes.Shape`)."""

@@ -57,7 +57,7 @@ class Shape:
         parameters: Meaning of the numbers; empty: the spec takes text or nothing.
         files: File name extensions, if the text is a file. The path of such a file alone is also a valid spec.
         options: Options accepted in addition to mass and friction, by the names that the command line uses
-            (``"height"``, ``"size"``, ``"font"``, ``"scale"``, ``"lay"``).
+            (``"height"``, ``"size"``, ``"font"``, ``"scale"``, ``"lay"``, ``"wall"``).
         noun: Name of such shapes in the message for an option that needs them: ``"letters"``.
         make_obstacle: Makes an obstacle with a prim of its own type: ``make_obstacle(name, pose, *given)``; ``None``:
             the object itself becomes a static obstacle.
@@ -212,8 +212,16 @@ MESH = Shape(
     make=_mesh,
     example="part.stl",
     files=MESHES,
-    options=("scale", "lay"),
+    options=("scale", "lay", "wall"),
     noun="a mesh",
+)
+MJCF = Shape(
+    about="the rigid body in an MJCF file, with its defaults, includes and meshes",
+    make=deferred(f"{_AUTHORING}.objects.mjcf:import_mjcf"),
+    example="mug.xml",
+    files=(".xml", ".mjcf"),
+    options=("lay",),
+    noun="an MJCF file",
 )
 
 

@@ -34,13 +34,15 @@ class ShapeOptions:
     """Options for making an object, beyond those in its spec.
 
     Attributes:
-        mass: Mass [kg]; ``None``: a shipped object's own, otherwise that of wood of the same volume.
-        friction: Coulomb coefficient with the table; ``None``: a shipped object's own, otherwise 0.4.
+        mass: Mass [kg]; ``None``: a shipped or stored object's own, otherwise that of wood of the same volume.
+        friction: Coulomb coefficient with the table; ``None``: a shipped or stored object's own, otherwise 0.4.
         height: Thickness of letters and words [m]; ``None``: 0.05.
         size: Height of a capital letter in its plane [m]; ``None``: 0.103, or less if a long word requires it.
         font: Name of an installed font, or path of a font file; ``None``: the built-in alphabet.
         scale: Unit of a mesh: mm, cm, m or inch; ``None``: metres.
-        lay: Pose of a mesh: its most stable one, or the one in which it was modelled.
+        lay: Pose of a mesh: its most stable one, its most stable one on a flat side, or the one in which it was
+            modelled.
+        wall: Thickness of the wall to give to an open mesh [m]; ``None``: its holes are closed.
     """
 
     mass: float | None = None
@@ -50,6 +52,7 @@ class ShapeOptions:
     font: str | None = None
     scale: str | None = None
     lay: Lay = "stable"
+    wall: float | None = None
 
     def given(self) -> dict[str, Any]:
         """Returns the options that were given, by name."""
@@ -81,20 +84,16 @@ def parse_object(spec: str, options: ShapeOptions = ShapeOptions(), *, folder: P
         return _make(named.shape, named.shape.parse(spec, named.name, named.text), options)
     name, file = spec.replace("-", "_"), Path(spec).expanduser()
     candidates = (folder / "objects" / f"{name}{ending}" for ending in ENDINGS)
-    own = next((read_object(place, mass=options.mass) for place in candidates if place.is_file()), None)
+    given = {"mass": options.mass, "friction": options.friction}
+    own = next((read_object(place, **given) for place in candidates if place.is_file()), None)
     # A file left there by an earlier task still means the shape, if the shape's spec is its name alone.
     if named is not None and (own is None or own.doc == _make(named.shape, (), ShapeOptions()).doc):
         return _make(named.shape, (), options)
     if own is None and (meshed := _shape_of_file(spec)) is not None:
         return _make(meshed.shape, (spec,), options)
-    stored = own or (read_object(file, mass=options.mass) if is_object_file(file) else None)
+    stored = own or (read_object(file, **given) if is_object_file(file) else None)
     if stored is None:
         raise ConfigError(f"{spec}: there is no such object\n  allowed: {objects()}{_suggestion(spec)}")
-    if options.friction is not None or options.mass != stored.mass:
-        raise ConfigError(
-            f"--object {spec}: its mass and friction are set in its file\n"
-            f"  allowed: physics:mass and physics:dynamicFriction in {stored.file}"
-        )
     return stored
 
 

@@ -38,6 +38,7 @@ from oimppi_warp.errors import ConfigError, OimppiError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.status import Status
 
     from oimppi_warp.record.log import EpisodeLog
     from oimppi_warp.record.metrics import Metrics
@@ -45,6 +46,9 @@ if TYPE_CHECKING:
 
 
 _PACES = {"lockstep": "lock step", "realtime": "real time"}
+
+_LONG = 3.0
+"""Time after which a run that is not in a terminal says what is being done before it starts [s]."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,8 @@ class Run(TaskOptions):
         from oimppi_warp.record.log import unused_folder, write_atomically
         from oimppi_warp.record.metrics import summarize
 
-        with console.status("loading kernels"):
-            episode = setup.episode()
+        with console.status("loading kernels") as status:
+            episode = setup.episode(report=_reporter(console, status))
         if episode.planner.engine_reason:
             console.print(f"engine {episode.planner.engine}: {episode.planner.engine_reason}", soft_wrap=True)
         record = self.record if self.record is None or self.force else unused_folder(self.record)
@@ -237,6 +241,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("oimppi: interrupted before the first step", file=sys.stderr)
         return 130
+
+
+def _reporter(console: Console, status: Status) -> Callable[[str], None]:
+    """Returns a function that shows what is being done: beside the spinner or, without one, if it takes long."""
+    began = time.monotonic()
+
+    def report(doing: str) -> None:
+        status.update(doing)
+        if not console.is_terminal and time.monotonic() - began > _LONG:
+            console.print(doing, soft_wrap=True)
+
+    return report
 
 
 def _check_outputs(record: Path | None, json: Path | None) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from oimppi_warp.scene import PushedObject
 
 _Unit = Literal["mm", "cm", "m", "inch"]
-_Lay = Literal["stable", "as-is"]
+_Lay = Literal["stable", "flat", "as-is"]
 
 
 def _taken_by(option: str, default: str) -> Callable[[str], str]:
@@ -69,7 +69,11 @@ class ObjectOptions:
     """Length unit of the mesh, which STL and OBJ files do not specify."""
 
     lay: Annotated[_Lay, arg(help_behavior_hint=_taken_by("lay", "stable"))] = "stable"
-    """Pose of the mesh on the table: its most stable pose (stable), or as modelled, with its z axis up (as-is)."""
+    """Pose of the mesh on the table: its most stable pose (stable), its most stable one on a flat side, in which it
+    does not roll (flat), or as modelled, with its z axis up (as-is)."""
+
+    wall: Annotated[float | None, arg(metavar="M", help_behavior_hint=_taken_by("wall", "holes are closed"))] = None
+    """Thickness of the wall to give to an open mesh, a shell without thickness [m]."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path(".")
     """Folder to write to; objects go to DIR/objects."""
@@ -89,6 +93,7 @@ class ObjectOptions:
             font=self.font,
             scale=self.scale,
             lay=self.lay,
+            wall=self.wall,
         )
 
 
@@ -143,15 +148,16 @@ class New(ObjectOptions):
         start, goal = checked_pose("--start", self.start), checked_pose("--goal", self.goal)
         options = self.shape_options()
         check_used(options, (self.object, *self.obstacle))
-        with _working("making the object"):
+        with _working():
             obj = parse_object(self.object, options, folder=self.out)
+            obstacles = parse_obstacles(self.obstacle, options, folder=self.out)
         task = Task(
             name=self.name.removesuffix(".usda"),
             title=self.title or f"Push {_with_article(obj.doc)} to its goal",
             object=obj,
             start=start,
             goal=goal,
-            obstacles=parse_obstacles(self.obstacle, options, folder=self.out),
+            obstacles=obstacles,
             tolerance=PAPER if obj.yaw_matters else (PAPER[0], math.inf),
             tight=(0.05, 0.1 if obj.yaw_matters else math.inf),
             robot=self.robot,
@@ -161,6 +167,10 @@ class New(ObjectOptions):
             print(f"wrote {file}")
         body = written.scene.object
         print(_summary(obj.doc, body))
+        for note in getattr(obj, "notes", ()):
+            if note.startswith("warning"):
+                print(note)
+        _warn_of_rolling(body)
         if can_tip(body):
             print(
                 f"a push higher than {1000 * tipping_height(body):.0f} mm above the table tips the object over, so "
@@ -177,9 +187,9 @@ class New(ObjectOptions):
 class Import(ObjectOptions):
     """Convert a mesh to an object: close it, lay it on the table, split it into convex pieces, and render a picture.
 
-    The deviation of the pieces from the mesh is reported, and a mesh that cannot be pushed is rejected with the reason.
-    Other shapes, such as letter:X or text:WORD, are accepted as well. Exit status: 0, or 2 for an unusable mesh or bad
-    input.
+    The deviation of the pieces from the mesh is reported, with a warning if it is large, and a mesh that cannot be
+    pushed is rejected with the reason. The rigid body in an MJCF file is converted as well, and so are other shapes,
+    such as letter:X or text:WORD. Exit status: 0, or 2 for an unusable file or bad input.
 
     For example:
 
@@ -187,7 +197,7 @@ class Import(ObjectOptions):
     """
 
     source: Annotated[Positional[str], arg(metavar="MESH")]
-    """STL, OBJ, GLB, PLY or OFF file, or any other object listed by `oimppi scene new --help`."""
+    """STL, OBJ, GLB, PLY or OFF file, MJCF file, or any other object listed by `oimppi scene new --help`."""
 
     name: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: the file's name)")] = None
     """Name of the object; DIR/objects/NAME.usda is written."""
@@ -202,27 +212,46 @@ class Import(ObjectOptions):
         from oimppi_warp.authoring.project import write_object
 
         check_used(self.shape_options(), (self.source,))
-        with _working("making the object"):
+        with _working():
             obj = parse_object(self.source, self.shape_options())
         if self.name is not None:
             obj = replace(obj, name=plain_name(self.name))  # pyright: ignore[reportArgumentType]
         file = write_object(obj, self.out, force=self.force, picture=True)
         print(f"wrote {file}")
         print(f"wrote {file.with_suffix('.png')}")
-        print(_summary(obj.doc, read_body(file)))
+        body = read_body(file)
+        print(_summary(obj.doc, body))
         for note in obj.notes if isinstance(obj, MeshObject) else ():
             print(f"  {note}")
+        _warn_of_rolling(body)
         out = [] if self.out == Path(".") else ["--out", str(self.out)]
         print("next:")
         print("  " + shlex.join(["oimppi", "scene", "new", f"push_{obj.name}", "--object", obj.name, *out]))
         return 0
 
 
-def _working(on: str) -> AbstractContextManager[object]:
-    """Returns a context in which a status message is shown, if stderr is a terminal."""
-    from rich.console import Console
+def _warn_of_rolling(body: PushedObject) -> None:
+    """Prints a warning about an object that rolls instead of sliding."""
+    from oimppi_warp.geometry.rolling import IN_WORDS, REMEDY, rolling
 
-    return Console(stderr=True).status(on)
+    if rolls := rolling(body):
+        print(f"warning: {IN_WORDS[rolls]}, while the planner predicts sliding only\n  to do:   {REMEDY}")
+
+
+@contextmanager
+def _working() -> Iterator[None]:
+    """Returns a context in which a progress bar is shown while an object is made, if stderr is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from oimppi_warp.authoring.meshes.progress import listening
+
+    columns = (BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("making the object", total=1.0)
+        with listening(lambda doing, share: bar.update(task, description=doing, completed=share)):
+            yield
 
 
 def _summary(doc: str, body: PushedObject) -> str:

@@ -50,7 +50,9 @@ class EngineChoice(Generic[P]):
     planner: P
 
 
-def choose_engine(method: str, period: float, make: Callable[[str], P]) -> EngineChoice[P]:
+def choose_engine(
+    method: str, period: float, make: Callable[[str], P], *, report: Callable[[str], None] = lambda _: None
+) -> EngineChoice[P]:
     """Chooses the engine to plan with.
 
     Engines are tried in the order of their known success; among equals, those that are slower than fewer others come
@@ -61,6 +63,7 @@ def choose_engine(method: str, period: float, make: Callable[[str], P]) -> Engin
         method: Name of the method that will use it.
         period: Time that a plan may take [s].
         make: Function that makes a planner with an engine.
+        report: Called with what is being done, in a few words, before it is done.
 
     Raises:
         ConfigError: No engine has a figure for any method.
@@ -81,8 +84,9 @@ def choose_engine(method: str, period: float, make: Callable[[str], P]) -> Engin
         if slower[name] & found.keys():
             left_out.append(name)
             continue
+        report(f"--engine auto: loading the engine {name}")
         planners[name] = make(name)
-        found[name] = plan_seconds(planners[name], period)
+        found[name] = plan_seconds(planners[name], period, lambda doing, name=name: report(f"{doing} of {name}"))
         if found[name] <= period:
             others = "".join(f"; with {other}, {_ms(found[other])}" for other in found if other != name)
             return EngineChoice(
@@ -95,14 +99,21 @@ def choose_engine(method: str, period: float, make: Callable[[str], P]) -> Engin
     return EngineChoice(fastest, reason, planners[fastest])
 
 
-def plan_seconds(planner: Rehearsable, period: float) -> float:
+def plan_seconds(planner: Rehearsable, period: float, report: Callable[[str], None] = lambda _: None) -> float:
     """Times a plan [s]: the median of a few, or the first that takes longer than ``period``.
 
-    The planner is warmed up first; this is not timed.
+    The planner is warmed up first, with one plan; this is not timed.
+
+    Args:
+        planner: The planner.
+        period: Time that a plan may take [s].
+        report: Called with what is being done, in a few words, before it is done.
     """
+    report("--engine auto: warming up with a plan")
     planner.warm_up()
     found: list[float] = []
     while len(found) < _TIMED:
+        report(f"--engine auto: timing plan {len(found) + 1} of {_TIMED}")
         began = time.perf_counter()
         planner.rehearse()
         found.append(time.perf_counter() - began)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from oimppi_warp.compute.step import Compute, making_planner
@@ -21,6 +22,7 @@ def make_planner(
     spec: RunSpec | None = None,
     *,
     control_period: float | None = None,
+    report: Callable[[str], None] = lambda _: None,
     **options: Any,
 ) -> Planner:
     """Makes a planner for a scene.
@@ -30,6 +32,7 @@ def make_planner(
         config: All settings.
         spec: Method, engine, device, threads and seed. With the engine ``"auto"``, a few plans are timed.
         control_period: The plant's control period, if it is fixed [s]; else that of ``config`` is used.
+        report: Called with what is being done while engines are timed.
         **options: Fields of ``spec`` to change, for example ``method="soi"``.
 
     Raises:
@@ -47,6 +50,6 @@ def make_planner(
     with making_planner:
         if spec.engine != "auto":
             return make(spec.engine)
-        choice = choose_engine(spec.method, config.control_period, make)
+        choice = choose_engine(spec.method, config.control_period, make, report=report)
     choice.planner.engine_reason = choice.reason
     return choice.planner

@@ -22,6 +22,7 @@ from oimppi_warp.geometry.reach import can_lift
 from oimppi_warp.kernels.upright_step import allowed_velocity
 from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
 from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
+from oimppi_warp.planning.diagnosis import why_lost
 from oimppi_warp.planning.engines.dynamics import RobotDynamics, RolloutTask
 from oimppi_warp.planning.engines.factory import make_dynamics
 from oimppi_warp.planning.engines.packing import environment, object_model, velocity_bound
@@ -230,7 +231,8 @@ class Planner:
         It is one pass through Algorithm 2, lines 2 to 7, or Algorithm 3, lines 11 to 13.
 
         From an implausible observation (numbers that are not finite, an object far away, joints far beyond their
-        limits) nothing is planned: the command is zero, and :attr:`Plan.problem` gives the reason.
+        limits) nothing is planned, and if no sample has a finite cost, nothing is found: the command is zero, and
+        :attr:`Plan.problem` gives the reason.
 
         Raises:
             ObservationError: An array has the wrong length.
@@ -262,6 +264,10 @@ class Planner:
         trace.begin()
         details = Later(self._details)
         self._latest = ref(details)
+        if self.optimizer.found().lost >= self.optimizer.settings.samples:
+            return Plan(
+                np.zeros(self.scene.robot.dof), self.object_finished() - began, details, why_lost(self, self._rollouts)
+            )
         return Plan(self._command(rates), self.object_finished() - began, details)
 
     def _settle(self) -> None:

@@ -80,9 +80,9 @@ class Setup:
         made = replace(self, **own)
         return replace(made, spec=made.spec.changed(**options))
 
-    def episode(self) -> Episode:
-        """Makes a new episode, ready to run."""
-        return Episode(self.scene, self.config, self.spec)
+    def episode(self, *, report: Callable[[str], None] = lambda _: None) -> Episode:
+        """Makes a new episode, ready to run; ``report`` is called with what is being done if that may take long."""
+        return Episode(self.scene, self.config, self.spec, report=report)
 
 
 class Episode:
@@ -93,6 +93,7 @@ class Episode:
         config: All settings.
         spec: The options of the run.
         plant: A plant, or the name of one, to use instead of that in ``spec``. The planner adopts its control period.
+        report: Called with what is being done while engines are timed (``engine="auto"``).
         **options: Fields of ``spec`` to change, for example ``method="soi"`` or ``seed=3``.
 
     Attributes:
@@ -117,6 +118,7 @@ class Episode:
         spec: RunSpec | None = None,
         *,
         plant: Plant | str | None = None,
+        report: Callable[[str], None] = lambda _: None,
         **options: Any,
     ) -> None:
         if isinstance(plant, str):
@@ -136,13 +138,22 @@ class Episode:
         with loading([*early, *step_kernels(config, spec)]):
             self.plant: Plant = make_plant(scene, config, spec) if plant is None else plant
             try:
-                self._make(scene, config, spec, passed=plant is not None, early=early)
+                self._make(scene, config, spec, passed=plant is not None, early=early, report=report)
             except BaseException:
                 if isinstance(self.plant, RealPlant):
                     self.plant.close()
                 raise
 
-    def _make(self, scene: Scene, config: Config, spec: RunSpec, *, passed: bool, early: Sequence[wp.Module]) -> None:
+    def _make(
+        self,
+        scene: Scene,
+        config: Config,
+        spec: RunSpec,
+        *,
+        passed: bool,
+        early: Sequence[wp.Module],
+        report: Callable[[str], None],
+    ) -> None:
         """Makes everything else, once there is a plant."""
         await_loaded(early)
         if has_own_world(self.plant):
@@ -160,8 +171,9 @@ class Episode:
         resolved = resolve(config, scene, control_period=self.plant.control_period)
         self.config = config = validate(resolved.config)
         self._clearance = ExactClearance(scene)
-        self.planner = make_planner(scene, config, spec)
-        self.planner.warm_up()
+        self.planner = make_planner(scene, config, spec, report=report)
+        if spec.engine != "auto":  # which has warmed up the engine that it chose
+            self.planner.warm_up()
         self.spec = replace(
             spec,
             engine=self.planner.engine,

@@ -10,6 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdPhysics
 from oimppi_warp.geometry.footprint import height_range, rotation_matrix
 from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
+from oimppi_warp.usd.densities import derive_mass
 from oimppi_warp.usd.frames import is_orthogonal, scales, transform
 from oimppi_warp.usd.inertia import given_center, read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
@@ -76,9 +77,9 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
                 allowed="an enabled rigid body",
             )
         )
-    mass = stage.attempt(math.nan, read_mass, stage, prim)
     frame = _object_frame(stage, prim)
     colliders = read_colliders(stage, prim, frame)
+    mass = stage.attempt(math.nan, _object_mass, stage, prim, colliders)
     center, rest_height, friction, tool_friction = np.zeros(3), 0.0, math.nan, math.nan
     if not any(collider_prims(prim)):
         fix = "apply PhysicsCollisionAPI to this prim or to a shape below it"
@@ -144,6 +145,12 @@ def check_roles(stage: SceneStage) -> None:
                 fix="apply OimppiObstacleAPI to it, or remove its physics schemas",
             )
             stage.collect(mistake)
+
+
+def _object_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, ...]) -> float:
+    """Returns the object's mass [kg]: the one in the file, or the one that follows from its shapes' densities."""
+    derive_mass(stage, prim, colliders)
+    return read_mass(stage, prim)
 
 
 def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:

@@ -1,8 +1,8 @@
 """Reads the mass of a rigid body, its centre of mass, and its inertia.
 
 Where a file gives no inertia or no centre of mass, none is invented: they follow from the colliders, at uniform
-density, when a model is built (:mod:`oimppi_warp.physics.newton_model`). OpenUSD's and Newton's readers do the same,
-except that they also read densities given to single shapes or materials, which are not read here.
+density, when a model is built (:mod:`oimppi_warp.physics.newton_model`). OpenUSD's and Newton's readers do the same.
+Masses and densities of the single shapes of an object are read by :mod:`oimppi_warp.usd.densities`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def unit_inertia(body: Usd.Prim, mass: float) -> np.ndarray | None:
     Returns:
         Inertia per mass in the axes of the body's frame, shape [3, 3] [m^2]; ``None`` if the file gives none.
     """
-    inertia = _tensor(body)
+    inertia = given_tensor(body)
     if inertia is None:
         moments = given_moments(body)
         if moments is None or (moments < 0.0).any():
@@ -71,7 +71,7 @@ def unit_inertia(body: Usd.Prim, mass: float) -> np.ndarray | None:
     return inertia.astype(float) / mass if mass > 0.0 else None
 
 
-def _tensor(body: Usd.Prim) -> np.ndarray | None:
+def given_tensor(body: Usd.Prim) -> np.ndarray | None:
     """Returns the value of ``newton:inertia``, moments xx, yy, zz and products xy, xz, yz, as a matrix [3, 3]."""
     attribute = body.GetAttribute("newton:inertia")
     value = attribute.Get() if attribute and attribute.HasAuthoredValue() else None

@@ -148,8 +148,74 @@ def test_a_mass_that_no_file_gives_is_asked_for_and_taken(tmp_path, capsys):
     dense = brick(tmp_path / "b" / "dense.usda", above="float physics:density = 700")
     assert main([*command[:-1], str(dense), "--mass", "0.2", "--force"]) == 0
     assert load_scene(tmp_path / "mine.usda").object.mass == pytest.approx(0.2), "a mass counts before a density"
-    assert main([*command[:-1], str(object_file(tmp_path / "c" / "c.usda")), "--mass", "0.15", "--force"]) == 2
-    assert "are set in its file" in capsys.readouterr().err
+    heavy = object_file(tmp_path / "c" / "c.usda")
+    assert main([*command[:-1], str(heavy), "--mass", "0.15", "--friction", "0.02", "--force"]) == 0
+    body = load_scene(tmp_path / "mine.usda").object
+    assert (body.mass, body.friction) == (pytest.approx(0.15), pytest.approx(0.02)), "what was asked for counts first"
+
+
+def test_a_mass_that_is_asked_for_scales_the_inertia_of_the_file(tmp_path):
+    file = object_file(tmp_path / "thing.usda", mass=0.2)
+    given = "float physics:mass = 0.2\n    float3 physics:diagonalInertia = (0.001, 0.002, 0.003)"
+    file.write_text(file.read_text().replace("float physics:mass = 0.2", given))
+    task = Task("push", "Push", read_object(file, mass=0.1), START, GOAL)
+    body = write_task(task, tmp_path / "out").scene.object
+    assert body.mass == pytest.approx(0.1)
+    assert body.unit_inertia == pytest.approx(np.diag((0.005, 0.01, 0.015)))
+    assert read_body(file).mass == pytest.approx(0.2)
+
+
+def two_cubes(file: Path, first: str, second: str) -> Path:
+    """Two cubes of 0.1 m side by side, with what is said of their masses."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    cube = """
+    def Cube "{name}" (
+        prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI"]
+    )
+    {{
+        double size = 0.1
+        {said}
+        double3 xformOp:translate = ({x}, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}"""
+    shapes = cube.format(name="left", said=first, x=-0.05) + cube.format(name="right", said=second, x=0.05)
+    file.write_text(HEAD.format(1.0, 1.0, "Z") + f'def Xform "Thing"\n{{{shapes}\n}}\n')
+    return file
+
+
+@pytest.mark.parametrize("heavy", ["float physics:density = 900", "float physics:mass = 0.9"])
+def test_shapes_of_different_densities_shift_the_centre_of_mass_and_add_up_to_the_inertia(tmp_path, heavy):
+    body = read_body(two_cubes(tmp_path / "pair.usda", heavy, "float physics:density = 300"))
+    assert body.mass == pytest.approx(1.2)
+    # masses of 0.9 and 0.3 kg at -0.05 and 0.05 m: x = (0.3 - 0.9) 0.05 / 1.2
+    assert body.center_of_mass == pytest.approx((-0.025, 0.0, 0.0), abs=1e-7)
+    # a cube has m a^2 / 6 about each axis, and the two are 0.025 and 0.075 m from the common centre
+    own, away = 1.2 * 0.1**2 / 6.0, 0.9 * 0.025**2 + 0.3 * 0.075**2
+    assert body.unit_inertia is not None
+    assert 1.2 * body.unit_inertia == pytest.approx(np.diag((own, own + away, own + away)), abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        ("", "the body has no mass, and </Thing/right> has no density"),
+        ("float physics:density = -3", "physics:density is -3"),
+        ("float physics:mass = nan", "physics:mass is nan"),
+    ],
+)
+def test_a_shape_whose_mass_cannot_be_told_is_named(tmp_path, said, reason):
+    with pytest.raises(SceneError, match=re.escape(reason)):
+        read_object(two_cubes(tmp_path / "pair.usda", "float physics:density = 900", said))
+
+
+def test_a_scene_may_give_the_objects_density_too(tmp_path):
+    written = write_task(Task("push", "Push", box(0.1, 0.06, 0.05), START, GOAL), tmp_path)
+    stage = Usd.Stage.Open(str(written.file))
+    api = UsdPhysics.MassAPI(stage.GetPrimAtPath("/World/Object"))
+    api.CreateMassAttr(0.0)
+    api.CreateDensityAttr(500.0)
+    stage.Save()
+    assert load_scene(written.file).object.mass == pytest.approx(500 * 0.1 * 0.06 * 0.05)
 
 
 def test_an_object_in_the_folder_that_gives_a_density_only_is_written_with_its_mass(tmp_path):

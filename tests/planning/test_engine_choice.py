@@ -112,6 +112,21 @@ def test_timing_stops_at_the_first_plan_beyond_the_period(add, monkeypatch):
     assert choice.reason == "no engine keeps up; with this one, a plan takes 60 ms of the 50 ms available"
 
 
+def test_it_is_said_what_is_being_done_before_it_is_done(add, monkeypatch):
+    add |= {"good": Known({"cloi": 0.8}), "better": Known({"cloi": 0.9})}
+    machine = Machine(monkeypatch, good=0.01, better=0.4)
+    said: list[tuple[str, int]] = []
+    choose_engine("cloi", 0.05, machine.make, report=lambda doing: said.append((doing, sum(machine.timed.values()))))
+    assert said == [
+        ("--engine auto: loading the engine better", 0),
+        ("--engine auto: warming up with a plan of better", 0),
+        ("--engine auto: timing plan 1 of 3 of better", 0),
+        ("--engine auto: loading the engine good", 1),
+        ("--engine auto: warming up with a plan of good", 1),
+        *((f"--engine auto: timing plan {number} of 3 of good", number) for number in (1, 2, 3)),
+    ]
+
+
 def test_an_engine_that_is_known_to_be_slower_is_not_tried_after_one_that_is_too_slow(add, monkeypatch):
     add |= {"fast": Known({"cloi": 0.95}), "slow": Known({"cloi": 0.9}, frozenset({"fast"}))}
     machine = Machine(monkeypatch, fast=0.7)

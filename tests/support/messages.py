@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from pxr import Gf
+from pxr import Gf, Usd
 from support.bad_scenes import IMPOSSIBLE, MISTAKES, barrier, put, vast, walls
 from support.lint_cases import LINT_CASES, several
 from support.variants import variant
@@ -28,10 +28,19 @@ The tables show most messages, each for one faulty scene; the warnings about lis
 errors about the start, are left out. Numbers and prims are examples. Lengths and masses are in metres and kilograms,
 whatever the units of the stage."""
 
+
+def lying(stage: Usd.Stage) -> None:
+    """The can on its round side."""
+    stage.GetPrimAtPath("/World/Object/shape/piece0").GetAttribute("axis").Set("X")
+    place = stage.GetPrimAtPath("/World/Object").GetAttribute("xformOp:translate")
+    place.Set(Gf.Vec3d(*place.Get()[:2], 0.033))
+
+
 _FURTHER_ERRORS = [(vast, "point01", "the arm reaches")]
 
 _FURTHER_WARNINGS = [
     (lambda stage: None, "lab01", "a push may tip the object over"),
+    (lying, "lab01", "the object lies on its round side"),
     (several(put("/World", "oimppi:spread", Gf.Vec2d(0.0)), put("/World", "oimppi:starts", [])), "task02", "every run"),
     (barrier(0.12), "task01", "no free path"),
     (barrier(0.162), "task01", "the path to the goal is narrow"),

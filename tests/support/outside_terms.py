@@ -27,6 +27,12 @@ def off_line(s: Stage) -> float:
 
 
 @wp.func
+def broken(s: Stage) -> float:
+    """Not a number wherever the tip is."""
+    return wp.sqrt(-1.0 - s.tip[2] * s.tip[2])
+
+
+@wp.func
 def two_arguments(s: Stage, more: float) -> float:
     """Not a cost term."""
     return s.tip[2] + more

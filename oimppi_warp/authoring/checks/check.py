@@ -13,6 +13,7 @@ import numpy as np
 from oimppi_warp.errors import Problem, SceneError
 from oimppi_warp.geometry.feasibility import pose_mistakes, sample_start, task_mistakes
 from oimppi_warp.geometry.footprint import height_range
+from oimppi_warp.geometry.rolling import IN_WORDS, REMEDY, rolling
 from oimppi_warp.geometry.tipping import can_tip, tipping_height
 from oimppi_warp.scene import PlanarPose, Scene
 from oimppi_warp.usd import Inspection, inspect_scene
@@ -98,6 +99,14 @@ def _task_warnings(scene: Scene) -> Iterator[Problem]:
             fix="set oimppi:spread, from which seeds draw starts, or list several oimppi:starts",
         )
     body = scene.object
+    if rolls := rolling(body):
+        yield _warning(
+            scene,
+            IN_WORDS[rolls],
+            prim=body.path,
+            allowed="an object that rests on a flat side; the planner predicts sliding only",
+            fix=REMEDY,
+        )
     if tipping_height(body) > 0.0 and can_tip(body):  # zero means a wrong centre of mass, which has its own warning
         top = body.rest_height + height_range(body.colliders)[1]
         yield _warning(

@@ -1,22 +1,22 @@
-"""Decomposes a closed surface into convex pieces and measures how closely they match it."""
+"""Decomposes a closed surface into convex pieces, in a limited time, and measures how closely they match it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import cast
 
-import coacd
 import numpy as np
 import shapely
 import trimesh
 from scipy.spatial import KDTree
 from shapely.geometry.base import BaseGeometry
 
+from oimppi_warp.authoring.meshes.coacd_run import run_coacd
+from oimppi_warp.authoring.meshes.coarse import coarsened
+from oimppi_warp.authoring.meshes.hulls import Hull, limited_hull
 from oimppi_warp.authoring.meshes.moments import moments, points_in_box
-
-Hull = tuple[np.ndarray, np.ndarray]
-"""Corners [n, 3] [m] and triangles [m, 3] of a convex piece."""
 
 THRESHOLDS = (0.05, 0.02)
 """Concavity thresholds for CoACD, coarse to fine; the first whose result is close enough is used."""
@@ -24,17 +24,46 @@ THRESHOLDS = (0.05, 0.02)
 CLOSE_ENOUGH = (0.04, 0.04, 0.004)
 """Tolerances for a close enough fit: relative errors of the volume and of the footprint, and surface distance [m]."""
 
+FAR_OFF = (0.1, 0.1, 0.005)
+"""Errors of the same kinds from which on a fit is warned of."""
+
 PIECES, CORNERS = 32, 200
 """Maximum number of pieces of an object, and of corners of a piece."""
 
-FINE, COARSER = 10_000, 40
-"""A part with more triangles is remeshed by CoACD, with this many cells along its longest side, before it is cut:
-cutting it directly would take minutes."""
+FINE, COARSE = 6000, 3000
+"""A part with more triangles, a scan, is reduced to fewer before it is cut: cutting it directly would take minutes."""
 
+QUICK = {"preprocess_mode": "off", "mcts_iterations": 25, "mcts_nodes": 10, "resolution": 1000}
+"""CoACD's options for such a part: it is cut as it is, not remeshed on a grid, which would thicken it, and fewer cuts
+are tried."""
+
+SECONDS = 13.0
+"""Computing time that cutting may take in all [s]; then the best pieces found so far are used."""
+
+_FINER = 2.0  # how much longer the next finer threshold takes, at least
 _FLAT = 1e-4
 """Thickness, summed over its points, below which a piece is flat [m]."""
 _POINTS = 60_000  # for sampling a volume
 _ON_SURFACE = 8000  # for sampling a distance
+
+
+MEASURED = 8000
+"""Number of triangles to which a surface is reduced to measure the area that it covers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A part to be cut.
+
+    Attributes:
+        solid: Its surface, perhaps reduced [m].
+        pieces: Maximum number of pieces.
+        reduced: Whether it was reduced.
+    """
+
+    solid: trimesh.Trimesh
+    pieces: int
+    reduced: bool
 
 
 @dataclass(frozen=True)
@@ -46,11 +75,13 @@ class Fit:
         footprint: Area of the table covered by only one of the two, relative to the mesh's.
         distance: Sampled Hausdorff distance [m]: from the mesh's surface to the pieces, or from parts of them that
             protrude to the mesh. Slits between pieces inside the mesh do not count, as nothing can enter them.
+        stopped: Whether the pieces are whole parts, since cutting them took too long.
     """
 
     volume: float
     footprint: float
     distance: float
+    stopped: bool = False
 
     @property
     def is_close(self) -> bool:
@@ -58,6 +89,11 @@ class Fit:
         return (
             abs(self.volume) < CLOSE_ENOUGH[0] and self.footprint < CLOSE_ENOUGH[1] and self.distance < CLOSE_ENOUGH[2]
         )
+
+    @property
+    def is_far_off(self) -> bool:
+        """Returns whether an error is so large that pushes of the pieces are not those of the mesh."""
+        return abs(self.volume) > FAR_OFF[0] or self.footprint > FAR_OFF[1] or self.distance > FAR_OFF[2]
 
     def __str__(self) -> str:
         """Describes the three errors in words."""
@@ -67,32 +103,52 @@ class Fit:
         )
 
 
-def decompose(mesh: trimesh.Trimesh) -> tuple[tuple[Hull, ...], Fit]:
+def decompose(
+    mesh: trimesh.Trimesh, *, progress: Callable[[float], None] = lambda _: None, seconds: float = SECONDS
+) -> tuple[tuple[Hull, ...], Fit]:
     """Cuts a closed surface into convex pieces with CoACD (Wei et al., 2022).
 
-    The decomposition is refined until the pieces are :data:`CLOSE_ENOUGH` to the mesh or number :data:`PIECES`.
+    The decomposition is refined until the pieces are :data:`CLOSE_ENOUGH` to the mesh or number :data:`PIECES`, or the
+    time is over.
 
     Args:
         mesh: A closed surface [m].
+        progress: Called with the share of the time that is over, from 0 to 1.
+        seconds: Computing time that the cutting may take [s].
 
     Returns:
         The pieces, and how closely they match the mesh.
+
+    Raises:
+        SceneError: CoACD failed.
     """
     solids = mesh.split(only_watertight=False)
-    budgets = _piece_budgets(solids)
-    coacd.set_log_level("error")
-    best: tuple[tuple[Hull, ...], Fit] | None = None
+    jobs = [
+        Job(solid if len(solid.faces) <= FINE else coarsened(solid, COARSE), pieces, len(solid.faces) > FINE)
+        for solid, pieces in zip(solids, _piece_budgets(solids), strict=True)
+    ]
+    target, best, before = Target.of(mesh), None, 0.0
     for threshold in THRESHOLDS:
-        hulls = tuple(
-            h for solid, max_pieces in zip(solids, budgets, strict=True) for h in _cut(solid, threshold, max_pieces)
-        )
-        fit = compare(mesh, hulls)
+        share = functools.partial(_share, progress, before, seconds)
+        hulls, used = _cut(jobs, threshold, seconds - before, share)
+        before += used
+        if hulls is None:
+            break
+        fit = target.fit(hulls)
         if best is None or fit.footprint + fit.distance < best[1].footprint + best[1].distance:
             best = hulls, fit
-        if fit.is_close or len(hulls) >= PIECES:
+        if fit.is_close or len(hulls) >= PIECES or before + _FINER * used > seconds:
             break
-    assert best is not None
+    if best is None:  # nothing was found in time
+        hulls = tuple(limited_hull(solid.vertices, CORNERS) for solid in solids)
+        best = hulls, replace(target.fit(hulls), stopped=True)
+    progress(1.0)
     return best
+
+
+def _share(progress: Callable[[float], None], before: float, seconds: float, used: float) -> None:
+    """Tells the progress that a time [s] makes of all, after the time of what was done before [s]."""
+    progress(min((before + used) / max(seconds, 1e-9), 1.0))
 
 
 def _piece_budgets(solids: Sequence[trimesh.Trimesh]) -> list[int]:
@@ -104,20 +160,29 @@ def _piece_budgets(solids: Sequence[trimesh.Trimesh]) -> list[int]:
     return budgets.tolist()
 
 
-def _cut(solid: trimesh.Trimesh, threshold: float, max_pieces: int) -> list[Hull]:
-    """Returns the convex pieces of one solid part."""
-    if solid.is_convex or max_pieces == 1:
-        return [_hull(solid.vertices)]
-    parts = coacd.run_coacd(
-        coacd.Mesh(solid.vertices, solid.faces),
-        threshold=threshold,
-        max_convex_hull=max_pieces,
-        preprocess_mode="on" if len(solid.faces) > FINE else "auto",
-        preprocess_resolution=COARSER,
-        seed=0,
-    )
-    solid_parts = [np.asarray(corners) for corners, _ in parts if _spans_volume(np.asarray(corners))]
-    return [_hull(corners) for corners in solid_parts] or [_hull(solid.vertices)]
+def _cut(
+    jobs: list[Job], threshold: float, seconds: float, waiting: Callable[[float], None]
+) -> tuple[tuple[Hull, ...] | None, float]:
+    """Returns the convex pieces of all parts, or ``None`` if that takes too long, and the computing time [s].
+
+    Args:
+        jobs: The parts.
+        threshold: Concavity threshold.
+        seconds: Computing time that it may take [s].
+        waiting: Called again and again with the computing time that it took so far [s].
+    """
+    hard = [job for job in jobs if not job.solid.is_convex and job.pieces > 1]
+    options = [{"threshold": threshold, "max_convex_hull": job.pieces, "seed": 0} for job in hard]
+    options = [each | QUICK if job.reduced else each for each, job in zip(options, hard, strict=True)]
+    found, used = run_coacd([job.solid for job in hard], options, seconds, waiting) if hard else ([], 0.0)
+    if found is None:
+        return None, used
+    by_job = {id(job): pieces for job, pieces in zip(hard, found, strict=True)}
+    hulls: list[Hull] = []
+    for job in jobs:
+        pieces = [corners for corners in by_job.get(id(job), []) if _spans_volume(corners)]
+        hulls += [limited_hull(corners, CORNERS) for corners in pieces or [job.solid.vertices]]
+    return tuple(hulls), used
 
 
 def _spans_volume(points: np.ndarray) -> bool:
@@ -128,16 +193,42 @@ def _spans_volume(points: np.ndarray) -> bool:
     return bool(np.linalg.svd(rounded - rounded.mean(axis=0), compute_uv=False)[-1] > _FLAT)
 
 
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A closed surface that convex pieces are compared with.
+
+    Attributes:
+        mesh: The surface [m].
+        volume: The volume that it encloses [m^3].
+        covered: The area of the table that it covers, seen from above.
+    """
+
+    mesh: trimesh.Trimesh
+    volume: float
+    covered: BaseGeometry
+
+    @staticmethod
+    def of(mesh: trimesh.Trimesh) -> Target:
+        """Returns the target for a surface; the covered area of a scan is that of the surface with fewer triangles."""
+        coarse = coarsened(mesh, MEASURED)
+        return Target(mesh, moments(mesh).volume, vertical_projection(coarse.vertices, coarse.faces))
+
+    def fit(self, hulls: tuple[Hull, ...]) -> Fit:
+        """Measures how closely convex pieces match the surface."""
+        mesh, covered = self.mesh, self.covered
+        projection = shapely.union_all([_hull_projection(h) for h in hulls])
+        footprint = shapely.area(shapely.symmetric_difference(covered, projection)) / shapely.area(covered)
+        volume = _volume_of_union(hulls) / self.volume - 1.0
+        whole = cast(trimesh.Trimesh, trimesh.util.concatenate([trimesh.Trimesh(*hull) for hull in hulls]))
+        corners = mesh.vertices[:: max(1, len(mesh.vertices) // _ON_SURFACE)]
+        lost = distances(whole, np.vstack([_sampled(mesh, _ON_SURFACE, 0)[0], corners]))
+        gained = -signed_depths(mesh, np.vstack([_sampled(whole, _ON_SURFACE, 0)[0], whole.vertices]))
+        return Fit(float(volume), float(footprint), float(max(lost.max(), gained.max(initial=0.0))))
+
+
 def compare(mesh: trimesh.Trimesh, hulls: tuple[Hull, ...]) -> Fit:
     """Measures how closely convex pieces match the closed surface that they represent."""
-    covered = vertical_projection(mesh.vertices, mesh.faces)
-    projection = shapely.union_all([_hull_projection(h) for h in hulls])
-    footprint = shapely.area(shapely.symmetric_difference(covered, projection)) / shapely.area(covered)
-    volume = _volume_of_union(hulls) / moments(mesh).volume - 1.0
-    whole = cast(trimesh.Trimesh, trimesh.util.concatenate([trimesh.Trimesh(*hull) for hull in hulls]))
-    lost = distances(whole, np.vstack([_sampled(mesh, _ON_SURFACE, 0)[0], mesh.vertices]))
-    gained = -signed_depths(mesh, np.vstack([_sampled(whole, _ON_SURFACE, 0)[0], whole.vertices]))
-    return Fit(float(volume), float(footprint), float(max(lost.max(), gained.max(initial=0.0))))
+    return Target.of(mesh).fit(hulls)
 
 
 def vertical_projection(vertices: np.ndarray, faces: np.ndarray) -> BaseGeometry:
@@ -203,17 +294,3 @@ def _depth(hull: Hull, points: np.ndarray) -> np.ndarray:
     shell = trimesh.Trimesh(*hull, process=False)
     inward = np.einsum("fi,fi->f", shell.face_normals, shell.triangles[:, 0]) - points @ shell.face_normals.T
     return inward.min(axis=1)
-
-
-def _hull(points: np.ndarray) -> Hull:
-    """Returns the convex hull of points, with its corners rounded as they are written.
-
-    A hull with more than :data:`CORNERS` corners is replaced by the hull of fewer of them, one per cell of a grid; it
-    shrinks by at most one cell.
-    """
-    hull = trimesh.convex.convex_hull(np.round(points, 5))
-    cell = 0.0005
-    while len(hull.vertices) > CORNERS:
-        _, kept = np.unique(np.round(hull.vertices / cell), axis=0, return_index=True)
-        hull, cell = trimesh.convex.convex_hull(hull.vertices[np.sort(kept)]), 1.5 * cell
-    return np.asarray(hull.vertices), np.asarray(hull.faces)

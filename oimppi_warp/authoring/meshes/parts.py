@@ -10,15 +10,21 @@ from scipy.sparse.csgraph import connected_components
 _SAME_ANGLE = 1e-6  # for faces of a wall to count as back to back [rad]
 
 
+def merged(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Returns the mesh itself, with duplicate vertices merged and degenerate faces removed."""
+    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=7)
+    if len(mesh.faces):
+        mesh.update_faces(mesh.nondegenerate_faces())
+    mesh.remove_unreferenced_vertices()
+    return mesh
+
+
 def cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Returns the mesh with duplicate vertices merged, degenerate faces removed and its parts separated.
+    """Returns a mesh without duplicate vertices (:func:`merged`) with its parts separated.
 
     A duplicate face is kept once. Two faces lying back to back are an inner wall and are both removed, unless the
     surface is closed only with them, as is that of overlapping parts with faces in common.
     """
-    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=7)
-    mesh.update_faces(mesh.nondegenerate_faces())
-    mesh.remove_unreferenced_vertices()
     once = separated(_each_face_once(mesh))
     if once.is_watertight:
         return once

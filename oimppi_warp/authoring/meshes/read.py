@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +13,10 @@ import numpy as np
 import trimesh
 
 from oimppi_warp.authoring.meshes.formats import MESHES
-from oimppi_warp.authoring.meshes.parts import cleaned
+from oimppi_warp.authoring.meshes.holes import fill_holes
+from oimppi_warp.authoring.meshes.orient import orient
+from oimppi_warp.authoring.meshes.parts import cleaned, merged
+from oimppi_warp.authoring.meshes.sides import one_side, thickened
 from oimppi_warp.errors import ConfigError, SceneError
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
@@ -25,6 +31,12 @@ PARTS = 20
 FILLED = 0.15
 """Largest share of the surface that may be missing from a mesh."""
 
+SHELL = 0.03
+"""Share of the surface from which on missing parts may be the opening of a shell."""
+
+WALLS = (0.0005, 0.05)
+"""Range of the thickness that an open surface can be given [m]."""
+
 FACES = 200_000
 """Maximum number of triangles of a mesh."""
 
@@ -32,6 +44,7 @@ _MAKE_SOLID = (
     "make it a closed solid in your modelling program: in Blender, enable 3D Print Toolbox, then Clean Up > Make "
     "Manifold"
 )
+_OR_WALL = "; or, if it is a shell, give it a wall, in metres: --wall 0.002"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,26 +62,35 @@ class Surface:
     notes: tuple[str, ...]
 
 
-def read_surface(file: str | Path, scale: str | None = None) -> Surface:
+def read_surface(file: str | Path, scale: str | None = None, wall: float | None = None) -> Surface:
     """Reads a mesh, scales it to metres, and closes it.
 
     Args:
         file: The mesh; if it holds several meshes, they are merged.
         scale: Its unit, one of :data:`UNITS`; ``None``: metres.
+        wall: Thickness of the wall to give to an open surface [m]; ``None``: its holes are closed.
 
     Raises:
-        ConfigError: The unit is unknown.
+        ConfigError: The unit is unknown, or the thickness is out of range.
         SceneError: The file is not a mesh, has no volume, is of a size that the arm cannot push, has too many parts, or
-            is open and cannot be closed, or has only one side.
+            is open and cannot be closed, or has only one side; or a wall is asked for, and the surface is closed.
     """
     file = Path(file).expanduser()
     if scale is not None and scale not in UNITS:
         raise ConfigError(f"--scale {scale}: unknown unit\n  allowed: {', '.join(UNITS)}")
+    if wall is not None and not WALLS[0] <= wall <= WALLS[1]:
+        raise ConfigError(f"--wall {wall:g}: out of range\n  allowed: {WALLS[0]:g} to {WALLS[1]:g} m")
     mesh = _read(file)
     _check_size(file, mesh, scale)
     mesh.apply_scale(UNITS[scale or "m"])
-    mesh = cleaned(mesh)
-    _check_volume(file, mesh)
+    mesh = merged(mesh)
+    if not len(mesh.faces):
+        raise _flat_error(file, "all of its faces are degenerate")
+    single = None if mesh.is_watertight else one_side(mesh)
+    mesh = cleaned(mesh if single is None else single)
+    notes = [] if single is None else ["double-sided: each face was listed for both sides, and now counts once"]
+    if wall is None:
+        _check_volume(file, mesh)
     parts = mesh.body_count
     if parts > PARTS:
         raise SceneError(
@@ -77,7 +99,13 @@ def read_surface(file: str | Path, scale: str | None = None) -> Surface:
             allowed=f"one solid, or up to {PARTS} parts that move as one",
             fix="in your modelling program, join them and remove screws, text and other small features",
         )
-    notes = _close(file, mesh)
+    if wall is not None:
+        mesh = _with_wall(file, mesh, wall)
+        notes.append(f"given a wall of {1000 * wall:g} mm, on its inner side")
+    elif single is not None and not mesh.is_watertight:
+        holes = _count_text(_hole_count(mesh), "opening")
+        raise _shell_error(file, f"the mesh is a shell without thickness, with {holes}: its faces have both sides")
+    notes += _close(file, mesh)
     if mesh.volume < 0.0:
         mesh.invert()
         notes.append("inverted, as it was inside out")
@@ -97,7 +125,8 @@ def _read(file: Path) -> trimesh.Trimesh:
             f"the extension ({file.suffix or 'none'}) is not that of a mesh", file=file, allowed=formats, fix=fix
         )
     try:
-        mesh = trimesh.load_scene(str(file)).to_mesh()
+        with _silent():
+            mesh = trimesh.load_scene(str(file)).to_mesh()
     except Exception as error:  # readers of a dozen formats raise many kinds of exceptions
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise SceneError(f"the mesh cannot be read ({reason})", file=file, allowed=formats) from None
@@ -106,6 +135,9 @@ def _read(file: Path) -> trimesh.Trimesh:
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
         what = "the mesh has no faces" if not len(mesh.faces) else "the mesh has vertices that are not finite"
         raise SceneError(what, file=file, allowed="triangles that enclose a volume")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        what = "the mesh has faces whose corners do not exist"
+        raise SceneError(what, file=file, allowed=f"corners from 0 to {len(mesh.vertices) - 1}", fix="export it again")
     if len(mesh.faces) > FACES:
         raise SceneError(
             f"the mesh has {len(mesh.faces)} triangles",
@@ -114,6 +146,19 @@ def _read(file: Path) -> trimesh.Trimesh:
             fix="export it at a lower resolution, or decimate it: an accuracy of 0.5 mm is sufficient",
         )
     return mesh
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Returns a context in which trimesh logs nothing: it logs the tracebacks of what it tries."""
+    log = logging.getLogger("trimesh")
+    before, log.disabled = log.disabled, True
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.disabled = before
 
 
 def _check_size(file: Path, mesh: trimesh.Trimesh, scale: str | None) -> None:
@@ -142,29 +187,49 @@ def _check_volume(file: Path, mesh: trimesh.Trimesh) -> None:
 
 
 def _flat_error(file: Path, what: str) -> SceneError:
-    fix = "give the part a thickness in your modelling program"
+    fix = "give the part a thickness in your modelling program, or with --wall, in metres: --wall 0.01"
     return SceneError(what, file=file, allowed="a solid: a surface that encloses a volume", fix=fix)
+
+
+def _shell_error(file: Path, what: str) -> SceneError:
+    fix = "give it a wall, in metres: --wall 0.002; or close it in your modelling program"
+    return SceneError(what, file=file, allowed="a solid: a surface that encloses a volume", fix=fix)
+
+
+def _with_wall(file: Path, mesh: trimesh.Trimesh, wall: float) -> trimesh.Trimesh:
+    """Returns an open surface as a closed solid with a wall of this thickness [m]."""
+    if mesh.is_watertight:
+        raise SceneError(
+            f"--wall {wall:g} does not apply: the surface is closed, so the mesh is a solid",
+            file=file,
+            allowed="--wall with an open surface only",
+            fix="leave out --wall",
+        )
+    orient(mesh)
+    rim = mesh.edges[trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)]
+    if len(rim):  # the inner side is the one that closing the rim would enclose
+        a, b, c = np.moveaxis(mesh.triangles - mesh.vertices[rim.ravel()].mean(axis=0), 1, 0)
+        if np.einsum("fi,fi->", a, np.cross(b, c)) < 0.0:
+            mesh.invert()
+    return thickened(mesh, wall)
 
 
 def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
     """Closes the surface and returns a list of the changes made."""
-    notes = []
+    notes: list[str] = []
     if not mesh.is_winding_consistent:
-        trimesh.repair.fix_winding(mesh)
+        orient(mesh)
         notes.append("inconsistently oriented faces were flipped")
     if not mesh.is_watertight:
         area, holes = float(mesh.area), _hole_count(mesh)
-        if holes:
-            trimesh.repair.fill_holes(mesh)
-        if not mesh.is_watertight:
-            if not _hole_count(mesh):
-                raise SceneError(
-                    "the mesh is not manifold: some edges are shared by more than two faces",
-                    file=file,
-                    allowed="a mesh whose edges each belong to at most two faces",
-                    fix=_MAKE_SOLID,
-                )
-            _stitch(mesh)
+        if not holes:
+            raise SceneError(
+                "the mesh is not manifold: some edges are shared by more than two faces",
+                file=file,
+                allowed="a mesh whose edges each belong to at most two faces",
+                fix=_MAKE_SOLID,
+            )
+        fill_holes(mesh)
         share = 1.0 - area / float(mesh.area)
         missing = (
             f"{_count_text(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of the surface"
@@ -173,7 +238,8 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
             raise _open_error(file, f"the surface is open ({_count_text(holes, 'hole')}) and could not be closed")
         if share > FILLED:
             raise _open_error(file, f"too much of the surface is missing: {missing}")
-        notes.append(f"closed {missing}")
+        hollow = "; if it is hollow there, a shell, use --wall 0.002" if share > SHELL else ""
+        notes.append(f"closed {missing}{hollow}")
     if not mesh.is_winding_consistent:
         raise SceneError(
             "the faces cannot be oriented consistently",
@@ -185,19 +251,12 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
     return notes
 
 
-def _stitch(mesh: trimesh.Trimesh) -> None:
-    """Closes the larger holes with fans of triangles."""
-    with suppress(ValueError):  # no rim forms a closed loop: the mesh stays open
-        mesh.faces = np.vstack([mesh.faces, trimesh.repair.stitch(mesh)])
-    trimesh.repair.fix_winding(mesh)
-
-
 def _open_error(file: Path, what: str) -> SceneError:
     return SceneError(
         what,
         file=file,
         allowed=f"a closed surface, or one with up to {100 * FILLED:.0f} % of its area missing",
-        fix=_MAKE_SOLID,
+        fix=_MAKE_SOLID + _OR_WALL,
     )
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from oimppi_warp.authoring.meshes.convex import Fit, Hull, decompose
+from oimppi_warp.authoring.meshes.convex import FAR_OFF, SECONDS, Fit, decompose
+from oimppi_warp.authoring.meshes.hulls import Hull
 from oimppi_warp.authoring.meshes.moments import moments
 from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
+from oimppi_warp.authoring.meshes.progress import report
 from oimppi_warp.authoring.meshes.read import read_surface
 from oimppi_warp.authoring.objects.outlines import FRICTION, checked_friction, checked_mass
 from oimppi_warp.authoring.prims import (
@@ -24,6 +26,7 @@ from oimppi_warp.authoring.prims import (
     physics_material,
 )
 from oimppi_warp.errors import SceneError
+from oimppi_warp.geometry.rolling import rolling_of_points
 
 STEEL: Color = (0.45, 0.47, 0.5)
 
@@ -82,8 +85,8 @@ class MeshObject:
 
     @property
     def yaw_matters(self) -> bool:
-        """Returns whether the object's yaw is visible."""
-        return True
+        """Returns whether the object's yaw is visible; that of a ball is not."""
+        return rolling_of_points(np.vstack([corners for corners, _ in self.hulls]) - self.center) != "every way"
 
     def draw(self, stage: Usd.Stage, root: str, look: Look) -> None:
         """Writes the object's display geometry below ``root``."""
@@ -113,6 +116,7 @@ def import_mesh(
     friction: float = FRICTION,
     scale: str | None = None,
     lay: Lay = "stable",
+    wall: float | None = None,
     color: Color = STEEL,
 ) -> MeshObject:
     """Imports a mesh as an object: closes it, lays it on the table and cuts it into convex pieces.
@@ -123,7 +127,9 @@ def import_mesh(
         mass: Mass [kg]; ``None``: that of wood of the same volume.
         friction: Coulomb coefficient with the table.
         scale: Unit of the mesh: mm, cm, m or inch; ``None``: metres.
-        lay: Pose on the table: ``"stable"`` (its most stable pose) or ``"as-is"`` (as modelled, z up).
+        lay: Pose on the table: ``"stable"`` (its most stable pose), ``"flat"`` (its most stable one in which it does
+            not roll) or ``"as-is"`` (as modelled, z up).
+        wall: Thickness of the wall to give to an open surface [m]; ``None``: its holes are closed.
         color: Red, green and blue, each from 0 to 1.
 
     Raises:
@@ -132,20 +138,20 @@ def import_mesh(
     """
     file = Path(file).expanduser()
     friction = checked_friction(friction)
-    found = read_surface(file, scale)
+    report("reading the mesh", 0.0)
+    found = read_surface(file, scale, wall)
     surface = found.mesh
-    done = lay_on_table(surface, lay, file)
-    height = float(surface.extents[2])
-    if height < LOWEST:
-        raise SceneError(
-            f"the object is too flat for the stick: {1000 * height:.1f} mm high in this pose",
-            file=file,
-            allowed=f"{1000 * LOWEST:.0f} mm or more",
-            fix="make the part thicker, or stand it up in your modelling program and use --lay as-is",
-        )
+    report("laying it on the table", 0.15)
+    _, done = lay_on_table(surface, lay, file)
+    check_height(file, float(surface.extents[2]))
     solid = moments(surface)
     weight = checked_mass(mass, solid.volume)
-    hulls, fit = decompose(surface)
+    try:
+        hulls, fit = decompose(
+            surface, progress=lambda share: report("cutting it into convex pieces", 0.2 + 0.8 * share)
+        )
+    except SceneError as error:
+        raise SceneError(error.what, file=file, allowed=error.allowed, fix=error.fix) from None
     size = " x ".join(f"{side:.3g}" for side in surface.extents)
     pieces = f"{len(hulls)} convex piece{'' if len(hulls) == 1 else 's'}: {fit}"
     shown = ((np.asarray(surface.vertices), np.asarray(surface.faces)),) if len(surface.faces) <= DISPLAY_FACES else ()
@@ -159,9 +165,40 @@ def import_mesh(
         center=solid.center,
         inertia=weight * solid.inertia,
         fit=fit,
-        notes=(*found.notes, done, pieces),
+        notes=(*found.notes, done, pieces, *_far_off(fit)),
         color=color,
     )
+
+
+def _far_off(fit: Fit) -> tuple[str, ...]:
+    """Returns a warning about pieces that are far from the mesh, as notes."""
+    if not fit.is_far_off:
+        return ()
+    percent, mm = 100 * FAR_OFF[0], 1000 * FAR_OFF[2]
+    why = f" (cutting it was stopped after {SECONDS:g} s of computing)" if fit.stopped else ""
+    return (
+        f"warning: the pieces are not the mesh{why}: {fit}; allowed are {percent:g} % and {mm:g} mm\n"
+        "    to do: fill cavities that the arm cannot reach, cut the part into simpler meshes, or model it coarsely",
+    )
+
+
+def check_height(file: Path, height: float) -> None:
+    """Checks that an object is high enough for the stick.
+
+    Args:
+        file: Its file, for the error.
+        height: Its height in its pose on the table [m].
+
+    Raises:
+        SceneError: It is too flat.
+    """
+    if height < LOWEST:
+        raise SceneError(
+            f"the object is too flat for the stick: {1000 * height:.1f} mm high in this pose",
+            file=file,
+            allowed=f"{1000 * LOWEST:.0f} mm or more",
+            fix="make the part thicker, or stand it up in your modelling program and use --lay as-is",
+        )
 
 
 def plain_name(text: str) -> str:

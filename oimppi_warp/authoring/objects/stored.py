@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdPhysics, UsdShade
+from pxr import Gf, Usd, UsdPhysics, UsdShade
 
 from oimppi_warp.authoring.bundle import write_flattened
-from oimppi_warp.authoring.objects.outlines import checked_mass
-from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh
+from oimppi_warp.authoring.objects.outlines import checked_friction, checked_mass
+from oimppi_warp.authoring.prims import Color, Look, apply_api, mesh, physics_material
+from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import collider_mesh, height_range
 from oimppi_warp.scene import Collider, PushedObject
 from oimppi_warp.usd.bodies import center_of_mass, largest_friction, limit_surface_radius
-from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, solid
+from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders
+from oimppi_warp.usd.conversion.units import editable_prims
 from oimppi_warp.usd.conversion.upright import align_upright
-from oimppi_warp.usd.inertia import read_mass, unit_inertia
+from oimppi_warp.usd.densities import derive_mass, gives_mass
+from oimppi_warp.usd.inertia import given_moments, given_tensor, read_mass, unit_inertia
 from oimppi_warp.usd.stage import SceneStage
 
 GREY: Color = (0.45, 0.47, 0.5)
@@ -39,7 +43,8 @@ class StoredObject:
         doc: Description.
         colliders: The object's collision shapes in its frame.
         friction: Largest Coulomb coefficient of its materials; 0 without a material: the table's own value is used.
-        mass: Mass used because the file gives none [kg]; ``None``: the mass in the file.
+        mass: Mass to use instead of the file's [kg]; ``None``: the mass that the file gives.
+        changed_friction: Friction coefficient to use instead of the file's; ``None``: the file's.
         color: Colour of its ghost at the goal.
     """
 
@@ -49,6 +54,7 @@ class StoredObject:
     colliders: tuple[Collider, ...]
     friction: float
     mass: float | None = None
+    changed_friction: float | None = None
     color: Color = GREY
 
     @property
@@ -69,10 +75,15 @@ class StoredObject:
 
     @property
     def is_ready(self) -> bool:
-        """Returns whether a scene can reference the file as it is: SI units, z up, with a mass, without a transform."""
+        """Returns whether a scene can reference the file as it is: SI units, z up, with a mass, without a transform.
+
+        It cannot if another mass or friction than the file's was asked for.
+        """
+        if self.mass is not None or self.changed_friction is not None:
+            return False
         stage = SceneStage(self.file)
         root = stage.stage.GetDefaultPrim()
-        return stage.stage.GetSessionLayer().empty and _gives_mass(root) and not _operations(root)
+        return stage.stage.GetSessionLayer().empty and gives_mass(root) and not _operations(root)
 
     def write(self, file: Path, *, note: str = "") -> None:
         """Writes the object as it was read to one file, with its textures in a folder beside it.
@@ -80,7 +91,7 @@ class StoredObject:
         ``note`` is not used, since the file has its own documentation.
         """
         opened = _open(self.file)
-        _set_mass(opened, self.mass)
+        _apply_options(opened, self.mass, self.changed_friction)
         flat = opened.stage.Flatten(addSourceFileComment=False)
         stage = Usd.Stage.Open(flat)
         root = stage.GetDefaultPrim()
@@ -91,22 +102,23 @@ class StoredObject:
         write_flattened(flat, file, self.file)
 
 
-def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
+def read_object(file: str | Path, *, mass: float | None = None, friction: float | None = None) -> StoredObject:
     """Reads an object from a USD file: its default prim, with a mass and convex colliders.
 
-    If the file gives no mass, the given one is used, or else one computed from the densities of its shapes.
+    Without a mass, neither given nor in the file, it is computed from the densities of the shapes.
 
     Args:
         file: The file.
-        mass: Mass to use if the file gives none [kg].
+        mass: Mass to use instead of the file's [kg]; its inertia grows in proportion.
+        friction: Coulomb coefficient with the table to use instead of the file's.
 
     Raises:
-        ConfigError: The mass is invalid.
+        ConfigError: The mass or the friction is invalid.
         SceneError: The file does not hold a valid object.
     """
     stage = _open(Path(file).expanduser().resolve())
     root = stage.stage.GetDefaultPrim()
-    weighed = _set_mass(stage, mass)
+    _apply_options(stage, mass, friction)
     read_mass(stage, root)
     frame = stage.body_frame(root)
     if frame.GetRow3(2)[2] < 1.0 - 1e-6:
@@ -122,8 +134,8 @@ def read_object(file: str | Path, *, mass: float | None = None) -> StoredObject:
             what = f"its material <{material.GetPath()}> is not below the default prim, and would be left behind"
             raise stage.error(what, prim, allowed=f"a prim below <{root.GetPath()}>", fix="move it there")
     doc = str(stage.stage.GetRootLayer().documentation).partition(". ")[0] or f"the object {stage.file.stem}"
-    friction = largest_friction(stage, [root]) or 0.0
-    return StoredObject(stage.file, stage.file.stem, doc, colliders, friction, mass if weighed else None)
+    found = largest_friction(stage, [root]) or 0.0
+    return StoredObject(stage.file, stage.file.stem, doc, colliders, found, mass, friction)
 
 
 def read_body(file: Path) -> PushedObject:
@@ -134,7 +146,7 @@ def read_body(file: Path) -> PushedObject:
     """
     obj, stage = read_object(file), _open(file.resolve())
     root = stage.stage.GetDefaultPrim()
-    _set_mass(stage, None)
+    _apply_options(stage, None, None)
     mass = read_mass(stage, root)
     return PushedObject(
         path=str(root.GetPath()),
@@ -173,67 +185,37 @@ def _open(file: Path) -> SceneStage:
     return stage
 
 
-def _gives_mass(root: Usd.Prim) -> bool:
-    """Returns whether the file gives a mass for the body as a whole, usable or not."""
-    return bool(UsdPhysics.MassAPI(root).GetMassAttr().Get()) if root.HasAPI(UsdPhysics.MassAPI) else False
-
-
-def _set_mass(stage: SceneStage, mass: float | None) -> bool:
-    """Gives a body without a mass the requested one, or else one computed from the densities of its shapes.
-
-    Args:
-        stage: A stage whose default prim is the body.
-        mass: The requested mass [kg].
-
-    Returns:
-        Whether the requested mass was needed.
-
-    Raises:
-        SceneError: The body has neither a mass nor densities, and no mass was requested.
-    """
+def _apply_options(stage: SceneStage, mass: float | None, friction: float | None) -> None:
+    """Sets the mass [kg] and the friction of the default prim of a stage; ``None`` keeps those of the file."""
     root = stage.stage.GetDefaultPrim()
-    if _gives_mass(root):
-        return False
-    if mass is not None:
-        found = checked_mass(mass, 0.0)
+    colliders = read_colliders(stage, root, stage.body_frame(root))
+    if mass is None:
+        derive_mass(stage, root, colliders, fix=", or use --mass")
     else:
-        found = 0.0
-        for collider in read_colliders(stage, root, stage.body_frame(root)):
-            density = _density(stage.stage.GetPrimAtPath(collider.path), root)
-            if not density > 0.0:
-                fix = "set physics:mass or physics:density with PhysicsMassAPI, or use --mass"
-                raise stage.error("the body has no mass", root, allowed="a mass or a density above zero", fix=fix)
-            found += density * _volume(collider)
-    if found:
-        UsdPhysics.MassAPI.Apply(root).CreateMassAttr(found)
-    return mass is not None
+        _set_mass(stage, root, colliders, checked_mass(mass, 0.0))
+    if friction is not None:
+        material = physics_material(stage.stage, f"{root.GetPath()}/OimppiFriction", checked_friction(friction))
+        for prim in editable_prims(stage.stage):
+            if prim.GetPath().HasPrefix(root.GetPath()) and prim.HasAPI(UsdPhysics.CollisionAPI):
+                UsdShade.MaterialBindingAPI.Apply(prim).Bind(
+                    material, UsdShade.Tokens.strongerThanDescendants, "physics"
+                )
 
 
-def _density(prim: Usd.Prim, root: Usd.Prim) -> float:
-    """Returns the density given in a body's file for one of its shapes [kg/m^3], or 0 if there is none.
-
-    As in UsdPhysics, a shape's own density takes precedence over that of its ancestors, and that over its material's.
-    """
-    for place in prim.GetPath().GetAncestorsRange():
-        if place.HasPrefix(root.GetPath()):
-            above = prim.GetStage().GetPrimAtPath(place)
-            given = UsdPhysics.MassAPI(above).GetDensityAttr().Get() if above.HasAPI(UsdPhysics.MassAPI) else None
-            if given:
-                return float(given)
-    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
-    physics = UsdPhysics.MaterialAPI(material.GetPrim()) if material else None
-    return float(physics.GetDensityAttr().Get() or 0.0) if physics else 0.0
-
-
-def _volume(collider: Collider) -> float:
-    """Returns the volume of a shape [m^3]."""
-    if collider.kind == "mesh":
-        return float(solid(collider).volume)
-    if collider.kind == "box":
-        return 8.0 * math.prod(collider.size)
-    radius, half_height = (*collider.size, 0.0)[:2]
-    ball = 4.0 / 3.0 * math.pi * radius**3 if collider.kind in ("sphere", "capsule") else 0.0
-    return ball + 2.0 * math.pi * radius**2 * half_height
+def _set_mass(stage: SceneStage, root: Usd.Prim, colliders: tuple[Collider, ...], mass: float) -> None:
+    """Sets a body's mass [kg], whatever the file says; an inertia in the file grows in proportion."""
+    with suppress(SceneError):  # neither a mass nor densities, or unusable ones
+        derive_mass(stage, root, colliders)
+    api = UsdPhysics.MassAPI.Apply(root)
+    before = float(api.GetMassAttr().Get() or 0.0)
+    if 0.0 < before < math.inf:
+        moments, tensor = given_moments(root), given_tensor(root)
+        if moments is not None:
+            api.CreateDiagonalInertiaAttr(Gf.Vec3f(*(mass / before * moments).tolist()))
+        if tensor is not None:
+            given = root.GetAttribute("newton:inertia")
+            given.Set(type(given.Get())([mass / before * value for value in given.Get()]))
+    api.CreateMassAttr(mass)
 
 
 def _operations(prim: Usd.Prim) -> list[str]:
