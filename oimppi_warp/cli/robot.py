@@ -94,6 +94,10 @@ class AddRobot:
                 try:
                     scene, no_trial = write_sample_task(robot, name, Path(folder), destination=self.out), ""
                 except SceneError as error:
+                    if error.prim.startswith("/World/Robot/"):  # not the task, but a part of the robot
+                        raise SceneError(
+                            error.what, file=self.file, allowed=error.allowed, fix="correct it in the robot's file"
+                        ) from None
                     scene, no_trial = None, error.what
                 self._install(Path(folder))
         bare = [part for link, part in zip(made.links, chain.links, strict=True) if not link.colliders]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from support.sample_arms import ARMS, FORMATS, Part, SampleArm, Shape, mjcf, urdf, write_arm
@@ -15,9 +16,11 @@ from oimppi_warp.authoring.robots.read import read_arm
 from oimppi_warp.cli.main import main
 from oimppi_warp.config.presets import best
 from oimppi_warp.geometry.feasibility import check_task, sample_start
-from oimppi_warp.geometry.kinematics import link_frames, tip_frame, touching_turret
+from oimppi_warp.geometry.kinematics import link_frames, pack_arm, tip_frame, touching_turret
 from oimppi_warp.geometry.postures import postures_of
 from oimppi_warp.geometry.reach import can_tilt, reach_of
+from oimppi_warp.physics.newton_model import ROLES
+from oimppi_warp.physics.world import World
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.runtime.episode import Episode
 from oimppi_warp.scene import Robot, Scene
@@ -129,6 +132,21 @@ def test_a_turret_may_be_near_the_table_which_no_joint_brings_it_nearer_to(tmp_p
     assert [link.path for link in touching_turret(trial(tmp_path).robot)] == (
         ["/World/Robot/link1"] if bottom <= 0 else []
     )
+
+
+def test_a_turret_in_the_table_neither_collides_with_it_nor_hides_other_links(tmp_path):
+    shape = Shape("cylinder", (0.06, 0.06), (0, 0, -0.02))
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), shapes=(shape,)))
+    assert added(tmp_path, urdf(arm)) == 0
+    scene = trial(tmp_path)
+    assert pack_arm(scene.robot, np.ones(5), "cpu").turret == 1
+    made = World(scene).mujoco
+    data = mujoco.MjData(made.model)
+    data.qpos[made.joint_qpos] = scene.robot.start
+    mujoco.mj_forward(made.model, data)
+    roles = [{ROLES[made.roles[geom]] for geom in pair} for pair in data.contact.geom]
+    assert {"arm", "object"} in roles  # which is at the origin here, in the turret
+    assert {"arm", "table"} not in roles
 
 
 def test_a_link_that_comes_too_near_the_table_is_named_with_its_height(tmp_path, capsys):
