@@ -21,6 +21,8 @@ SHORT = ["--max-sim-seconds", "0.5", *SMALL]
 """Options after which a run takes a second, and does not reach its goal."""
 _BLOCK = re.compile(r"^ *```sh\n(.*?)^ *```$", flags=re.MULTILINE | re.DOTALL)
 _INDENTED = re.compile(r"^ {4}(?:\$ )?(oimppi (?:.*\\\n)*.*)$", flags=re.MULTILINE)
+_MENTION = re.compile(r"^oimppi run --|\b[A-Z]+\b|\.\.\.|\.x\b|\||--help| --[\w-]+$")
+"""What a command has in a sentence that speaks of it, but does not tell the reader to type it."""
 
 
 def shell_lines(text: str) -> list[str]:
@@ -34,8 +36,10 @@ def spans(text: str) -> Iterator[str]:
     """Commands in sentences that can be typed as they are: with an argument, and no word that stands for another."""
     for span in re.findall(r"`(oimppi [^`]+)`", _BLOCK.sub("", text)):
         line = " ".join(span.split())
-        names = 3 if line.startswith(("oimppi scene ", "oimppi ros2 ")) else 2
-        if len(line.split()) > names and not re.search(r"\b[A-Z]{1,}\b|\.\.\.|\.x\b|\||--help| --[\w-]+$", line):
+        names = 3 if line.startswith(("oimppi scene ", "oimppi ros2 ", "oimppi perceive ")) else 2
+        if len(line.split()) > names and not re.search(
+            r"^oimppi run --|\b[A-Z]{1,}\b|\.\.\.|\.x\b|\||--help| --[\w-]+$", line
+        ):
             yield line
 
 
