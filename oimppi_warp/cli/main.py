@@ -27,7 +27,7 @@ from oimppi_warp.cli.bench import Bench, Compare, Report
 from oimppi_warp.cli.check import Check
 from oimppi_warp.cli.demos import Demos
 from oimppi_warp.cli.hardware import LabEmulator
-from oimppi_warp.cli.options import TaskOptions
+from oimppi_warp.cli.options import REAL, TaskOptions
 from oimppi_warp.cli.perceive import PerceiveCommand
 from oimppi_warp.cli.robot import AddRobot
 from oimppi_warp.cli.ros2 import Ros2Check, Ros2Plant
@@ -322,7 +322,7 @@ def _print_summary(metrics: Metrics, scene: Scene, record: Path | None) -> None:
         f"{run.engine} on {run.device}",
         "result": f"{result} ({metrics.ended})",
         "errors": f"{metrics.position_error_m:.3f} m{yaw} at the end; {metrics.mean_position_error_m:.3f} m on average",
-        "time": f"{metrics.sim_time_s:.2f} s simulated in {metrics.steps} steps; "
+        "time": f"{metrics.sim_time_s:.2f} s{'' if run.plant in REAL else ' simulated'} in {metrics.steps} steps; "
         f"{metrics.total_time_s:.1f} s {total}, of which "
         f"{metrics.preplan_time_s:.2f} s before the first step",
         "plans": f"median {metrics.plan_ms_median:.1f} ms, p95 {metrics.plan_ms_p95:.1f} ms, "

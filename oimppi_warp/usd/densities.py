@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from pxr import Gf, Usd, UsdPhysics, UsdShade
-from scipy.spatial.transform import Rotation
 
 from oimppi_warp.scene import Collider
 from oimppi_warp.usd.colliders import solid, volume_and_center
@@ -59,6 +58,8 @@ def derive_mass(stage: SceneStage, body: Usd.Prim, colliders: tuple[Collider, ..
     if given_center(body) is None:
         api.CreateCenterOfMassAttr(Gf.Vec3f(*(center / scales(stage.frame(body))).tolist()))
     if given_moments(body) is None and given_tensor(body) is None:
+        from scipy.spatial.transform import Rotation  # slow to import, and seldom needed
+
         moments, axes = np.linalg.eigh(_inertia(colliders, masses, center))
         axes[:, 2] *= math.copysign(1.0, float(np.linalg.det(axes)))
         x, y, z, w = Rotation.from_matrix(axes).as_quat().tolist()

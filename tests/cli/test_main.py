@@ -43,7 +43,7 @@ class Stage:
     def setup(self, scene: Any, config: Any, spec: RunSpec) -> Any:
         self.asked = {"scene": scene, "config": config, **asdict(spec)}
         self.config, self.plant = config, None
-        return SimpleNamespace(scene=scene, config=config, spec=spec, episode=lambda: self)
+        return SimpleNamespace(scene=scene, config=config, spec=spec, episode=lambda **_: self)
 
     def run(self, on_step: Any = None) -> EpisodeLog:
         if on_step is not None:
