@@ -4,6 +4,8 @@ Rerun's server is a process of its own: it listens at the requested address only
 process plans.
 """
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 import socket
@@ -51,7 +53,7 @@ class RerunServer:
 
         self.port = free_port(host, port)
         data = free_port(host, self.port + 1)
-        program = str(Path(rerun_cli.__file__).with_name("rerun"))
+        program = str(Path(str(rerun_cli.__file__)).with_name("rerun"))
         ports = ["--port", str(data), "--web-viewer-port", str(self.port)]
         self._process = subprocess.Popen(
             [program, "--serve-web", "--bind", host, *ports],
