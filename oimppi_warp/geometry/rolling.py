@@ -1,4 +1,4 @@
-"""Whether an object rolls when it is pushed: a ball, or a rod that lies on its round side.
+"""Finds objects that roll when they are pushed: balls, and rods that lie on their round side.
 
 The planner's quasi-static model knows sliding only, and so does the limit surface (equation 5).
 """
@@ -13,16 +13,16 @@ from oimppi_warp.geometry.footprint import core_points
 from oimppi_warp.scene import PushedObject
 
 Rolling = Literal["", "one way", "every way"]
-"""How an object rolls: not at all, like a rod, or like a ball."""
+"""Directions in which an object rolls: none, one (a rod), or all (a ball)."""
 
 IN_WORDS: dict[Rolling, str] = {
     "one way": "the object lies on its round side and rolls when it is pushed across its axis",
     "every way": "the object is round like a ball and rolls when it is pushed",
 }
-"""What is said of an object that rolls."""
+"""Warning about an object that rolls, by its directions."""
 
 REMEDY = "lay it on a flat side, if it has one (a mesh: --lay flat); otherwise it may roll away"
-"""What to do about an object that rolls."""
+"""Remedy that is added to the warning."""
 
 LEVEL = 0.05
 """Relative change of the centre of mass's height up to which turning the object over counts as rolling.

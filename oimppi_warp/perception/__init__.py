@@ -1,1 +1,1 @@
-"""Where a real plant gets the object's pose from."""
+"""Sources of the object's pose for a real plant: a camera in this process, or a detector reached over TCP."""

@@ -45,7 +45,7 @@ class SeenTag:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What was found in an image.
+    """Result of looking for the object in an image.
 
     Attributes:
         pose: Planar pose of the object's frame in the world, shape [3] [m, m, rad]; ``None`` if it was not found.

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from support.emulated_lab import COMMAND_PORT, POSE_PORT, address
+from support.pushing import forces
 
 from oimppi_warp.cli.main import main
 from oimppi_warp.record.log import EpisodeLog
@@ -52,12 +53,6 @@ def push(host: str, folder: Path, *options: str, seed: int = 0) -> dict:
     done = subprocess.run(run, capture_output=True, text=True, timeout=250, check=False)
     assert (folder / "metrics.json").exists(), done.stderr
     return json.loads((folder / "metrics.json").read_text()) | {"said": done.stdout + done.stderr}
-
-
-def forces(log: Path) -> list[float]:
-    """Largest forces in the emulation [N]: tool and object, object and obstacles, arm and obstacles."""
-    line = next(line for line in log.read_text().splitlines() if line.startswith("The largest forces"))
-    return [float(word) for word, unit in zip(line.split(), line.split()[1:], strict=False) if unit == "N"]
 
 
 @pytest.mark.timeout(600)

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from support.pushing import forces
 from support.ros2_lab import HERE, new_domain
 
 from oimppi_warp.cli.main import main
@@ -49,12 +50,6 @@ def push(domain: int, folder: Path, *options: str, seed: int = 0) -> dict:
     )
     assert (folder / "metrics.json").exists(), done.stderr
     return json.loads((folder / "metrics.json").read_text()) | {"said": done.stdout + done.stderr}
-
-
-def forces(log: Path) -> list[float]:
-    """Largest forces in the simulation [N]: tool and object, object and obstacles, arm and obstacles."""
-    line = next(line for line in log.read_text().splitlines() if line.startswith("The largest forces"))
-    return [float(word) for word, unit in zip(line.split(), line.split()[1:], strict=False) if unit == "N"]
 
 
 @pytest.mark.timeout(600)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from support import small_tasks
@@ -121,3 +122,9 @@ def time_to_rest(made: RealTimeLab) -> float:
             last = time.monotonic()
         time.sleep(0.002)
     return float((np.abs(made.state()[0] - joints) / largest).max())
+
+
+def forces(log: Path) -> list[float]:
+    """Largest forces that a lab printed [N]: tool and object, object and obstacles, arm and obstacles."""
+    line = next(line for line in log.read_text().splitlines() if line.startswith("The largest forces"))
+    return [float(word) for word, unit in zip(line.split(), line.split()[1:], strict=False) if unit == "N"]

@@ -1,4 +1,4 @@
-"""How far the making of an object has come, for whoever wants to show it."""
+"""Reports the progress of making an object, for a progress bar."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ _SHAPES = "box, sphere, capsule, cylinder, ellipsoid or mesh"
 
 @dataclass
 class _Body:
-    """What is read of a body, in its own frame.
+    """A body as it was read, in its own frame.
 
     Attributes:
         hulls: Its colliding shapes.

@@ -72,5 +72,5 @@ def _root_tag(file: Path) -> str:
         for _, element in ET.iterparse(file, events=("start",)):
             return str(element.tag)
     except (ET.ParseError, LookupError, ValueError):
-        pass
+        return ""  # the reader of the format says what is wrong
     return ""

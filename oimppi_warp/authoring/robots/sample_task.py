@@ -67,7 +67,7 @@ def write_sample_task(robot: Robot, name: str, folder: Path, *, destination: Pat
 
 @dataclass(frozen=True, eq=False)
 class _Workspace:
-    """Where a robot pushes.
+    """The region in which a robot can push.
 
     Attributes:
         reach: The region that its tip reaches.

@@ -1,1 +1,1 @@
-"""What all real arms have in common: commands from a thread, faults, the way to the start, the object's pose."""
+"""The plant of a real arm, whatever its interface: sends commands, stops at faults, moves to the start posture."""

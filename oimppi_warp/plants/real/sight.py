@@ -1,4 +1,4 @@
-"""What a real plant knows of the object's pose: the newest one, whether it can be used, and why there is none."""
+"""Selects poses of the object that are recent enough to use, and gives the reason when there are none."""
 
 from __future__ import annotations
 

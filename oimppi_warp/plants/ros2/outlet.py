@@ -91,7 +91,7 @@ class TrajectoryOutlet:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """What an outlet needs to know.
+    """Topic, joints and clock of an outlet.
 
     Attributes:
         topic: Name of the topic.
