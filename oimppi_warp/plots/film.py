@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -49,22 +51,39 @@ def film(log: EpisodeLog, scene: Scene, file: str | Path, *, speed: float = 2.0)
 
 def frames(log: EpisodeLog, scene: Scene, rows: Iterable[int]) -> Iterator[Image.Image]:
     """Yields an image of the scene from above after each of the given control steps."""
-    tool, poses = log["tool_position"], poses_of(log)
     for row in rows:
-        plans = [path for step, path in log.references if step <= row]
-        yield picture_from_above(
-            scene,
-            pose=log["object_pose"][row],
-            tips=tool[max(row - 20, 0) : row + 1],
-            goal=np.asarray(log.header["goal"], float),
-            tolerance=float(log.header["tolerance"]["position"]),
-            in_view=poses,
-            plan=plans[-1] if plans else np.zeros((0, 3)),
-            title=f"{title_of(log)}\n{log['time'][row]:.1f} s, tip height {1e3 * tool[row, 2]:.0f} mm",
-        )
+        height = 1e3 * log["tool_position"][row, 2]
+        title = f"{title_of(log)}\n{log['time'][row]:.1f} s, tip height {height:.0f} mm"
+        yield picture_from_above(scene, title=title, **state_of(log, row))
 
 
-def picture_from_above(
+def state_of(log: EpisodeLog, row: int) -> dict[str, Any]:
+    """Returns the arguments of :func:`draw_state` after a control step of a log."""
+    plans = [path for step, path in log.references if step <= row]
+    return {
+        "pose": log["object_pose"][row],
+        "tips": log["tool_position"][max(row - 20, 0) : row + 1],
+        "goal": np.asarray(log.header["goal"], float),
+        "tolerance": float(log.header["tolerance"]["position"]),
+        "in_view": poses_of(log),
+        "plan": plans[-1] if plans else np.zeros((0, 3)),
+    }
+
+
+def picture_from_above(scene: Scene, *, title: str, **state: Any) -> Image.Image:
+    """Draws a state of a task from above, as :func:`draw_state`, with some text above the picture."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(3.6, 4.8), dpi=100, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        axes = figure.add_subplot()
+        draw_state(axes, scene, **state)
+        axes.set_title(title, fontsize=8)
+        canvas.draw()
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def draw_state(
+    axes: Axes,
     scene: Scene,
     *,
     pose: np.ndarray,
@@ -73,11 +92,11 @@ def picture_from_above(
     tolerance: float,
     in_view: np.ndarray,
     plan: np.ndarray,
-    title: str,
-) -> Image.Image:
+) -> None:
     """Draws a state of a task from above.
 
     Args:
+        axes: Axes to draw in.
         scene: The task.
         pose: Planar pose of the object, shape [3] [m, m, rad].
         tips: Latest positions of the tip, of which the last is the present one, shape [n, 3] [m].
@@ -85,21 +104,13 @@ def picture_from_above(
         tolerance: Radius of the circle around the goal [m].
         in_view: Planar poses of the object that are to be in view, shape [n, 3] [m, m, rad].
         plan: Planned poses of the object, shape [n, 3] [m, m, rad].
-        title: Text above the picture.
     """
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(3.6, 4.8), dpi=100, layout="constrained")
-        canvas = FigureCanvasAgg(figure)
-        axes = figure.add_subplot()
-        draw_scene(axes, scene, in_view, tolerance)
-        pieces = footprint(scene.object.colliders)
-        draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.4, ls=(0, (4, 2)), zorder=6)
-        axes.add_patch(Circle((goal[0], goal[1]), tolerance, fill=False, ec=GOAL, lw=0.8, ls=":", zorder=2))
-        axes.plot(plan[:, 0], plan[:, 1], color=INK, lw=0.8, ls=(0, (1, 1.5)), zorder=4)
-        draw_shape(axes, pieces, pose, fc=(*to_rgb(START), 0.25), ec=START, zorder=5)
-        axes.plot(tips[:, 0], tips[:, 1], color="#8b98a1", lw=1.0, zorder=7)
-        axes.add_patch(Circle((tips[-1, 0], tips[-1, 1]), scene.robot.tool_radius, fc=INK, ec="none", zorder=8))
-        axes.set(aspect="equal", title=title)
-        axes.title.set_fontsize(8)
-        canvas.draw()
-        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    draw_scene(axes, scene, in_view, tolerance)
+    pieces = footprint(scene.object.colliders)
+    draw_shape(axes, pieces, goal, fc="none", ec=GOAL, lw=1.4, ls=(0, (4, 2)), zorder=6)
+    axes.add_patch(Circle((goal[0], goal[1]), tolerance, fill=False, ec=GOAL, lw=0.8, ls=":", zorder=2))
+    axes.plot(plan[:, 0], plan[:, 1], color=INK, lw=0.8, ls=(0, (1, 1.5)), zorder=4)
+    draw_shape(axes, pieces, pose, fc=(*to_rgb(START), 0.25), ec=START, zorder=5)
+    axes.plot(tips[:, 0], tips[:, 1], color="#8b98a1", lw=1.0, zorder=7)
+    axes.add_patch(Circle((tips[-1, 0], tips[-1, 1]), scene.robot.tool_radius, fc=INK, ec="none", zorder=8))
+    axes.set_aspect("equal")

@@ -8,80 +8,48 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 from support.emulated_lab import COMMAND_PORT, POSE_PORT, address
-from support.pushing import forces
+from support.two_processes import assert_19_of_20, assert_gentle_success, command, push, serving
 
 from oimppi_warp.cli.main import main
 from oimppi_warp.record.log import EpisodeLog
 
-FORCE = 20.0
-"""Largest force between tool and object of a gentle push [N]."""
 
-
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "oimppi_warp", *arguments]
-
-
-@contextmanager
-def emulator(host: str, *arguments: str, log: Path) -> Iterator[None]:
-    """The command `oimppi lab-emulator` in a process of its own; what it says ends up in ``log``."""
+def lab(host: str, *options: str, log: Path) -> AbstractContextManager[None]:
+    """The command `oimppi lab-emulator` with lab01."""
     ports = ("--host", host, "--port", str(COMMAND_PORT), "--pose-port", str(POSE_PORT))
-    with log.open("w") as said:
-        process = subprocess.Popen(command("lab-emulator", *arguments, *ports), stdout=said, stderr=subprocess.STDOUT)
-        try:
-            until = time.monotonic() + 120.0
-            while "listens" not in log.read_text():
-                assert process.poll() is None, log.read_text()
-                assert time.monotonic() < until
-                time.sleep(0.1)
-            yield
-        finally:
-            process.terminate()
-            process.wait(timeout=30.0)
+    return serving("lab-emulator", "lab01", *ports, *options, sign="listens", log=log)
 
 
-def push(host: str, folder: Path, *options: str, seed: int = 0) -> dict:
-    """Runs the command `oimppi run` on the emulator; the metrics, and the record in ``folder``."""
-    addresses = ("--robot-address", f"{host}:{COMMAND_PORT}", "--pose-address", f"{host}:{POSE_PORT}")
-    results = ("--record", str(folder), "--json", str(folder / "metrics.json"), "--seed", str(seed))
-    run = command("run", "lab01", "--plant", "xarm", "--device", "cpu", *addresses, *results, *options)
-    done = subprocess.run(run, capture_output=True, text=True, timeout=250, check=False)
-    assert (folder / "metrics.json").exists(), done.stderr
-    return json.loads((folder / "metrics.json").read_text()) | {"said": done.stdout + done.stderr}
+def addresses(host: str) -> tuple[str, ...]:
+    return ("--robot-address", f"{host}:{COMMAND_PORT}", "--pose-address", f"{host}:{POSE_PORT}")
+
+
+def pushed(host: str, folder: Path, *, seed: int = 0) -> dict:
+    return push(folder, "--plant", "xarm", *addresses(host), seed=seed)
 
 
 @pytest.mark.timeout(600)
 def test_the_can_of_lab01_is_pushed_to_its_goal_over_tcp(tmp_path, capsys):
-    host = address()
-    with emulator(host, "lab01", "--start", "0", "--seed", "1", log=tmp_path / "emulator.txt"):
-        assert (
-            main(["doctor", "--robot-address", f"{host}:{COMMAND_PORT}", "--pose-address", f"{host}:{POSE_PORT}"]) == 0
-        )
+    host, log = address(), tmp_path / "emulator.txt"
+    with lab(host, "--start", "0", "--seed", "1", log=log):
+        assert main(["doctor", *addresses(host)]) == 0
         assert "firmware 2.5.0" in capsys.readouterr().out
-        found = push(host, tmp_path / "run", "--yes", "--resume")
-    assert found["success"], found["said"]
-    assert found["mode"] == "realtime"
-    assert found["detections"] >= 0.5 * found["sim_time_s"], "the camera sees the object about once a second"
-    assert found["command_jitter_ms"] < 50.0
-    tool, obstacles, arm = forces(tmp_path / "emulator.txt")
-    assert 0.1 < tool < FORCE
-    assert obstacles == arm == 0.0
-    log = EpisodeLog.load(tmp_path / "run")
-    assert len(log) == found["steps"]
+        found = pushed(host, tmp_path / "run")
+    assert_gentle_success(found, log)
+    assert len(EpisodeLog.load(tmp_path / "run")) == found["steps"]
     assert main(["export", str(tmp_path / "run"), "--to", "usd"]) == 0, "the record replays"
 
 
 @pytest.mark.timeout(600)
 def test_a_signal_to_end_stops_the_arm_and_leaves_the_record(tmp_path):
     host = address()
-    with emulator(host, "lab01", "--start", "0", log=tmp_path / "emulator.txt"):
-        addresses = ("--robot-address", f"{host}:{COMMAND_PORT}", "--pose-address", f"{host}:{POSE_PORT}")
-        run = command("run", "lab01", "--plant", "xarm", "--device", "cpu", "--yes", *addresses)
+    with lab(host, "--start", "0", log=tmp_path / "emulator.txt"):
+        run = command("run", "lab01", "--plant", "xarm", "--device", "cpu", "--yes", *addresses(host))
         process = subprocess.Popen(
             [*run, "--record", str(tmp_path / "run")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
@@ -128,16 +96,13 @@ def test_doctor_without_an_arm(capsys):
 @pytest.mark.timeout(3600)
 def test_lab01_over_tcp_succeeds_in_19_of_20_trials(tmp_path):
     """Perception at 1 Hz with the lab's errors; starts and errors by the seeds 0 to 19."""
-    rows = []
-    for seed in range(20):
-        host, log = address(), tmp_path / f"emulator{seed}.txt"
-        with emulator(host, "lab01", "--seed", str(seed), log=log):
-            found = push(host, tmp_path / f"run{seed}", "--yes", "--resume", seed=seed)
-        rows.append((found["success"], found["stops"], found["command_jitter_ms"], *forces(log)))
-        print(seed, *rows[-1], flush=True)
-    assert sum(row[0] for row in rows) >= 19
-    assert max(row[3] for row in rows) < FORCE
-    assert max(max(row[4:]) for row in rows) == 0.0
+
+    def one(seed: int, log: Path):
+        host = address()
+        made = lab(host, "--seed", str(seed), log=log)
+        return made, lambda: pushed(host, tmp_path / f"run{seed}", seed=seed)
+
+    assert_19_of_20(one, tmp_path)
 
 
 @pytest.mark.slow

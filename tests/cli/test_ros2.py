@@ -3,72 +3,37 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
-from support.pushing import forces
 from support.ros2_lab import HERE, new_domain
+from support.two_processes import assert_19_of_20, assert_gentle_success, push, serving
 
 from oimppi_warp.cli.main import main
 from oimppi_warp.record.log import EpisodeLog
 
-FORCE = 20.0
-"""Largest force between tool and object of a gentle push [N]."""
+
+def lab(domain: int, *options: str, log: Path) -> AbstractContextManager[None]:
+    """The command `oimppi ros2 plant` with lab01."""
+    topics = ("--domain", str(domain), "--peers", HERE)
+    return serving("ros2", "plant", "lab01", *topics, *options, sign="Ctrl-C ends it", log=log)
 
 
-@contextmanager
-def lab(domain: int, *arguments: str, log: Path) -> Iterator[None]:
-    """The command `oimppi ros2 plant` in a process of its own; what it says ends up in ``log``."""
-    command = [sys.executable, "-m", "oimppi_warp", "ros2", "plant", *arguments]
-    with log.open("w") as said:
-        options = ("--domain", str(domain), "--peers", HERE)
-        process = subprocess.Popen([*command, *options], stdout=said, stderr=subprocess.STDOUT)
-        try:
-            until = time.monotonic() + 120.0
-            while "Ctrl-C ends it" not in log.read_text():
-                assert process.poll() is None, log.read_text()
-                assert time.monotonic() < until
-                time.sleep(0.1)
-            yield
-        finally:
-            process.terminate()
-            process.wait(timeout=30.0)
-
-
-def push(domain: int, folder: Path, *options: str, seed: int = 0) -> dict:
-    """Runs the command `oimppi run` on the topics; the metrics, and the record in ``folder``."""
-    run = [sys.executable, "-m", "oimppi_warp", "run", "lab01", "--plant", "ros2", "--device", "cpu"]
-    results = ("--record", str(folder), "--json", str(folder / "metrics.json"), "--seed", str(seed))
-    topics = ("--plant-options", f"domain={domain}", f"peers={HERE}", *options)
-    done = subprocess.run(
-        [*run, "--yes", "--resume", *results, *topics], capture_output=True, text=True, timeout=250, check=False
-    )
-    assert (folder / "metrics.json").exists(), done.stderr
-    return json.loads((folder / "metrics.json").read_text()) | {"said": done.stdout + done.stderr}
+def pushed(domain: int, folder: Path, *, seed: int = 0) -> dict:
+    return push(folder, "--plant", "ros2", "--plant-options", f"domain={domain}", f"peers={HERE}", seed=seed)
 
 
 @pytest.mark.timeout(600)
 def test_the_can_of_lab01_is_pushed_to_its_goal_over_ros(tmp_path, capsys):
-    domain = new_domain()
-    with lab(domain, "lab01", "--start", "0", "--seed", "1", log=tmp_path / "lab.txt"):
-        topics = (f"domain={domain}", f"peers={HERE}")
-        assert main(["ros2", "check", "--plant-options", *topics]) == 0
+    domain, log = new_domain(), tmp_path / "lab.txt"
+    with lab(domain, "--start", "0", "--seed", "1", log=log):
+        assert main(["ros2", "check", "--plant-options", f"domain={domain}", f"peers={HERE}"]) == 0
         said = capsys.readouterr().out
         assert "object at" in said
         assert "/joint_states" in said
-        found = push(domain, tmp_path / "run")
-    assert found["success"], found["said"]
-    assert found["mode"] == "realtime"
-    assert found["detections"] >= 0.5 * found["sim_time_s"], "the camera sees the object about once a second"
-    assert found["command_jitter_ms"] < 50.0
-    tool, obstacles, arm = forces(tmp_path / "lab.txt")
-    assert 0.1 < tool < FORCE
-    assert obstacles == arm == 0.0
+        found = pushed(domain, tmp_path / "run")
+    assert_gentle_success(found, log)
     assert len(EpisodeLog.load(tmp_path / "run")) == found["steps"]
 
 
@@ -93,13 +58,9 @@ def test_options_of_other_plants(capsys):
 @pytest.mark.timeout(3600)
 def test_lab01_over_ros_succeeds_in_19_of_20_trials(tmp_path):
     """Perception at 1 Hz with the lab's errors; starts and errors by the seeds 0 to 19."""
-    rows = []
-    for seed in range(20):
-        domain, log = new_domain(), tmp_path / f"lab{seed}.txt"
-        with lab(domain, "lab01", "--seed", str(seed), log=log):
-            found = push(domain, tmp_path / f"run{seed}", seed=seed)
-        rows.append((found["success"], found["stops"], found["command_jitter_ms"], *forces(log)))
-        print(seed, *rows[-1], flush=True)
-    assert sum(row[0] for row in rows) >= 19
-    assert max(row[3] for row in rows) < FORCE
-    assert max(max(row[4:]) for row in rows) == 0.0
+
+    def one(seed: int, log: Path):
+        domain = new_domain()
+        return lab(domain, "--seed", str(seed), log=log), lambda: pushed(domain, tmp_path / f"run{seed}", seed=seed)
+
+    assert_19_of_20(one, tmp_path)

@@ -161,14 +161,14 @@ def paths_figure(results: ResultSet, task: str) -> Figure:
     """Plots the object's paths seen from above, one panel per method."""
     footprints = results.places[task]
     colors = {method: color for method, color in _colors(results).items() if results.of(task, method)}
-    low, high = _frame(footprints, results.of(task))
+    low, high = shown_region(footprints, results.of(task))
     width, height = high - low
     size = 3.0
     figure = Figure(figsize=(0.5 + size * len(colors), 0.6 + min(size * height / width, 5.0)), layout="constrained")
     panels = figure.subplots(1, len(colors), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (method, color) in zip(panels, colors.items(), strict=True):
         runs = results.of(task, method)
-        _draw_scene(axes, footprints)
+        draw_footprints(axes, footprints)
         for run in sorted(runs, key=lambda result: not result.success):
             if run.pose:
                 _draw_run(axes, footprints, run, color if run.success else FAILED)
@@ -184,7 +184,7 @@ def _colors(results: ResultSet) -> dict[str, str]:
     return method_colors(shown_methods(results))
 
 
-def _draw_scene(axes: Axes, footprints: dict[str, Any]) -> None:
+def draw_footprints(axes: Axes, footprints: dict[str, Any]) -> None:
     """Draws table, base, obstacles and goal."""
     lower, upper = np.asarray(footprints["table"])
     axes.add_patch(Rectangle(tuple(lower), *(upper - lower), fc="#fafbfc", ec=FAINT, lw=1.0, zorder=0))
@@ -204,7 +204,7 @@ def _draw_run(axes: Axes, footprints: dict[str, Any], run: Result, color: str) -
     add_rings(axes, rings, fc=(*to_rgb(color), 0.05), ec=(*to_rgb(color), 0.75), lw=0.8, zorder=3)
 
 
-def _frame(footprints: dict[str, Any], runs: Sequence[Result]) -> tuple[np.ndarray, np.ndarray]:
+def shown_region(footprints: dict[str, Any], runs: Sequence[Result]) -> tuple[np.ndarray, np.ndarray]:
     """Returns the lower and upper corner of the displayed region, shape [2] [m] each."""
     size = max(np.abs(np.asarray(ring)).max() for ring in footprints["object"])
     reach = 0.02 + max(size, footprints["tolerance"])
