@@ -1,10 +1,10 @@
 """Remakes the paper's figures of its experiments from our results: the object's ways, and snapshots of single trials.
 
-The paper's Figure 5 has the object's ways of all trials of a task and method, numbered by start and coloured by time;
-Figure 4 has snapshots of a successful and of a failed trial of each method. The snapshots take records, so their trials
-are run again; a trial is bit-identical wherever its code and machine are::
+The paper's Figure 5 has the object's ways in all trials of a task and method, numbered by start and coloured by time;
+Figure 4 has snapshots of a successful and of a failed trial of each method. Snapshots need records, so their trials are
+run again, by the commands in the result file::
 
-    python tools/paper_figures.py docs/results/paper-sim.json --out docs/images --snapshots task02
+    python tools/paper_figures.py docs/results/paper-sim.json --snapshots task02
 """
 
 from __future__ import annotations
