@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import threading
+import weakref
 
 import pytest
 
-from oimppi_warp.priority import LOOP, PLANNER, lower_priority, real_time_priority
+from oimppi_warp.priority import LOOP, PLANNER, lower_priority, real_time_priority, short_garbage_collections
 
 
 def test_it_is_given_back_and_threads_keep_it():
@@ -44,3 +46,26 @@ def test_without_permission_nothing_changes(monkeypatch):
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with real_time_priority() as given:
         assert not given
+
+
+class Knot:
+    """Garbage that only the collector finds: it refers to itself."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+def test_what_exists_already_is_not_scanned_while_time_is_kept():
+    before = weakref.ref(Knot())
+    with short_garbage_collections():
+        meanwhile = weakref.ref(Knot())
+        gc.collect()
+        assert before() is not None
+        assert meanwhile() is None
+        with short_garbage_collections():
+            pass
+        gc.collect()
+        assert before() is not None
+    gc.collect()
+    assert before() is None
+    assert gc.get_freeze_count() == 0

@@ -42,7 +42,7 @@ from oimppi_warp.plants.plant import (
     latency_of,
 )
 from oimppi_warp.plants.safety_filter import SafetyFilter
-from oimppi_warp.priority import real_time_priority
+from oimppi_warp.priority import real_time_priority, short_garbage_collections
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
 from oimppi_warp.registries import PLANTS
@@ -260,7 +260,11 @@ class Episode:
             wanted = wanted.strictest(self.scene.exact_tolerance)
         wanted_steps = hold_steps(settings.hold_seconds, self.config.control_period)
         held = 0
-        with real_time_priority() if isinstance(self.plant, RealPlant) else nullcontext():
+        real = isinstance(self.plant, RealPlant)
+        with (
+            real_time_priority() if real else nullcontext(),
+            short_garbage_collections() if self.spec.mode == "realtime" else nullcontext(),
+        ):
             try:
                 for index in range(round(settings.max_sim_seconds / self.config.control_period)):
                     self._knock(index * self.config.control_period)

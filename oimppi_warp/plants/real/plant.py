@@ -287,10 +287,12 @@ class ArmPlant:
         """Stops the arm and ends the connection; it is also called when the process ends."""
         with uninterrupted():
             self._open = False
-            self._stop()
             if self._sender.is_alive():
+                self._sender.join(timeout=2.0 * TICK)  # after that it sends nothing any more
+            self._stop()
+            if self._sender.is_alive():  # it waits for an arm that does not answer
                 self._sender.join(timeout=1.0)
-            self._stop()  # it may have sent one more command meanwhile
+                self._stop()
             with suppress(Exception):
                 self.arm.disconnect()
             with suppress(Exception):
