@@ -92,12 +92,13 @@ class Command:
 
 
 def measure(scene: str, caches: Path, page: Any) -> None:
-    """Prints the times of one run: to the address, to the first picture, to a moving arm, and the longest silence."""
+    """Prints how long one run takes to the address, the page, the first picture and a moving arm, and the longest silence."""
     command = Command(scene, caches)
     try:
         url = command.url()
         printed = command.elapsed()
         page.goto(url)
+        loaded = command.elapsed()
         before, drawn = _picture(page), None
         while True:
             now = _picture(page)
@@ -110,7 +111,8 @@ def measure(scene: str, caches: Path, page: Any) -> None:
         times = [0.0, *(each for each, _ in command.lines if each <= printed)]
         silence = max(np.diff(times))
         print(
-            f"address {printed:.1f} s, first picture {drawn:.1f} s, moving arm {moving:.1f} s, "
+            f"address {printed:.1f} s, page loaded {loaded:.1f} s, first picture {drawn:.1f} s, "
+            f"moving arm {moving:.1f} s, "
             f"longest silence before the address {silence:.1f} s",
             flush=True,
         )

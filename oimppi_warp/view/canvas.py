@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 import warp as wp
 
+from oimppi_warp.compute.device import quick_compilation
 from oimppi_warp.geometry.feasibility import object_outline
 from oimppi_warp.geometry.footprint import footprint, height_range, outline
 from oimppi_warp.observation import planar_pose
@@ -58,11 +60,14 @@ class Canvas:
 
     def draw(self, picture: Picture) -> None:
         """Draws one picture; call it between the viewer's ``begin_frame`` and ``end_frame``."""
-        if self._scene is None or _model_content(self._scene) != _model_content(picture.scene):
-            self._load(picture.scene)
+        new = self._scene is None or _model_content(self._scene) != _model_content(picture.scene)
+        # Newton's kernels are loaded here; a planner has compiled some of them like this before.
+        with quick_compilation() if new else nullcontext():
+            if new:
+                self._load(picture.scene)
+            self._posed.pose(picture.joints, picture.object_transform)
+            self._viewer.log_state(self._posed.state)
         self._scene = picture.scene
-        self._posed.pose(picture.joints, picture.object_transform)
-        self._viewer.log_state(self._posed.state)
         self._draw_goal(picture.scene)
         self._draw_plan(picture)
         self._draw_contacts(picture.contact_points)
