@@ -92,7 +92,7 @@ class Command:
 
 
 def measure(scene: str, caches: Path, page: Any) -> None:
-    """Prints how long one run takes to the address, the page, the first picture and a moving arm, and the longest silence."""
+    """Prints how long one run takes to address, page, first picture and moving arm, and its longest silence."""
     command = Command(scene, caches)
     try:
         url = command.url()
