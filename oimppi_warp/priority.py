@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 from collections.abc import Iterator
@@ -9,6 +10,9 @@ from contextlib import contextmanager, suppress
 
 SENDER, LOOP, PLANNER = 20, 10, 1
 """Real-time priorities, of 1 to 99: of the thread that sends commands, of the control loop, and of the planner."""
+
+_LOCK_CURRENT, _LOCK_ON_FAULT = 1, 4
+"""Linux's ``MCL_CURRENT`` and ``MCL_ONFAULT``: what is mapped now is kept in memory once it is used."""
 
 
 @contextmanager
@@ -41,16 +45,23 @@ def lower_priority() -> None:
 
 
 @contextmanager
-def short_garbage_collections() -> Iterator[None]:
-    """Keeps Python's garbage collector from scanning what exists already, until the block is over.
+def without_pauses() -> Iterator[None]:
+    """Keeps this process from pausing, until the block is over.
 
-    A scan of the half million objects of Newton and MuJoCo Warp takes 0.1 s, in which no thread of the process runs,
-    and a controller that waits for commands stops its arm. What is made within the block is collected as usual.
+    Two things make a thread hold up all others for 0.1 s and more, after which a controller that waits for commands
+    stops its arm. Python's garbage collector scans the half million objects of Newton and MuJoCo Warp: here it leaves
+    alone what exists already, and collects what is made within the block. And the system drops the code of libraries
+    that were not used for a while, which is then read from disk: here it is kept in memory, where the system allows
+    it (to root, and to users whose ``memlock`` in ``/etc/security/limits.conf`` is large enough).
     """
     own = gc.get_freeze_count() == 0
     gc.freeze()
+    libc = ctypes.CDLL(None)
+    locked = own and hasattr(libc, "mlockall") and libc.mlockall(_LOCK_CURRENT | _LOCK_ON_FAULT) == 0
     try:
         yield
     finally:
+        if locked:
+            libc.munlockall()
         if own:
             gc.unfreeze()

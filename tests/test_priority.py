@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import threading
 import weakref
+from pathlib import Path
 
 import pytest
 
-from oimppi_warp.priority import LOOP, PLANNER, lower_priority, real_time_priority, short_garbage_collections
+from oimppi_warp.priority import LOOP, PLANNER, lower_priority, real_time_priority, without_pauses
 
 
 def test_it_is_given_back_and_threads_keep_it():
@@ -57,15 +59,27 @@ class Knot:
 
 def test_what_exists_already_is_not_scanned_while_time_is_kept():
     before = weakref.ref(Knot())
-    with short_garbage_collections():
+    with without_pauses():
         meanwhile = weakref.ref(Knot())
         gc.collect()
         assert before() is not None
         assert meanwhile() is None
-        with short_garbage_collections():
+        with without_pauses():
             pass
         gc.collect()
         assert before() is not None
     gc.collect()
     assert before() is None
     assert gc.get_freeze_count() == 0
+
+
+def test_code_is_kept_in_memory_while_time_is_kept():
+    def locked() -> int:
+        status = Path("/proc/self/status").read_text()
+        return int(re.findall(r"VmLck:\s+(\d+) kB", status)[0])
+
+    before = locked()
+    with without_pauses():
+        if locked() == before:
+            pytest.skip("this user may not lock memory")
+    assert locked() == before

@@ -14,7 +14,7 @@ from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.physics.world import World
 from oimppi_warp.plants.detector import Detection, Detector
 from oimppi_warp.plants.plant import Contacts, SimulatedPlant
-from oimppi_warp.priority import real_time_priority
+from oimppi_warp.priority import real_time_priority, without_pauses
 from oimppi_warp.scene import PlanarPose, Scene
 
 CYCLE = 0.004
@@ -121,7 +121,7 @@ class RealTimeLab(ABC):
         return seen.joint_position, seen.joint_velocity, seen.object_pose
 
     def _run(self) -> None:
-        with real_time_priority():  # as a controller of its own would have
+        with real_time_priority(), without_pauses():  # as a controller of its own would have
             self._simulate()
 
     def _simulate(self) -> None:

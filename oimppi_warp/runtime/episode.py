@@ -42,7 +42,7 @@ from oimppi_warp.plants.plant import (
     latency_of,
 )
 from oimppi_warp.plants.safety_filter import SafetyFilter
-from oimppi_warp.priority import real_time_priority, short_garbage_collections
+from oimppi_warp.priority import real_time_priority, without_pauses
 from oimppi_warp.record.log import EVENTS, EpisodeLog, to_json, versions
 from oimppi_warp.record.metrics import hold_steps, pose_error
 from oimppi_warp.registries import PLANTS
@@ -263,7 +263,7 @@ class Episode:
         real = isinstance(self.plant, RealPlant)
         with (
             real_time_priority() if real else nullcontext(),
-            short_garbage_collections() if self.spec.mode == "realtime" else nullcontext(),
+            without_pauses() if self.spec.mode == "realtime" else nullcontext(),
         ):
             try:
                 for index in range(round(settings.max_sim_seconds / self.config.control_period)):

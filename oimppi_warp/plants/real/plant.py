@@ -29,7 +29,7 @@ from oimppi_warp.plants.real.commands import LATENCY, TICK, Commands
 from oimppi_warp.plants.real.known import allowed_speed, remember
 from oimppi_warp.plants.real.sight import Sight
 from oimppi_warp.plants.real.start import FIRST_POSE, StartProcedure
-from oimppi_warp.priority import SENDER, real_time_priority
+from oimppi_warp.priority import SENDER, real_time_priority, without_pauses
 from oimppi_warp.scene import PlanarPose, Scene
 
 _SLOWEST_TOUCH = 1e-3
@@ -142,7 +142,7 @@ class ArmPlant:
         self._sender = threading.Thread(target=self._send_all, name="oimppi-arm", daemon=True)
         atexit.register(self.close)
         try:
-            with real_time_priority():  # for the thread that sends
+            with real_time_priority(), without_pauses():  # for this thread and the one that sends
                 self.check()
                 if options.dry_run:
                     self._sender.start()
