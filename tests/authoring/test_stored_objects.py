@@ -136,6 +136,45 @@ def test_a_mesh_with_a_density_weighs_what_its_faces_enclose(tmp_path):
     assert pushed(file, tmp_path / "out").object.mass == pytest.approx(500 * volume, rel=1e-4)
 
 
+def mesh_file(file: Path, faces: list[list[int]], *, at: float = 0.0, given: str = "physics:density = 500") -> Path:
+    """A box of 0.1 x 0.06 x 0.05 m as a mesh with these faces, its centre at x = ``at``; it collides as its hull."""
+    corners = [(at + x, y, z) for x in (-0.05, 0.05) for y in (-0.03, 0.03) for z in (-0.025, 0.025)]
+    mesh = f"""
+    def Mesh "shape" (
+        prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"]
+    )
+    {{
+        point3f[] points = {corners}
+        int[] faceVertexCounts = {[4] * len(faces)}
+        int[] faceVertexIndices = {[corner for face in faces for corner in face]}
+        uniform token physics:approximation = "convexHull"
+    }}"""
+    above = f'def Xform "Thing" (\n    prepend apiSchemas = ["PhysicsMassAPI"]\n)\n{{\n    float {given}'
+    file.write_text(f"{HEAD.format(1.0, 1.0, 'Z')}{above}{mesh}\n}}\n")
+    return file
+
+
+SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+
+
+@pytest.mark.parametrize("turned", range(6))
+@pytest.mark.parametrize("given", ["physics:density = 500", "physics:mass = 0.15"])
+def test_a_face_that_is_wound_the_wrong_way_changes_no_mass(tmp_path, turned, given):
+    faces = [side[::-1] if number == turned else side for number, side in enumerate(SIDES)]
+    body = read_body(mesh_file(tmp_path / "box.usda", faces, given=given))
+    assert body.mass == pytest.approx(0.15)
+    assert body.center_of_mass == pytest.approx(np.zeros(3), abs=1e-8)
+
+
+@pytest.mark.parametrize("missing", range(6))
+@pytest.mark.parametrize("at", [0.0, 0.3])
+def test_an_open_mesh_weighs_what_its_hull_does_wherever_it_is(tmp_path, missing, at):
+    faces = [side for number, side in enumerate(SIDES) if number != missing]
+    body = read_body(mesh_file(tmp_path / "box.usda", faces, at=at))
+    assert body.mass == pytest.approx(0.15)
+    assert body.center_of_mass == pytest.approx((at, 0.0, 0.0), abs=1e-7)
+
+
 def test_a_mass_that_no_file_gives_is_asked_for_and_taken(tmp_path, capsys):
     file = brick(tmp_path / "a" / "brick.usda")
     command = ["scene", "new", "mine", "--out", str(tmp_path), "--object", str(file)]

@@ -14,10 +14,10 @@ import trimesh
 
 from oimppi_warp.authoring.meshes.formats import MESHES
 from oimppi_warp.authoring.meshes.holes import fill_holes
-from oimppi_warp.authoring.meshes.orient import orient
 from oimppi_warp.authoring.meshes.parts import cleaned, merged
 from oimppi_warp.authoring.meshes.sides import one_side, thickened
 from oimppi_warp.errors import ConfigError, SceneError
+from oimppi_warp.geometry.orient import orient
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
 """Units that a mesh may be in, in metres."""
