@@ -72,7 +72,8 @@ def enclosing(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
     from oimppi_warp.geometry.orient import orient
 
     surface = trimesh.Trimesh(points, faces)  # vertices that coincide are merged, and the faces keep their order
-    whole = (np.diff(np.sort(surface.faces, axis=1), axis=1) > 0).all(axis=1)
+    corners = np.sort(surface.faces, axis=1)
+    whole = (corners[:, 1:] != corners[:, :-1]).all(axis=1)
     surface.update_faces(whole)
     before = surface.faces.copy()
     if not surface.is_winding_consistent:

@@ -16,14 +16,12 @@ from oimppi_warp.authoring.meshes.formats import MESHES
 from oimppi_warp.authoring.meshes.holes import fill_holes
 from oimppi_warp.authoring.meshes.parts import cleaned, merged
 from oimppi_warp.authoring.meshes.sides import one_side, thickened
+from oimppi_warp.authoring.objects.outlines import SIZES
 from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.geometry.orient import orient
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
 """Units that a mesh may be in, in metres."""
-
-SIZES = (0.03, 0.5)
-"""Range of the length of an object's longest side [m]: the stick is 0.016 m wide, the arm reaches 0.7 m."""
 
 PARTS = 20
 """Maximum number of separate parts of one object."""

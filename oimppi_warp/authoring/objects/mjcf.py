@@ -15,9 +15,8 @@ import trimesh
 from oimppi_warp.authoring.meshes.convex import CORNERS, Fit
 from oimppi_warp.authoring.meshes.hulls import Hull, limited_hull
 from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
-from oimppi_warp.authoring.meshes.read import SIZES
-from oimppi_warp.authoring.meshes.solid import DISPLAY_FACES, STEEL, MeshObject, check_height, plain_name
-from oimppi_warp.authoring.objects.outlines import checked_friction, checked_mass
+from oimppi_warp.authoring.meshes.solid import DISPLAY_FACES, STEEL, MeshObject, plain_name
+from oimppi_warp.authoring.objects.outlines import SIZES, check_height, checked_friction, checked_mass
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import collider_mesh, rotation_matrix
 from oimppi_warp.scene import Collider
