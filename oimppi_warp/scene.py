@@ -54,7 +54,7 @@ class Collider(_ReadOnly):
             length of the straight part), with the axis along the shape's z. Mesh: empty.
         vertices: Vertices of a mesh in the shape's frame, shape [n, 3] [m]; ``None`` for the other kinds.
         faces: Triangles of a mesh as indices into ``vertices``, shape [m, 3]; they enclose the material, which may be
-            hollow. ``None`` for a solid hull, and for the other kinds.
+            hollow. ``None`` for a solid hull, as for an open surface, and for the other kinds.
     """
 
     path: str

@@ -67,13 +67,16 @@ class _NamedShape(NamedTuple):
     text: str
 
 
-def parse_object(spec: str, options: ShapeOptions = ShapeOptions(), *, folder: Path = Path()) -> Pushable:
+def parse_object(
+    spec: str, options: ShapeOptions = ShapeOptions(), *, folder: Path = Path(), static: bool = False
+) -> Pushable:
     """Creates an object from its spec.
 
     Args:
         spec: A shape's spec (:data:`oimppi_warp.registries.SHAPES`), the name of an object in the folder, or a file.
         options: Options beyond the spec.
         folder: Destination of the scene; objects in its ``objects/`` can be referred to by name.
+        static: Whether the object is an obstacle; one from a USD file may then be of any size.
 
     Raises:
         ConfigError: There is no such object, or it cannot be made with these options.
@@ -85,13 +88,13 @@ def parse_object(spec: str, options: ShapeOptions = ShapeOptions(), *, folder: P
     name, file = spec.replace("-", "_"), Path(spec).expanduser()
     candidates = (folder / "objects" / f"{name}{ending}" for ending in ENDINGS)
     given = {"mass": options.mass, "friction": options.friction}
-    own = next((read_object(place, **given) for place in candidates if place.is_file()), None)
+    own = next((read_object(place, **given, static=static) for place in candidates if place.is_file()), None)
     # A file left there by an earlier task still means the shape, if the shape's spec is its name alone.
     if named is not None and (own is None or own.doc == _make(named.shape, (), ShapeOptions()).doc):
         return _make(named.shape, (), options)
     if own is None and (meshed := _shape_of_file(spec)) is not None:
         return _make(meshed.shape, (spec,), options)
-    stored = own or (read_object(file, **given) if is_object_file(file) else None)
+    stored = own or (read_object(file, **given, static=static) if is_object_file(file) else None)
     if stored is None:
         raise ConfigError(f"{spec}: there is no such object\n  allowed: {objects()}{_suggestion(spec)}")
     return stored
@@ -124,7 +127,7 @@ def parse_obstacle(spec: str, options: ShapeOptions = ShapeOptions(), *, name: s
     if named is not None and named.shape.make_obstacle is not None:
         return named.shape.make_obstacle(name, pose, *named.shape.parse(spec, named.name, named.text))
     static_options = replace(options, mass=None, friction=None)
-    return StaticObject(name, parse_object(what, static_options, folder=folder), pose)
+    return StaticObject(name, parse_object(what, static_options, folder=folder, static=True), pose)
 
 
 def parse_obstacles(

@@ -63,9 +63,15 @@ def set_pose(prim: Usd.Prim, position: Vector, orientation: Vector | None = None
 
 
 def set_planar_pose(prim: Usd.Prim, pose: Vector, height: float) -> None:
-    """Places a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m] in its parent's frame."""
+    """Places a prim at a planar pose (x [m], y [m], yaw [rad]) and a height [m] in its parent's frame.
+
+    A scale along its own axes, which the file that it refers to may give it, is kept.
+    """
     set_pose(prim, (pose[0], pose[1], height))
     _add_operation(prim, UsdGeom.XformOp.TypeRotateZ, round(math.degrees(pose[2]), 9))
+    if scale := prim.GetAttribute("xformOp:scale"):
+        xform = UsdGeom.Xformable(prim)
+        xform.SetXformOpOrder([*xform.GetOrderedXformOps(), UsdGeom.XformOp(scale)])
 
 
 def _add_operation(prim: Usd.Prim, kind: UsdGeom.XformOp.Type, value: Gf.Vec3d | Gf.Quatf | float) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 
 from oimppi_warp.authoring.objects.flat_object import Pushable
+from oimppi_warp.authoring.objects.outlines import TABLE_FRICTION
 from oimppi_warp.authoring.objects.stored import is_object_file
 from oimppi_warp.authoring.prims import (
     Color,
@@ -35,7 +36,7 @@ from oimppi_warp.usd.colliders import collider_prims
 Pose = tuple[float, float, float]
 
 TABLE_LOWER, TABLE_UPPER, TABLE_THICKNESS = (-0.25, -0.8), (1.0, 0.8), 0.04
-TABLE_FRICTION, OBSTACLE_FRICTION = 0.1, 0.3
+OBSTACLE_FRICTION = 0.3
 TABLE_COLOR, OBSTACLE_COLOR = (0.6, 0.58, 0.54), (0.35, 0.37, 0.4)
 
 CAMERA = (1.55, -0.95, 1.05), (0.32, -0.02, 0.1)  # m
@@ -162,7 +163,8 @@ def write(
     if task.robot_start:
         pose_robot(stage, "/World/Robot", task.robot_start)
 
-    _write_table(stage, task.table, min(TABLE_FRICTION, task.object.friction or TABLE_FRICTION))
+    own = task.object.friction
+    _write_table(stage, task.table, TABLE_FRICTION if own is None else min(TABLE_FRICTION, own))
     body = stage.DefinePrim("/World/Object")
     body.GetReferences().AddReference(f"./objects/{task.object.name}.usda")
     UsdPhysics.RigidBodyAPI.Apply(body)

@@ -16,6 +16,7 @@ from oimppi_warp.authoring import named_shapes
 
 if TYPE_CHECKING:
     from oimppi_warp.authoring.object_spec import ShapeOptions
+    from oimppi_warp.authoring.objects.flat_object import Pushable
     from oimppi_warp.scene import PushedObject
 
 _Unit = Literal["mm", "cm", "m", "inch"]
@@ -166,7 +167,7 @@ class New(ObjectOptions):
         for file in written.files:
             print(f"wrote {file}")
         body = written.scene.object
-        print(_summary(obj.doc, body))
+        print(_summary(obj, body))
         for note in getattr(obj, "notes", ()):
             if note.startswith("warning"):
                 print(note)
@@ -220,7 +221,7 @@ class Import(ObjectOptions):
         print(f"wrote {file}")
         print(f"wrote {file.with_suffix('.png')}")
         body = read_body(file)
-        print(_summary(obj.doc, body))
+        print(_summary(obj, body))
         for note in obj.notes if isinstance(obj, MeshObject) else ():
             print(f"  {note}")
         _warn_of_rolling(body)
@@ -254,11 +255,12 @@ def _working() -> Iterator[None]:
             yield
 
 
-def _summary(doc: str, body: PushedObject) -> str:
+def _summary(obj: Pushable, body: PushedObject) -> str:
     """Returns one line with an object's description, mass, friction coefficient and number of convex pieces."""
     pieces = len(body.colliders)
     of = "one convex piece" if pieces == 1 else f"{pieces} convex pieces"
-    return f"{doc}: {body.mass:g} kg, friction {body.friction:g}, {of}"
+    whose = " (the table's)" if obj.friction is None else ""
+    return f"{obj.doc}: {body.mass:g} kg, friction {body.friction:g}{whose}, {of}"
 
 
 def _with_article(doc: str) -> str:

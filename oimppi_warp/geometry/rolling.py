@@ -1,4 +1,4 @@
-"""Finds objects that roll when they are pushed: balls, and rods that lie on their round side.
+"""Finds objects that roll when they are pushed: balls, and rods and cones that lie on their round side.
 
 The planner's quasi-static model knows sliding only, and so does the limit surface (equation 5).
 """
@@ -31,6 +31,7 @@ A prism of 12 sides (3.5 %) rolls; one of eight sides (8 %) has to be tipped ove
 """
 
 _TURNS = np.radians(np.arange(5.0, 46.0, 5.0))  # how far it is turned over
+_STEEPEST = 0.5  # squared sine of the largest angle between the table and an axis to roll about
 _WAYS = np.radians(np.arange(0.0, 360.0, 2.0))  # directions in which it is turned over
 
 
@@ -63,4 +64,26 @@ def rolling_of_points(points: np.ndarray, radii: np.ndarray | float = 0.0) -> Ro
     ways = np.asarray((np.abs(heights / now - 1.0) <= LEVEL).all(axis=0))
     if ways.all():
         return "every way"
-    return "one way" if (ways & np.roll(ways, ways.size // 2)).any() else ""
+    one_way = (ways & np.roll(ways, ways.size // 2)).any() or _rolls_about_own_axis(points, radii, now)
+    return "one way" if one_way else ""
+
+
+def _rolls_about_own_axis(points: np.ndarray, radii: np.ndarray, now: float) -> bool:
+    """Returns whether the object rolls about one of its principal axes, as a cone does, whose axis is not level."""
+    if len(points) < 2:
+        return False
+    start = np.array([0.0, 0.0, -1.0])
+    for axis in np.linalg.eigh(np.cov(points.T))[1].T:
+        rise = axis[2] ** 2
+        if rise > _STEEPEST:
+            continue
+        # The direction that points down goes round the axis until it has turned by the same angles as above.
+        cosine = np.maximum((np.cos(_TURNS) - rise) / (1.0 - rise), -1.0)
+        sine = np.sqrt(1.0 - cosine**2)
+        ahead = np.outer(cosine, start) + np.outer(1.0 - cosine, axis * (axis @ start))
+        aside = np.outer(sine, np.cross(axis, start))
+        down = np.concatenate([ahead + aside, ahead - aside])
+        heights = (points @ down.T + radii[:, None]).max(axis=0)
+        if (np.abs(heights / now - 1.0) <= LEVEL).all():
+            return True
+    return False

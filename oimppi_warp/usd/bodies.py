@@ -7,6 +7,7 @@ import math
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdPhysics
 
+from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import height_range, rotation_matrix
 from oimppi_warp.scene import Collider, Obstacle, PlanarPose, PushedObject, Table
 from oimppi_warp.usd.colliders import ALLOWED, collider_prims, read_colliders, volume_and_center
@@ -77,7 +78,9 @@ def read_object(stage: SceneStage) -> tuple[PushedObject, PlanarPose]:
                 allowed="an enabled rigid body",
             )
         )
-    frame = _object_frame(stage, prim)
+    frame = object_frame(stage, prim)
+    for part in nested_bodies(stage, prim):
+        stage.collect(nested_error(stage, part))
     colliders = read_colliders(stage, prim, frame)
     mass = stage.attempt(math.nan, _object_mass, stage, prim, colliders)
     center, rest_height, friction, tool_friction = np.zeros(3), 0.0, math.nan, math.nan
@@ -153,7 +156,7 @@ def _object_mass(stage: SceneStage, prim: Usd.Prim, colliders: tuple[Collider, .
     return read_mass(stage, prim)
 
 
-def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
+def object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
     """Returns the object's world frame without scale, which belongs to its shapes: a scaled Cube may be a body."""
     frame = stage.frame(prim)
     if not is_orthogonal(frame) or scales(frame).min() < 1e-9 or frame.GetDeterminant() <= 0.0:
@@ -164,6 +167,21 @@ def _object_frame(stage: SceneStage, prim: Usd.Prim) -> Gf.Matrix4d:
             fix="remove mirroring and uneven scale from the prim and its ancestors, and scale its shapes instead",
         )
     return frame.GetOrthonormalized()
+
+
+def nested_bodies(stage: SceneStage, body: Usd.Prim) -> list[Usd.Prim]:
+    """Returns the rigid bodies below a body's prim, whose shapes are no part of it."""
+    return [part for part in stage.prims(body) if part != body and part.HasAPI(UsdPhysics.RigidBodyAPI)]
+
+
+def nested_error(stage: SceneStage, part: Usd.Prim) -> SceneError:
+    """Returns the error about a rigid body below the object's prim."""
+    return stage.error(
+        "the object contains another rigid body",
+        part,
+        allowed="one rigid body, with shapes below it",
+        fix="remove PhysicsRigidBodyAPI from this prim to make it a part of the object, or move the prim elsewhere",
+    )
 
 
 def _check_resting(stage: SceneStage, prim: Usd.Prim, pose: np.ndarray, rest_height: float) -> None:

@@ -12,7 +12,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 from oimppi_warp.geometry.footprint import collider_mesh, transform_points
 from oimppi_warp.scene import Collider
 from oimppi_warp.usd.frames import is_orthogonal, scales, transform
-from oimppi_warp.usd.meshes import approximation, triangles
+from oimppi_warp.usd.meshes import approximation, enclosing, triangles
 from oimppi_warp.usd.stage import MAX_LENGTH, SceneStage
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
         return Collider(path, kind, transform(frame), (radius * across, height * float(z) / 2))
     if prim.IsA(UsdGeom.Mesh):
         points = _mesh_points(scene, prim) * scale
-        return Collider(path, "mesh", transform(frame), (), points, _faces_outwards(prim, points))
+        return Collider(path, "mesh", transform(frame), (), points, _enclosing_faces(prim, points))
     raise scene.error(
         f"the collider's type is {prim.GetTypeName() or 'not set'}",
         prim,
@@ -128,7 +128,8 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
             f"physics:approximation is {kind}{reason}",
             prim,
             allowed="convexHull, boundingCube, boundingSphere, or none for a closed convex surface",
-            fix="set physics:approximation to convexHull; or cut it into convex pieces with `oimppi scene import`",
+            fix="set physics:approximation to convexHull; or export the mesh as STL, and cut that into convex pieces "
+            "with `oimppi scene import`",
         )
     points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
     if not (np.abs(points) < MAX_LENGTH).all():
@@ -157,14 +158,10 @@ def _mesh_points(scene: SceneStage, prim: Usd.Prim) -> np.ndarray:
     return points
 
 
-def _faces_outwards(prim: Usd.Prim, points: np.ndarray) -> np.ndarray | None:
-    """Returns the triangles of a mesh with these points [n, 3], oriented outwards, shape [m, 3]."""
-    import trimesh
-
+def _enclosing_faces(prim: Usd.Prim, points: np.ndarray) -> np.ndarray | None:
+    """Returns the triangles that enclose a mesh with these points [n, 3], shape [m, 3]; ``None`` if it is open."""
     faces = triangles(prim)
-    if faces is not None and trimesh.Trimesh(points, faces, process=False).volume < 0.0:
-        faces = faces[:, ::-1]
-    return faces
+    return None if faces is None else enclosing(points, faces)
 
 
 def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
@@ -185,7 +182,7 @@ def volume_and_center(collider: Collider) -> tuple[float, np.ndarray]:
 def solid(collider: Collider) -> trimesh.Trimesh:
     """Returns the solid whose volume counts for the mass, in the body's frame [m].
 
-    For a mesh, it is what the mesh's own faces enclose, not its convex hull.
+    For a mesh, it is what the mesh's own faces enclose; its convex hull, if they are open.
     """
     import trimesh
 

@@ -57,6 +57,38 @@ def triangles(prim: Usd.Prim) -> np.ndarray | None:
     return corners[np.array(fans)]
 
 
+def enclosing(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
+    """Returns the triangles of a mesh that enclose its material, oriented outwards.
+
+    Args:
+        points: Vertices, not all in one plane, shape [n, 3] [m]; some may coincide.
+        faces: Triangles in any orientation, as indices of the vertices, shape [m, 3].
+
+    Returns:
+        Triangles, shape [k, 3]; ``None`` if the surface is open, has no inside, or encloses nothing.
+    """
+    import trimesh
+
+    from oimppi_warp.geometry.orient import orient
+
+    surface = trimesh.Trimesh(points, faces)  # vertices that coincide are merged, and the faces keep their order
+    corners = np.sort(surface.faces, axis=1)
+    whole = (corners[:, 1:] != corners[:, :-1]).all(axis=1)
+    surface.update_faces(whole)
+    before = surface.faces.copy()
+    if not surface.is_winding_consistent:
+        orient(surface)
+        trimesh.repair.fix_inversion(surface, multibody=True)
+    if not (surface.is_watertight and surface.is_winding_consistent):
+        return None
+    if surface.volume < 0.0:
+        surface.invert()
+    if surface.volume < CONVEX * surface.convex_hull.volume:
+        return None
+    turned = (surface.faces != before).any(axis=1)
+    return np.where(turned[:, None], faces[whole][:, ::-1], faces[whole])
+
+
 def _is_replaced(prim: Usd.Prim) -> bool:
     if not (prim.IsA(UsdGeom.Mesh) and prim.HasAPI(UsdPhysics.CollisionAPI)):
         return False
@@ -70,9 +102,11 @@ def _is_convex(points: np.ndarray, faces: np.ndarray) -> bool:
         return False
     import trimesh
 
-    surface = trimesh.Trimesh(points, faces)
-    hull = surface.convex_hull
-    return surface.is_watertight and abs(abs(surface.volume) - hull.volume) < CONVEX * hull.volume
+    closed = enclosing(points, faces)
+    if closed is None:
+        return False
+    hull = trimesh.convex.convex_hull(points)
+    return abs(trimesh.Trimesh(points, closed, process=False).volume - hull.volume) < CONVEX * hull.volume
 
 
 def _replace(stage: Usd.Stage, prim: Usd.Prim, points: np.ndarray) -> None:

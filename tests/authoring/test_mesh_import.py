@@ -229,6 +229,19 @@ REFUSED = {
     ),
     "a surface with one side": (lambda: one_sided(0), "the faces cannot be oriented consistently"),
     "a surface with one side and a hole": (lambda: one_sided(1), "the faces cannot be oriented consistently"),
+    "an open Moebius strip": (
+        lambda: without(b := one_sided(0), (b.faces == len(b.vertices) - 1).any(axis=1)),
+        "the faces cannot be oriented consistently",
+    ),
+    "a box with a fin": (
+        lambda: trimesh.util.concatenate(
+            [
+                trimesh.creation.box((0.1, 0.1, 0.05)),
+                trimesh.Trimesh([(0.05, 0.05, -0.025), (0.05, 0.05, 0.025), (0.09, 0.09, 0.0)], [(0, 1, 2)]),
+            ]
+        ),
+        "a part of the mesh is flat",
+    ),
     "a washer": (lambda: trimesh.creation.box((0.1, 0.1, 0.003)), "too flat for the stick"),
 }
 
@@ -247,14 +260,26 @@ def test_what_cannot_be_pushed_is_refused_with_the_reason(tmp_path, kind):
 
 @pytest.mark.parametrize(
     ("name", "content"),
-    [("part.stl", b"no mesh"), ("part.obj", b""), ("part.glb", b"glTF" + bytes(20)), ("part.step", b"x")],
+    [("part.stl", b"no mesh"), ("part.obj", b"v 0 0 0"), ("part.glb", b"glTF" + bytes(20)), ("part.step", b"x")],
 )
 def test_what_is_no_mesh_is_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(SceneError, match="allowed:"):
+    with pytest.raises(SceneError, match=r"allowed:.*\n  to do:"):
         import_mesh(tmp_path / name)
     with pytest.raises(SceneError, match="there is no such file"):
         import_mesh(tmp_path / f"not_{name}")
+
+
+def test_what_happened_to_a_file_is_said(tmp_path):
+    whole = saved(bracket(), tmp_path, "whole.stl").read_bytes()
+    for content, reason in (
+        (b"", "the file is empty"),
+        (b"\n<!DOCTYPE html><html>404</html>", "the file is a web page"),
+        (whole[:300], f"the file is cut off: it has 300 of {len(whole)} bytes"),
+    ):
+        (tmp_path / "part.stl").write_bytes(content)
+        with pytest.raises(SceneError, match=f"{reason}.*\n.*\n  to do: "):
+            import_mesh(tmp_path / "part.stl")
 
 
 @pytest.mark.parametrize("options", [{"mass": -1.0}, {"mass": float("nan")}, {"friction": 0.0}, {"scale": "foot"}])

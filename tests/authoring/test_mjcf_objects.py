@@ -84,6 +84,43 @@ def test_bodies_that_are_welded_together_are_one(tmp_path):
     assert obj.mass == pytest.approx(500 * 0.06 * 0.04 * (0.1 + 0.06))
 
 
+def test_parts_that_are_welded_together_have_the_inertia_of_the_whole(tmp_path):
+    part = '<body pos="0.08 0 0" euler="0 0 90"><geom type="box" size="0.03 0.03 0.02" density="500"/></body>'
+    obj = import_mjcf(model(tmp_path, f"<body><freejoint/>{BOX}{part}</body>"), lay="as-is")
+    # boxes of 0.12 and 0.072 kg, 0.08 m apart: together a box of 0.16 x 0.06 x 0.04 m
+    expected = obj.mass / 12.0 * np.diag((0.06**2 + 0.04**2, 0.16**2 + 0.04**2, 0.16**2 + 0.06**2))
+    assert obj.inertia == pytest.approx(expected, abs=1e-9)
+
+
+RESOLVED = {
+    "shellinertia": ("", '<geom type="box" size="0.05 0.03 0.02" density="5" shellinertia="true"/>', 5 * 0.0248, 1),
+    "settotalmass": ('<compiler settotalmass="1"/>', BOX, 1.0, 1),
+    "replicate": (
+        "",
+        '<replicate count="3" offset="0.1 0 0"><geom type="box" size="0.05 0.03 0.02" mass="0.1"/></replicate>',
+        0.3,
+        3,
+    ),
+    "attach": (
+        '<asset><model name="part" file="part.xml"/></asset>',
+        '<attach model="part" body="brick" prefix="its_"/>',
+        0.12,
+        1,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", RESOLVED)
+def test_what_only_mujocos_compiler_resolves_counts(tmp_path, kind):
+    above, content, mass, shapes = RESOLVED[kind]
+    (tmp_path / "part.xml").write_text(
+        f'<mujoco model="part"><worldbody><body name="brick">{BOX}</body></worldbody></mujoco>'
+    )
+    obj = import_mjcf(model(tmp_path, f"<body><freejoint/>{content}</body>", above=above))
+    assert obj.mass == pytest.approx(mass)
+    assert len(obj.hulls) == shapes
+
+
 def test_a_mesh_that_fills_its_hull_badly_is_mentioned(tmp_path):
     bracket().export(tmp_path / "l.stl")
     body = '<body><geom type="mesh" mesh="l"/></body>'

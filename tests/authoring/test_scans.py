@@ -14,9 +14,9 @@ from oimppi_warp.authoring import import_mesh
 from oimppi_warp.authoring.meshes import convex
 from oimppi_warp.authoring.meshes.coarse import coarsened
 from oimppi_warp.authoring.meshes.convex import Fit, compare, decompose
-from oimppi_warp.authoring.meshes.orient import orient
 from oimppi_warp.authoring.meshes.progress import listening
 from oimppi_warp.cli.main import main
+from oimppi_warp.geometry.orient import orient
 
 LONGEST = 20.0
 """Time that an import may take [s]."""

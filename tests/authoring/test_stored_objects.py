@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shutil
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,45 @@ def test_a_mesh_with_a_density_weighs_what_its_faces_enclose(tmp_path):
     file.write_text(re.sub(r"float physics:mass = 1\b", "float physics:density = 500", file.read_text()))
     volume = sum(float(trimesh.Trimesh(*hull).volume) for hull in made.hulls)
     assert pushed(file, tmp_path / "out").object.mass == pytest.approx(500 * volume, rel=1e-4)
+
+
+def mesh_file(file: Path, faces: list[list[int]], *, at: float = 0.0, given: str = "physics:density = 500") -> Path:
+    """A box of 0.1 x 0.06 x 0.05 m as a mesh with these faces, its centre at x = ``at``; it collides as its hull."""
+    corners = [(at + x, y, z) for x in (-0.05, 0.05) for y in (-0.03, 0.03) for z in (-0.025, 0.025)]
+    mesh = f"""
+    def Mesh "shape" (
+        prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"]
+    )
+    {{
+        point3f[] points = {corners}
+        int[] faceVertexCounts = {[4] * len(faces)}
+        int[] faceVertexIndices = {[corner for face in faces for corner in face]}
+        uniform token physics:approximation = "convexHull"
+    }}"""
+    above = f'def Xform "Thing" (\n    prepend apiSchemas = ["PhysicsMassAPI"]\n)\n{{\n    float {given}'
+    file.write_text(f"{HEAD.format(1.0, 1.0, 'Z')}{above}{mesh}\n}}\n")
+    return file
+
+
+SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+
+
+@pytest.mark.parametrize("turned", range(6))
+@pytest.mark.parametrize("given", ["physics:density = 500", "physics:mass = 0.15"])
+def test_a_face_that_is_wound_the_wrong_way_changes_no_mass(tmp_path, turned, given):
+    faces = [side[::-1] if number == turned else side for number, side in enumerate(SIDES)]
+    body = read_body(mesh_file(tmp_path / "box.usda", faces, given=given))
+    assert body.mass == pytest.approx(0.15)
+    assert body.center_of_mass == pytest.approx(np.zeros(3), abs=1e-8)
+
+
+@pytest.mark.parametrize("missing", range(6))
+@pytest.mark.parametrize("at", [0.0, 0.3])
+def test_an_open_mesh_weighs_what_its_hull_does_wherever_it_is(tmp_path, missing, at):
+    faces = [side for number, side in enumerate(SIDES) if number != missing]
+    body = read_body(mesh_file(tmp_path / "box.usda", faces, at=at))
+    assert body.mass == pytest.approx(0.15)
+    assert body.center_of_mass == pytest.approx((at, 0.0, 0.0), abs=1e-7)
 
 
 def test_a_mass_that_no_file_gives_is_asked_for_and_taken(tmp_path, capsys):
@@ -405,3 +445,103 @@ def test_a_failure_leaves_the_object_that_was_there(tmp_path, monkeypatch, capsy
     assert file.read_bytes() == before
     assert [path.name for path in file.parent.iterdir()] == ["l.usda"]
     assert not (tmp_path / "new").exists()
+
+
+def test_a_body_below_another_is_no_part_of_it_and_is_refused(tmp_path):
+    file = object_file(tmp_path / "thing.usda")
+    stage = Usd.Stage.Open(str(file))
+    lid = UsdGeom.Cube.Define(stage, "/Thing/lid").GetPrim()
+    UsdPhysics.CollisionAPI.Apply(lid)
+    UsdPhysics.RigidBodyAPI.Apply(lid)
+    stage.Save()
+    with pytest.raises(SceneError, match=r"</Thing/lid>: the object contains another rigid body\n.*\n  to do: "):
+        read_object(file)
+
+
+def test_a_body_that_is_not_the_default_prim_is_named(tmp_path):
+    file = object_file(tmp_path / "thing.usda")
+    text = file.read_text().replace("</Thing/", "</Above/Thing/").replace('"Thing"\n    meters', '"Above"\n    meters')
+    head, _, body = text.partition('def Xform "Thing"')
+    file.write_text(f'{head}def Xform "Above"\n{{\ndef Xform "Thing"{body}\n}}\n')
+    stage = Usd.Stage.Open(str(file))
+    UsdPhysics.RigidBodyAPI.Apply(stage.GetPrimAtPath("/Above/Thing"))
+    stage.Save()
+    with pytest.raises(SceneError, match="the rigid body is </Above/Thing>, not the default prim"):
+        read_object(file)
+
+
+@pytest.mark.parametrize("friction", ["dynamicFriction = 0", "dynamicFriction = 50", "staticFriction = 0.6"])
+def test_a_friction_that_cannot_be_used_is_not_replaced_in_silence(tmp_path, capsys, friction):
+    file = object_file(tmp_path / "a" / "thing.usda")
+    file.write_text(file.read_text().replace("dynamicFriction = 0.3", friction))
+    command = ["scene", "new", "mine", "--out", str(tmp_path), "--object", str(file)]
+    assert main(command) == 2
+    message = capsys.readouterr().err
+    assert "physics:dynamicFriction of its materials is" in message
+    assert "or use --friction" in message
+    assert main([*command, "--friction", "0.2"]) == 0
+    assert load_scene(tmp_path / "mine.usda").object.friction == pytest.approx(0.2)
+    assert read_object(file, static=True).rest_height == pytest.approx(0.05), "an obstacle has no friction to speak of"
+
+
+@pytest.mark.parametrize("said", ["float physics:mass = 0.3", "float physics:density = 1000"])
+def test_a_scaled_cube_is_an_object_of_its_scaled_size(tmp_path, said):
+    file = tmp_path / "cube.usda"
+    text = """def Cube "Thing" (
+    prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI", "PhysicsCollisionAPI"]
+)
+{
+    double size = 1
+    SAID
+    point3f physics:centerOfMass = (0.1, 0, 0)
+    float3 xformOp:scale = (0.1, 0.06, 0.05)
+    uniform token[] xformOpOrder = ["xformOp:scale"]
+}
+"""
+    file.write_text(HEAD.format(1.0, 1.0, "Z") + text.replace("SAID", said))
+    obstacle = StaticObject("Post", read_object(file), (0.5, -0.1, 0.0))
+    scene = pushed(file, tmp_path / "out", obstacles=(obstacle,))
+    body = scene.object
+    assert body.mass == pytest.approx(0.3)
+    assert body.center_of_mass == pytest.approx((0.01, 0.0, 0.0), abs=1e-7)
+    assert body.rest_height == pytest.approx(0.025)
+    for shape in (body.colliders[0], scene.obstacles[0].colliders[0]):
+        assert shape.size == pytest.approx((0.05, 0.03, 0.025))
+    assert scene.start == pytest.approx(START)
+    written = tmp_path / "out" / "objects" / "cube.usda"
+    before = written.read_bytes()
+    assert pushed(written, tmp_path / "out", "again").object.mass == pytest.approx(0.3)
+    assert written.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("size", "reason"),
+    [
+        ((0.1, 0.1, 0.003), "too flat for the stick: 3.0 mm high"),
+        ((2.0, 0.1, 0.1), "too large"),
+        ((0.01, 0.01, 0.01), "too small"),
+    ],
+)
+def test_an_object_that_cannot_be_pushed_for_its_size_is_refused_and_may_be_an_obstacle(tmp_path, size, reason):
+    file = object_file(tmp_path / "thing.usda", size=1.0)
+    stage = Usd.Stage.Open(str(file))
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Thing/shape")).AddScaleOp().Set(Gf.Vec3f(*size))
+    stage.Save()
+    with pytest.raises(SceneError, match=reason):
+        read_object(file)
+    assert len(read_object(file, static=True).colliders) == 1
+
+
+def test_a_centre_of_mass_outside_the_object_is_named(tmp_path):
+    moved = "point3f physics:centerOfMass = (2, 1, 0)"
+    with pytest.raises(SceneError, match=r"its centre of mass \(2, 1, 0\) is outside the object"):
+        read_object(object_file(tmp_path / "thing.usda", moved=moved))
+
+
+def test_an_object_without_a_friction_is_drawn_with_that_of_the_table(tmp_path, capsys):
+    file = object_file(tmp_path / "a" / "thing.usda")
+    file.write_text(file.read_text().replace("rel material:binding:physics = </Thing/Material>", ""))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert main(["scene", "import", str(file), "--out", str(tmp_path)]) == 0
+    assert "0.2 kg, friction 0.1 (the table's), one" in capsys.readouterr().out

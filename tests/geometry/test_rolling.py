@@ -53,3 +53,20 @@ def test_a_half_ball_rocks_and_does_not_roll():
         axis=-1,
     ).reshape(-1, 3)
     assert rolling_of_points(points + (0.0, 0.0, 3.0 / 8.0 * 0.05)) == ""  # its centre of mass is 3/8 r below the top
+
+
+@pytest.mark.parametrize("half_angle", [5.0, 15.0, 30.0, 40.0])
+@pytest.mark.parametrize("cut", [0.0, 0.5])
+def test_a_cone_rolls_on_its_side_and_not_on_its_base(half_angle, cut):
+    height, slope = 0.1, math.radians(half_angle)
+    ring = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    circle = np.stack([np.cos(ring), np.sin(ring), np.zeros_like(ring)], axis=1)
+    radius, top = height * math.tan(slope), (0.0, 0.0, height * (1.0 - cut))
+    points = np.concatenate([radius * circle, radius * cut * circle + top])
+    middle = height * (1.0 + 2.0 * cut + 3.0 * cut**2) / (1.0 + cut + cut**2) / 4.0 * (1.0 - cut)  # of a frustum
+    points -= (0.0, 0.0, middle)
+    assert rolling_of_points(points) == ""
+    down = slope + math.pi / 2.0  # turns the side's normal, (cos, 0, sin) of the half angle, to (0, 0, -1)
+    turn = np.array([[math.cos(down), 0.0, math.sin(down)], [0.0, 1.0, 0.0], [-math.sin(down), 0.0, math.cos(down)]])
+    assert turn @ (math.cos(slope), 0.0, math.sin(slope)) == pytest.approx((0.0, 0.0, -1.0), abs=1e-12)
+    assert rolling_of_points(points @ turn.T) == "one way"

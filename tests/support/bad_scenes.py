@@ -163,6 +163,10 @@ def loose_ball(stage: Usd.Stage) -> None:
     UsdPhysics.CollisionAPI.Apply(ball)
 
 
+def lid(stage: Usd.Stage) -> None:
+    UsdPhysics.RigidBodyAPI.Apply(UsdGeom.Sphere.Define(stage, "/World/Object/lid").GetPrim())
+
+
 def branch(stage: Usd.Stage) -> None:
     joint = UsdPhysics.RevoluteJoint.Define(stage, f"{ROBOT}/joints/extra")
     joint.CreateBody0Rel().SetTargets([f"{ROBOT}/link2"])
@@ -341,6 +345,7 @@ MISTAKES = {
     "a link without mass": (drop(f"{ROBOT}/link3", "PhysicsMassAPI"), "the body has no mass", "physics:mass"),
     "an object without mass": (drop("/World/Object", "PhysicsMassAPI"), "the body has no mass", "physics:mass"),
     "a negative mass": (put("/World/Object", "physics:mass", -1.0), "the mass is -1 kg", "a finite mass above zero"),
+    "a body below the object": (lid, "the object contains another rigid body", "</World/Object/lid>"),
     "an object without collider": (without("/World/Object/shape"), "the object has no collider", "PhysicsCollisionAPI"),
     "an object that cannot move": (drop("/World/Object", "PhysicsRigidBodyAPI"), "cannot move", "PhysicsRigidBodyAPI"),
     "an object without friction": (no_friction, "has no friction", "physics:dynamicFriction"),

@@ -14,16 +14,14 @@ import trimesh
 
 from oimppi_warp.authoring.meshes.formats import MESHES
 from oimppi_warp.authoring.meshes.holes import fill_holes
-from oimppi_warp.authoring.meshes.orient import orient
 from oimppi_warp.authoring.meshes.parts import cleaned, merged
 from oimppi_warp.authoring.meshes.sides import one_side, thickened
+from oimppi_warp.authoring.objects.outlines import SIZES
 from oimppi_warp.errors import ConfigError, SceneError
+from oimppi_warp.geometry.orient import orient
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "inch": 0.0254}
 """Units that a mesh may be in, in metres."""
-
-SIZES = (0.03, 0.5)
-"""Range of the length of an object's longest side [m]: the stick is 0.016 m wide, the arm reaches 0.7 m."""
 
 PARTS = 20
 """Maximum number of separate parts of one object."""
@@ -44,7 +42,13 @@ _MAKE_SOLID = (
     "make it a closed solid in your modelling program: in Blender, enable 3D Print Toolbox, then Clean Up > Make "
     "Manifold"
 )
+_EXPORT_AGAIN = "export it again from your modelling program, as a surface; or download it again"
 _OR_WALL = "; or, if it is a shell, give it a wall, in metres: --wall 0.002"
+
+
+_FLAT = 1e-6  # volume of a part over its area to the power of 1.5; a ball has 0.094
+
+_STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL: its header, which ends with a number, and a triangle
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +133,16 @@ def _read(file: Path) -> trimesh.Trimesh:
             mesh = trimesh.load_scene(str(file)).to_mesh()
     except Exception as error:  # readers of a dozen formats raise many kinds of exceptions
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SceneError(f"the mesh cannot be read ({reason})", file=file, allowed=formats) from None
+        what = _damage(file) or f"the mesh cannot be read ({reason})"
+        raise SceneError(what, file=file, allowed=formats, fix=_EXPORT_AGAIN) from None
     if file.suffix.lower() in (".glb", ".gltf"):  # y is up in glTF
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
-        what = "the mesh has no faces" if not len(mesh.faces) else "the mesh has vertices that are not finite"
-        raise SceneError(what, file=file, allowed="triangles that enclose a volume")
+    if not len(mesh.faces):
+        what = _damage(file) or "the file contains no triangles"
+        raise SceneError(what, file=file, allowed="triangles that enclose a volume", fix=_EXPORT_AGAIN)
+    if not np.isfinite(mesh.vertices).all():
+        what = "the mesh has vertices that are not finite"
+        raise SceneError(what, file=file, allowed="triangles that enclose a volume", fix=_EXPORT_AGAIN)
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         what = "the mesh has faces whose corners do not exist"
         raise SceneError(what, file=file, allowed=f"corners from 0 to {len(mesh.vertices) - 1}", fix="export it again")
@@ -146,6 +154,20 @@ def _read(file: Path) -> trimesh.Trimesh:
             fix="export it at a lower resolution, or decimate it: an accuracy of 0.5 mm is sufficient",
         )
     return mesh
+
+
+def _damage(file: Path) -> str:
+    """Returns what is wrong with a file as a whole; empty if it seems to be a mesh."""
+    content = file.read_bytes()
+    if not content.strip():
+        return "the file is empty"
+    if content.lstrip().lower().startswith((b"<html", b"<!doctype html")):
+        return "the file is a web page, not a mesh"
+    if file.suffix.lower() == ".stl" and len(content) >= _STL_HEADER:
+        whole = _STL_HEADER + _STL_TRIANGLE * int.from_bytes(content[_STL_HEADER - 4 : _STL_HEADER], "little")
+        if len(content) < whole and b"facet" not in content:
+            return f"the file is cut off: it has {len(content)} of {whole} bytes"
+    return ""
 
 
 @contextmanager
@@ -220,16 +242,24 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
     if not mesh.is_winding_consistent:
         orient(mesh)
         notes.append("inconsistently oriented faces were flipped")
+    if np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1].max() > 2:
+        raise SceneError(
+            "the mesh is not manifold: some edges are shared by more than two faces",
+            file=file,
+            allowed="a mesh whose edges each belong to at most two faces",
+            fix=_MAKE_SOLID,
+        )
+    if not mesh.is_winding_consistent:
+        raise SceneError(
+            "the faces cannot be oriented consistently: the surface has one side only",
+            file=file,
+            allowed="a surface with an inside and an outside",
+            fix=_MAKE_SOLID,
+        )
     if not mesh.is_watertight:
         area, holes = float(mesh.area), _hole_count(mesh)
-        if not holes:
-            raise SceneError(
-                "the mesh is not manifold: some edges are shared by more than two faces",
-                file=file,
-                allowed="a mesh whose edges each belong to at most two faces",
-                fix=_MAKE_SOLID,
-            )
         fill_holes(mesh)
+        _check_parts(file, mesh)
         share = 1.0 - area / float(mesh.area)
         missing = (
             f"{_count_text(holes, 'hole')} of {1e4 * (mesh.area - area):.3g} cm2, {100 * share:.2g} % of the surface"
@@ -240,15 +270,23 @@ def _close(file: Path, mesh: trimesh.Trimesh) -> list[str]:
             raise _open_error(file, f"too much of the surface is missing: {missing}")
         hollow = "; if it is hollow there, a shell, use --wall 0.002" if share > SHELL else ""
         notes.append(f"closed {missing}{hollow}")
-    if not mesh.is_winding_consistent:
-        raise SceneError(
-            "the faces cannot be oriented consistently",
-            file=file,
-            allowed="a surface with an inside and an outside",
-            fix=_MAKE_SOLID,
-        )
     trimesh.repair.fix_inversion(mesh, multibody=mesh.body_count > 1)
     return notes
+
+
+def _check_parts(file: Path, mesh: trimesh.Trimesh) -> None:
+    """Raises SceneError for a part that is flat: a face that sticks out of a solid, or lies beside it."""
+    part = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+    a, b, c = np.moveaxis(mesh.triangles - mesh.centroid, 1, 0)
+    volumes = np.abs(np.bincount(part, weights=np.einsum("fi,fi->f", a, np.cross(b, c)) / 6.0))
+    areas = np.bincount(part, weights=mesh.area_faces)
+    if len(volumes) > 1 and (volumes < _FLAT * areas**1.5).any():
+        raise SceneError(
+            "a part of the mesh is flat: a face without thickness beside or at a solid",
+            file=file,
+            allowed="parts that each enclose a volume",
+            fix=_MAKE_SOLID,
+        )
 
 
 def _open_error(file: Path, what: str) -> SceneError:

@@ -14,7 +14,7 @@ from oimppi_warp.authoring.meshes.moments import moments
 from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
 from oimppi_warp.authoring.meshes.progress import report
 from oimppi_warp.authoring.meshes.read import read_surface
-from oimppi_warp.authoring.objects.outlines import FRICTION, checked_friction, checked_mass
+from oimppi_warp.authoring.objects.outlines import FRICTION, check_height, checked_friction, checked_mass
 from oimppi_warp.authoring.prims import (
     COLLIDER,
     Color,
@@ -29,9 +29,6 @@ from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.rolling import rolling_of_points
 
 STEEL: Color = (0.45, 0.47, 0.5)
-
-LOWEST = 0.008
-"""Minimum height of an object [m]: the tip of the stick is round and must touch the object's side."""
 
 DISPLAY_FACES = 20_000
 """A surface with more triangles is discarded, and its convex pieces are displayed instead."""
@@ -180,25 +177,6 @@ def _far_off(fit: Fit) -> tuple[str, ...]:
         f"warning: the pieces are not the mesh{why}: {fit}; allowed are {percent:g} % and {mm:g} mm\n"
         "    to do: fill cavities that the arm cannot reach, cut the part into simpler meshes, or model it coarsely",
     )
-
-
-def check_height(file: Path, height: float) -> None:
-    """Checks that an object is high enough for the stick.
-
-    Args:
-        file: Its file, for the error.
-        height: Its height in its pose on the table [m].
-
-    Raises:
-        SceneError: It is too flat.
-    """
-    if height < LOWEST:
-        raise SceneError(
-            f"the object is too flat for the stick: {1000 * height:.1f} mm high in this pose",
-            file=file,
-            allowed=f"{1000 * LOWEST:.0f} mm or more",
-            fix="make the part thicker, or stand it up in your modelling program and use --lay as-is",
-        )
 
 
 def plain_name(text: str) -> str:

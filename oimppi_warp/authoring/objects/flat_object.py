@@ -53,7 +53,7 @@ class Pushable(Protocol):
     Attributes:
         name: Name of the object's file.
         doc: Description.
-        friction: Coulomb coefficient with the table; 0: the table's own value is used.
+        friction: Coulomb coefficient with the table; ``None``: the table's own value is used.
         color: Display colour.
     """
 
@@ -62,7 +62,7 @@ class Pushable(Protocol):
     @property
     def doc(self) -> str: ...  # noqa: D102
     @property
-    def friction(self) -> float: ...  # noqa: D102
+    def friction(self) -> float | None: ...  # noqa: D102
     @property
     def color(self) -> Color: ...  # noqa: D102
     @property

@@ -1,7 +1,8 @@
-"""Objects made from MJCF files: one rigid body, read by Newton's importer."""
+"""Objects made from MJCF files: one rigid body, as MuJoCo's own compiler resolves it."""
 
 from __future__ import annotations
 
+import re
 import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
@@ -14,16 +15,14 @@ import trimesh
 from oimppi_warp.authoring.meshes.convex import CORNERS, Fit
 from oimppi_warp.authoring.meshes.hulls import Hull, limited_hull
 from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
-from oimppi_warp.authoring.meshes.read import SIZES
-from oimppi_warp.authoring.meshes.solid import DISPLAY_FACES, STEEL, MeshObject, check_height, plain_name
-from oimppi_warp.authoring.objects.outlines import checked_friction, checked_mass
-from oimppi_warp.compute.device import start_warp
+from oimppi_warp.authoring.meshes.solid import DISPLAY_FACES, STEEL, MeshObject, plain_name
+from oimppi_warp.authoring.objects.outlines import SIZES, check_height, checked_friction, checked_mass
 from oimppi_warp.errors import SceneError
-from oimppi_warp.geometry.footprint import collider_mesh
+from oimppi_warp.geometry.footprint import collider_mesh, rotation_matrix
 from oimppi_warp.scene import Collider
 
 if TYPE_CHECKING:
-    import newton
+    import mujoco
 
 ALLOWED = "one rigid body: a <body> with geoms, without joints other than a <freejoint/>"
 
@@ -35,15 +34,21 @@ _SHAPES = "box, sphere, capsule, cylinder, ellipsoid or mesh"
 
 @dataclass
 class _Body:
-    """A body as it was read, in its own frame.
+    """A body as it was read, with all that is welded to it, in its own frame.
 
     Attributes:
+        mass: Mass [kg]; 0 if the file gives none, as for the world.
+        center: Centre of mass, shape [3] [m]; zeros without a mass.
+        inertia: Inertia about the centre of mass, shape [3, 3] [kg m^2].
         hulls: Its colliding shapes.
         surfaces: Its shapes that are only shown.
         frictions: Sliding friction of the colliding shapes.
         hollow: Names of meshes that fill their hull badly, with the empty share.
     """
 
+    mass: float = 0.0
+    center: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     hulls: list[Hull] = field(default_factory=list)
     surfaces: list[Hull] = field(default_factory=list)
     frictions: list[float] = field(default_factory=list)
@@ -75,26 +80,26 @@ def import_mjcf(
         SceneError: The file cannot be read, or does not hold one rigid body of a size that can be pushed.
     """
     file = Path(file).expanduser()
-    _check_xml(file)
-    builder = _built(file)
-    number = _only_body(file, builder)
-    body = _read_shapes(file, builder, number)
+    model = _compiled(file)
+    _check_joints(file, model)
+    number = _only_body(file, model)
+    body = _read_shapes(file, model, number)
+    _read_mass(model, number, body)
     union = trimesh.util.concatenate([trimesh.Trimesh(*hull, process=False) for hull in body.hulls])
     assert isinstance(union, trimesh.Trimesh)
     _check_size(file, union)
-    if number >= 0 and (own := float(builder.body_mass[number])) > 0.0:
-        center = np.array(builder.body_com[number], dtype=float)
-        unit_inertia = np.array(builder.body_inertia[number], dtype=float).reshape(3, 3) / own
-    else:  # shapes of the world alone, which have no mass
-        own, center, unit_inertia = 0.0, np.asarray(union.center_mass), union.moment_inertia / union.volume
-    if mass is None and own <= 0.0:
+    if body.mass > 0.0:
+        center, unit_inertia = body.center, body.inertia / body.mass
+    else:  # a --mass is that of a uniform solid
+        center, unit_inertia = np.asarray(union.center_mass), union.moment_inertia / union.volume
+    if mass is None and body.mass <= 0.0:
         raise SceneError(
             "the body has no mass",
             file=file,
             allowed="a mass, a density or an <inertial> for the body",
             fix="add one to the file, or use --mass",
         )
-    weight = checked_mass(mass, 0.0) if mass is not None else own
+    weight = checked_mass(mass, 0.0) if mass is not None else body.mass
     motion, done = lay_on_table(union, lay, file, center=center)
     check_height(file, float(union.extents[2]))
     turn = motion[:3, :3]
@@ -120,8 +125,12 @@ def import_mjcf(
     )
 
 
-def _check_xml(file: Path) -> None:
-    """Checks that a file is MJCF, and that MuJoCo itself can compile it, whose messages give the line."""
+def _compiled(file: Path) -> mujoco.MjModel:
+    """Returns the model that MuJoCo compiles a file to; its messages give the line of a mistake.
+
+    Raises:
+        SceneError: The file is not MJCF, or MuJoCo cannot compile it.
+    """
     if not file.is_file():
         raise SceneError("there is no such file", file=file, allowed="an MJCF file")
     try:
@@ -135,9 +144,14 @@ def _check_xml(file: Path) -> None:
     import mujoco
 
     try:
-        mujoco.MjSpec.from_file(str(file)).compile()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what is deprecated, but still does what it says
+            specification = mujoco.MjSpec.from_file(str(file))
+            specification.compiler.fusestatic = False
+            specification.compiler.discardvisual = False
+            return specification.compile()
     except Exception as error:  # ValueError, and what MuJoCo's readers of meshes raise
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = re.sub(r"^((XML )?Error: )+", "", " ".join(str(error).split())) or type(error).__name__
         raise SceneError(
             f"MuJoCo cannot read the file ({reason})",
             file=file,
@@ -146,53 +160,14 @@ def _check_xml(file: Path) -> None:
         ) from None
 
 
-def _built(file: Path) -> newton.ModelBuilder:
-    """Returns a builder with the content of a file; bodies that are welded together are one."""
-    start_warp()
-    import newton
-    from newton.solvers import SolverMuJoCo
-
-    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
-    SolverMuJoCo.register_custom_attributes(builder)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            builder.add_mjcf(
-                str(file), floating=None, parse_sites=False, parse_mujoco_options=False, skip_equality_constraints=True
-            )
-            _check_joints(file, builder)
-            builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
-            SolverMuJoCo.register_custom_attributes(builder)
-            builder.add_mjcf(
-                str(file),
-                floating=True,
-                collapse_fixed_joints=True,
-                parse_sites=False,
-                parse_mujoco_options=False,
-                skip_equality_constraints=True,
-            )
-    except SceneError:
-        raise
-    except Exception as error:  # readers of a dozen elements and formats raise many kinds of exceptions
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise SceneError(
-            f"Newton cannot read the file ({reason})",
-            file=file,
-            allowed="MJCF that Newton's importer supports",
-            fix="simplify the element that the reason concerns",
-        ) from None
-    return builder
-
-
-def _check_joints(file: Path, builder: newton.ModelBuilder) -> None:
+def _check_joints(file: Path, model: mujoco.MjModel) -> None:
     """Raises SceneError if anything in the file has joints, and is therefore no rigid body."""
-    import newton
+    import mujoco
 
-    still = (int(newton.JointType.FREE), int(newton.JointType.FIXED))
     moving = [
-        label.rpartition("/")[2]
-        for label, kind in zip(builder.joint_label, builder.joint_type, strict=True)
-        if int(kind) not in still
+        model.joint(joint).name or f"the joint of {_body_name(model, model.jnt_bodyid[joint])}"
+        for joint in range(model.njnt)
+        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE
     ]
     if moving:
         raise SceneError(
@@ -203,19 +178,12 @@ def _check_joints(file: Path, builder: newton.ModelBuilder) -> None:
         )
 
 
-def _only_body(file: Path, builder: newton.ModelBuilder) -> int:
-    """Returns the number of the only body with colliding shapes; -1 if all of them belong to the world."""
-    import newton
-
-    colliding = int(newton.ShapeFlags.COLLIDE_SHAPES)
-    owners = {
-        int(owner)
-        for owner, flags in zip(builder.shape_body, builder.shape_flags, strict=True)
-        if int(flags) & colliding
-    }
-    bodies = sorted(owners - {-1})
+def _only_body(file: Path, model: mujoco.MjModel) -> int:
+    """Returns the number of the only body of the world with colliding shapes; 0 if they all belong to the world."""
+    owners = {int(model.body_rootid[model.geom_bodyid[geom]]) for geom in range(model.ngeom) if _collides(model, geom)}
+    bodies = sorted(owners - {0})
     if len(bodies) > 1:
-        names = [builder.body_label[body].rpartition("/")[2] for body in bodies]
+        names = [_body_name(model, body) for body in bodies]
         fix = "keep one of them, or put one inside the other without a joint"
         raise SceneError(f"the file has {len(bodies)} bodies ({_listed(names)})", file=file, allowed=ALLOWED, fix=fix)
     if not owners:
@@ -225,68 +193,105 @@ def _only_body(file: Path, builder: newton.ModelBuilder) -> int:
             allowed=f"geoms that collide: {_SHAPES}, with contype or conaffinity above zero",
             fix="let its geoms collide, or import its mesh file instead",
         )
-    return bodies[0] if bodies else -1
+    return bodies[0] if bodies else 0
 
 
-def _read_shapes(file: Path, builder: newton.ModelBuilder, body: int) -> _Body:
-    """Reads the shapes of a body; raises SceneError for one that is not convex or not finite."""
-    import newton
+def _body_name(model: mujoco.MjModel, body: int) -> str:
+    return model.body(body).name or f"body {body}"
+
+
+def _collides(model: mujoco.MjModel, geom: int) -> bool:
+    paired = ((model.pair_geom1 == geom) | (model.pair_geom2 == geom)).any()
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or paired)
+
+
+def _read_mass(model: mujoco.MjModel, root: int, found: _Body) -> None:
+    """Adds up the mass, the centre of mass and the inertia of a body and those welded to it; the world has none."""
+    parts = [body for body in range(1, model.nbody) if root and model.body_rootid[body] == root]
+    masses = np.array([model.body_mass[body] for body in parts])
+    if not masses.sum() > 0.0:
+        return
+    frames = [_body_frame(model, body, root) @ _frame(model.body_ipos[body], model.body_iquat[body]) for body in parts]
+    found.mass = float(masses.sum())
+    found.center = np.average([frame[:3, 3] for frame in frames], axis=0, weights=masses)
+    for body, mass, frame in zip(parts, masses, frames, strict=True):
+        turn, away = frame[:3, :3], frame[:3, 3] - found.center
+        own = turn @ np.diag(model.body_inertia[body]) @ turn.T
+        found.inertia += own + mass * (away @ away * np.eye(3) - np.outer(away, away))
+
+
+def _read_shapes(file: Path, model: mujoco.MjModel, root: int) -> _Body:
+    """Reads the shapes of a body and those welded to it; raises SceneError for one without a volume."""
+    import mujoco
 
     found = _Body()
-    for number, owner in enumerate(builder.shape_body):
-        if int(owner) != body:
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if model.body_rootid[body] != root:
             continue
-        flags, label = int(builder.shape_flags[number]), builder.shape_label[number].rpartition("/")[2]
-        collides = bool(flags & int(newton.ShapeFlags.COLLIDE_SHAPES))
-        mesh = _shape(builder, number)
+        collides, mesh = _collides(model, geom), _shape(model, geom)
         if mesh is None:
-            if not collides or body < 0:  # the world's floor, for example
+            if not collides or not root:  # the world's floor, for example
                 continue
-            kind = newton.GeoType(int(builder.shape_type[number])).name.lower()
-            fix = f"replace the geom {label}, or remove it"
+            kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+            fix = f"replace the geom {model.geom(geom).name or geom}, or remove it"
             raise SceneError(f"a geom is a {kind}", file=file, allowed=f"{_SHAPES}: solids that can move", fix=fix)
+        mesh.apply_transform(_body_frame(model, body, root) @ _frame(model.geom_pos[geom], model.geom_quat[geom]))
         if not collides:
             found.surfaces.append((np.asarray(mesh.vertices), np.asarray(mesh.faces)))
             continue
         hull = limited_hull(mesh.vertices, CORNERS)
         found.hulls.append(hull)
-        found.frictions.append(float(builder.shape_material_mu[number]))
+        found.frictions.append(float(model.geom_friction[geom, 0]))
         volume = trimesh.Trimesh(*hull).volume
         if mesh.is_watertight and abs(mesh.volume) < (1.0 - HOLLOW) * volume:
-            found.hollow[label] = 1.0 - abs(float(mesh.volume)) / volume
+            name = model.mesh(int(model.geom_dataid[geom])).name
+            found.hollow[name] = 1.0 - abs(float(mesh.volume)) / volume
             found.surfaces.append((np.asarray(mesh.vertices), np.asarray(mesh.faces)))
     if not found.hulls:
         raise SceneError("no body in the file collides", file=file, allowed=ALLOWED, fix="add a <body> with geoms")
     return found
 
 
-def _shape(builder: newton.ModelBuilder, number: int) -> trimesh.Trimesh | None:
-    """Returns a shape as a mesh in its body's frame [m]; ``None`` for one without a volume, such as a plane."""
-    import newton
+def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """Returns a geom as a mesh in its own frame [m]; ``None`` for one without a volume, such as a plane."""
+    import mujoco
 
-    kinds = newton.GeoType
-    kind, (a, b, c) = kinds(int(builder.shape_type[number])), map(float, builder.shape_scale[number])
-    at = np.array(builder.shape_transform[number], dtype=float)
-    if kind in (kinds.MESH, kinds.CONVEX_MESH):
-        source = builder.shape_source[number]
-        points = np.asarray(source.vertices, dtype=float) * (a, b, c)
-        mesh = trimesh.Trimesh(points, np.asarray(source.indices).reshape(-1, 3))
-    elif kind == kinds.ELLIPSOID:
+    kinds, kind = mujoco.mjtGeom, int(model.geom_type[geom])
+    a, b, c = (float(size) for size in model.geom_size[geom])
+    if kind == kinds.mjGEOM_MESH:
+        number = int(model.geom_dataid[geom])
+        first, face = int(model.mesh_vertadr[number]), int(model.mesh_faceadr[number])
+        points = model.mesh_vert[first : first + int(model.mesh_vertnum[number])]
+        return trimesh.Trimesh(points, model.mesh_face[face : face + int(model.mesh_facenum[number])])
+    if kind == kinds.mjGEOM_ELLIPSOID:
         mesh = trimesh.creation.icosphere(2)
         mesh.apply_scale((a, b, c))
-    elif kind == kinds.BOX:
-        mesh = collider_mesh(Collider("", "box", _HERE, (a, b, c)))
-    elif kind == kinds.SPHERE:
-        mesh = collider_mesh(Collider("", "sphere", _HERE, (a,)))
-    elif kind in (kinds.CAPSULE, kinds.CYLINDER):
-        mesh = collider_mesh(Collider("", "capsule" if kind == kinds.CAPSULE else "cylinder", _HERE, (a, b)))
-    else:
-        return None
-    x, y, z, *turn = at
-    matrix = trimesh.transformations.quaternion_matrix([turn[3], *turn[:3]])
-    matrix[:3, 3] = x, y, z
-    mesh.apply_transform(matrix)
-    return mesh
+        return mesh
+    if kind == kinds.mjGEOM_BOX:
+        return collider_mesh(Collider("", "box", _HERE, (a, b, c)))
+    if kind == kinds.mjGEOM_SPHERE:
+        return collider_mesh(Collider("", "sphere", _HERE, (a,)))
+    if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
+        name = "capsule" if kind == kinds.mjGEOM_CAPSULE else "cylinder"
+        return collider_mesh(Collider("", name, _HERE, (a, b)))
+    return None
+
+
+def _body_frame(model: mujoco.MjModel, body: int, root: int) -> np.ndarray:
+    """Returns the pose of a body in the frame of the one that it is welded to, shape [4, 4] [m]."""
+    frame = np.eye(4)
+    while body != root:
+        frame = _frame(model.body_pos[body], model.body_quat[body]) @ frame
+        body = int(model.body_parentid[body])
+    return frame
+
+
+def _frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """Returns the transform of a position [m] and of MuJoCo's quaternion wxyz, shape [4, 4]."""
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = rotation_matrix(quaternion[[1, 2, 3, 0]]), position
+    return frame
 
 
 _HERE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import shapely
@@ -12,13 +13,22 @@ from shapely.geometry.base import BaseGeometry
 from oimppi_warp.authoring.objects.flat_object import Box, Disc, FlatObject
 from oimppi_warp.authoring.objects.polygons import convex_pieces
 from oimppi_warp.authoring.prims import Color
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, SceneError
 
 DENSITY = 650.0
 """Density of an object whose mass is not given [kg/m^3]: that of the shipped objects, which are of wood."""
 
 FRICTION = 0.4
 """Default Coulomb coefficient of an object with the table."""
+
+TABLE_FRICTION = 0.1
+"""Coulomb coefficient of a new scene's table [-]; it counts for an object without a material."""
+
+SIZES = (0.03, 0.5)
+"""Range of the longest side of an object from a file [m]: the stick is 0.016 m wide, the arm reaches 0.7 m."""
+
+LOWEST = 0.008
+"""Minimum height of an object [m]: the tip of the stick is round and must touch the object's side."""
 
 SIDES = (0.01, 0.6)
 """Smallest and largest side length of an object [m]."""
@@ -175,3 +185,22 @@ def checked_friction(friction: float) -> float:
 def _named(word: str, lengths: tuple[float, ...]) -> str:
     """Returns a file name that includes the sizes in millimetres."""
     return "_".join([word, *(f"{1000 * length:.4g}".replace(".", "p") for length in lengths)])
+
+
+def check_height(file: Path, height: float) -> None:
+    """Checks that an object is high enough for the stick.
+
+    Args:
+        file: Its file, for the error.
+        height: Its height in its pose on the table [m].
+
+    Raises:
+        SceneError: It is too flat.
+    """
+    if height < LOWEST:
+        raise SceneError(
+            f"the object is too flat for the stick: {1000 * height:.1f} mm high in this pose",
+            file=file,
+            allowed=f"{1000 * LOWEST:.0f} mm or more",
+            fix="make the part thicker, or stand it up in your modelling program; a mesh then needs --lay as-is",
+        )
