@@ -10,11 +10,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from support.sample_arms import ARMS, FORMATS, Part, SampleArm, Shape, mjcf, urdf, write_arm
+from support.sample_arms import ARMS, FORMATS, Part, SampleArm, Shape, mjcf, ur5_like, urdf, write_arm
 
 from oimppi_warp.authoring.robots.read import read_arm
+from oimppi_warp.authoring.robots.start_pose import with_start
 from oimppi_warp.cli.main import main
 from oimppi_warp.config.presets import best
+from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.feasibility import check_task, sample_start
 from oimppi_warp.geometry.kinematics import link_frames, pack_arm, tip_frame, touching_turret
 from oimppi_warp.geometry.postures import postures_of
@@ -46,6 +48,14 @@ def desk_arm(size: float = 1.0, **changes: Part) -> SampleArm:
         "flange": Part("flange", "hand", (0.06, 0, 0), (0, half, 0), (0, 0, 1), mass=0.05),
     }
     return SampleArm("desk_arm", tuple((parts | changes).values()), effort=20.0, velocity=2.0)
+
+
+def started(folder: Path, text: str, **options: str) -> Robot:
+    """The robot in a URDF of this text, at its start."""
+    file = folder / "arm.urdf"
+    file.write_text(text)
+    chain, arm = read_arm(file, name="Arm", doc="", length=0.17, radius=0.008, **options)
+    return with_start(arm, links=chain.links, joints=chain.joints).robot()
 
 
 def part(arm: SampleArm, name: str) -> Part:
@@ -160,16 +170,79 @@ def test_a_link_that_comes_too_near_the_table_is_named_with_its_height(tmp_path,
 
 
 def test_a_joint_that_has_to_be_at_its_limit_is_named(tmp_path, capsys):
-    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=(-0.589, 2.0)))
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=(0.587, 2.0)))
     assert added(tmp_path, urdf(arm)) == 2
     words = one_message(capsys.readouterr().err)
-    assert "only with joint turret_joint at a limit (-0.588, where it goes from -0.589 to 2)" in words
+    assert "only with joint turret_joint at a limit (0.588, where it goes from 0.587 to 2)" in words
 
 
 def test_an_arm_that_faces_the_other_way_is_told_so(tmp_path, capsys):
     arm = desk_arm(turret=replace(part(desk_arm(), "turret"), rpy=(0, 0, np.pi), limits=(-1.0, 1.0)))
     assert added(tmp_path, urdf(arm)) == 2
     assert "turn its base: the tool gets to the table on the side of -x" in one_message(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("limits", [(-0.5, 0.5), (-0.1, 0.1)])
+def test_an_arm_that_hardly_turns_starts_straight_ahead(tmp_path, limits):
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=limits))
+    assert abs(started(tmp_path, urdf(arm)).start[0]) < 0.01
+
+
+def test_an_arm_whose_base_is_elsewhere_starts_in_front_of_it(tmp_path):
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), at=(-0.7, 0.8, 0)))
+    robot = started(tmp_path, urdf(arm))
+    x, y, z = tip_frame(robot, robot.start)[1]
+    assert np.hypot(x + 0.7, y - 0.8) < 0.6
+    assert x > -0.7
+    assert z == pytest.approx(0.05, abs=1e-3)
+
+
+def quill(up: float, turn: float) -> str:
+    """A SCARA whose quill begins this high above the table [m], its frame turned about x [rad]."""
+    return urdf(
+        replace(
+            scara(0.1),
+            parts=tuple(
+                replace(each, at=(*each.at[:2], up))
+                if each.name == "arm1"
+                else replace(each, rpy=(turn, 0, 0))
+                if each.name == "quill"
+                else each
+                for each in scara(0.1).parts
+            ),
+        )
+    )
+
+
+@pytest.mark.parametrize(("text", "what"), [
+    (lambda: quill(0.4, np.pi), "to do:   give a --tool-length of 0.37 m"),
+    (lambda: quill(0.2, 0.0), "to do:   give the opposite --tool-axis: no joint turns the stick, which points up"),
+    (lambda: urdf(replace(desk_arm(), parts=desk_arm().parts[:4])), "the robot has only 3 joints"),
+])  # fmt: skip
+def test_an_arm_without_a_start_is_told_what_would_give_it_one(tmp_path, text, what):
+    with pytest.raises(SceneError, match=re.escape(what)):
+        started(tmp_path, text())
+
+
+@pytest.mark.parametrize("limits", [(3.5, 9.0), (-9.4, -3.2), (3.0, 6.2832)])
+def test_a_joint_may_have_its_range_beyond_half_a_turn(tmp_path, limits):
+    usual = started(tmp_path, urdf(desk_arm()))
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=limits))
+    found = started(tmp_path, urdf(arm))
+    assert limits[0] + 0.1 < found.start[0] < limits[1] - 0.1
+    np.testing.assert_allclose(tip_frame(found, found.start)[1], tip_frame(usual, usual.start)[1], atol=1e-3)
+
+
+# The reach
+
+
+def test_a_tilted_first_axis_does_not_lengthen_the_reach(tmp_path):
+    arm = ur5_like()
+    usual = reach_of(started(tmp_path, urdf(arm))).radius
+    for tilt in (0.011, 0.05):
+        parts = [replace(each, rpy=(tilt, 0, 0), shapes=()) if each.name == "shoulder" else each for each in arm.parts]
+        found = started(tmp_path, urdf(replace(arm, parts=tuple(parts))))
+        assert -0.6 * tilt - 0.006 < reach_of(found).radius - usual < 0.006
 
 
 # The sample task
