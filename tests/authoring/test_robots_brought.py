@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from support.sample_arms import ARMS, FORMATS, Part, SampleArm, Shape, mjcf, ur5_like, urdf, write_arm
 
 from oimppi_warp.authoring.robots.read import read_arm
@@ -356,6 +357,8 @@ def changed(what: str, to: str, count: int = 1) -> str:
     return text.replace(what, to, count)
 
 
+MOMENTS = 'ixx="0.0016" iyy="0.0016" izz="0.0016"'
+"""The moments of the link upper."""
 BAD: dict[str, tuple[Callable[[], str], str]] = {
     "two joints of one name": (lambda: changed("fore_joint", "upper_joint"), "2 joints have the name upper_joint"),
     "two links of one name": (
@@ -398,6 +401,40 @@ BAD: dict[str, tuple[Callable[[], str], str]] = {
         lambda: changed('ixx="0.0016" iyy="0.0016" izz="0.0016"', 'ixx="0" iyy="0" izz="0"'),
         "link upper has a physically impossible inertia",
     ),
+    "no inertial": (
+        lambda: re.sub(r'(<link name="upper">)<inertial>.*?</inertial>', r"\1", urdf(desk_arm())),
+        "link upper has no mass",
+    ),
+    "a mass without an inertia": (
+        lambda: changed(f'<inertia {MOMENTS} ixy="0" ixz="0" iyz="0"/>', ""),
+        "link upper has a physically impossible inertia",
+    ),
+    "moments of no body": (
+        lambda: changed(MOMENTS, 'ixx="0.1" iyy="0.001" izz="0.001"'),
+        "link upper has a physically impossible inertia: its principal moments are 0.001, 0.001, 0.1 kg m^2",
+    ),
+    "moments in g cm^2": (
+        lambda: changed(MOMENTS, 'ixx="160" iyy="160" izz="160"'),
+        "link upper has a physically impossible inertia for its mass: 160, 160, 160 kg m^2 with 0.4 kg",
+    ),
+    "a mass in grams": (lambda: changed('value="0.4"', 'value="400"'), "is it in grams? give it in kilograms"),
+    "a centre in millimetres": (
+        lambda: changed('<inertial><mass value="0.4"', '<inertial><origin xyz="75 0 0"/><mass value="0.4"'),
+        "the centre of mass of link upper is 75 m from its frame",
+    ),
+    "a shape in millimetres": (
+        lambda: changed('<box size="0.35 0.03 0.03"/>', '<mesh filename="millimetres.obj"/>'),
+        'link upper extends 353 m from the link\'s frame',
+    ),
+    "all in millimetres": (
+        lambda: re.sub(r'xyz="([.\d]+) 0 0"', lambda found: f'xyz="{1000 * float(found[1]):g} 0 0"', urdf(desk_arm())),
+        "the arm is 760.1 m long",
+    ),
+    "limits in degrees": (
+        lambda: re.sub('lower="-2" upper="2" (.*?) velocity="2"', r'lower="-115" upper="115" \1 velocity="115"',
+                       urdf(desk_arm()), count=1),
+        "joint turret_joint turns to 115 rad, at up to 115 rad/s",
+    ),
     "a mesh that is empty": (
         lambda: changed('<cylinder radius="0.03" length="0.06"/>', '<mesh filename="empty.obj"/>'),
         "link turret: the collision mesh 'empty.obj'",
@@ -419,6 +456,8 @@ def test_a_plain_mistake_gives_one_message_that_names_the_element(tmp_path, caps
     (tmp_path / "empty.obj").write_text("")
     (tmp_path / "none.stl").write_text("nothing")
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    box = np.array(list(np.ndindex(2, 2, 2))) * [350, 30, 30]
+    trimesh.convex.convex_hull(box).export(tmp_path / "millimetres.obj")
     assert added(tmp_path, text()) == 2
     assert what in one_message(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
@@ -449,6 +488,20 @@ def test_an_inertia_that_no_body_has_is_that_of_the_part_that_is_named(tmp_path,
     assert found
     assert added(tmp_path, f'{head}ixx="-0.02" iyy="-0.02" izz="-0.02"{tail}') == 2
     assert "link cover has a physically impossible inertia" in one_message(capsys.readouterr().err)
+
+
+def test_a_part_without_mass_takes_none_from_its_shapes(tmp_path):
+    cover = Part("cover", "fore", mass=0.0, shapes=(Shape("box", (0.1, 0.1, 0.1)),))
+    text = urdf(SampleArm("desk_arm", (*desk_arm().parts, cover)))
+    assert started(tmp_path, text).links[2].mass == pytest.approx(0.3)
+
+
+def test_an_mjcf_in_radians_that_is_read_in_degrees_is_told_so(tmp_path, capsys):
+    text = mjcf(desk_arm()).replace('angle="radian"', 'angle="degree"')
+    assert added(tmp_path, text, form="xml") == 2
+    words = one_message(capsys.readouterr().err)
+    assert "no joint turns further than 3 degrees" in words
+    assert '<compiler angle="radian"/>' in words
 
 
 def test_the_advice_for_a_xacro_file_keeps_the_file(tmp_path, capsys):

@@ -14,6 +14,8 @@ import networkx as nx
 from oimppi_warp.errors import SceneError
 
 Kind = Literal["turns", "slides", "fixed"]
+_FAST = 50.0
+"""Velocity above which the limits of a joint that turns far are taken to be in degrees [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,14 @@ class Chain:
             the joint that fixes it (none for the first).
         flange: Name of the link that carries the stick.
         limits: Limits of each moving joint.
+        kinds: Motion of each moving joint.
     """
 
     joints: tuple[str, ...]
     groups: tuple[tuple[tuple[str, str], ...], ...]
     flange: str
     limits: tuple[Limits, ...]
+    kinds: tuple[Kind, ...]
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -111,6 +115,7 @@ def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
         groups=groups,
         flange=flange or _flange(tree, groups[-1]),
         limits=tuple(_checked(joint, file) for joint in joints),
+        kinds=tuple(joint.kind for joint in joints),
     )
 
 
@@ -188,6 +193,11 @@ def _checked(joint: TreeJoint, file: Path) -> Limits:
         lower, upper = (_angle_or_length(value, unit) for value in (limits.lower, limits.upper))
         what = f"joint {joint.name}: the lower limit ({lower}) is not below the upper limit ({upper})"
         raise SceneError(what, file=file, allowed="a lower limit below the upper one", fix="correct the limits")
+    turns = [abs(value) for value in (limits.lower, limits.upper) if math.isfinite(value)]
+    if joint.kind == "turns" and turns and max(turns) > 4.0 * math.pi and _FAST < limits.velocity < math.inf:
+        what = f"joint {joint.name} turns to {max(turns):.4g} rad, at up to {limits.velocity:.4g} rad/s"
+        fix = "are its limits in degrees? give them in radians"
+        raise SceneError(what, file=file, allowed=f"two turns, or at most {_FAST:g} rad/s", fix=fix)
     if not (limits.effort > 0.0 and limits.velocity > 0.0):
         degrees = f" ({math.degrees(limits.velocity):.4g} deg/s)" if unit == "rad" else ""
         effort, velocity = f"{limits.effort:g} {force}", f"{limits.velocity:.4g} {unit}/s{degrees}"

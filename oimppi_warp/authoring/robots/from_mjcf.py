@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 WORLD = "world"
 """Name of the body that everything is fixed to."""
+_SMALL = math.radians(7.0)
+"""Angle that the joints of an arm turn by, unless their ranges in radians are read as degrees [rad]."""
 _HIDDEN = 3
 """Group from which on MuJoCo's viewer hides geoms; by convention they are the ones that collide."""
 _GREY = (0.5, 0.5, 0.5, 1.0)
@@ -49,8 +51,22 @@ def read_mjcf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     reader = _Reader(_compiled(file), file)
     tree = reader.tree()
     chain = serial_chain(tree, file=file, flange=flange or reader.usual_flange(tree))
+    _check_angles(chain, file)
     builder, bodies, joints = reader.builder(chain)
     return chain, Articulation(builder, bodies=bodies, joints=joints, file=file)
+
+
+def _check_angles(chain: Chain, file: Path) -> None:
+    """Raises SceneError if all ranges are so small that they must be in radians, where the file has degrees."""
+    limits = [limit for limit, kind in zip(chain.limits, chain.kinds, strict=True) if kind == "turns"]
+    most = max((max(-limit.lower, limit.upper) for limit in limits), default=math.inf)
+    if most < _SMALL:
+        raise SceneError(
+            f"no joint turns further than {math.degrees(most):.3g} degrees from zero",
+            file=file,
+            allowed="ranges in the unit of <compiler angle>, by default degrees",
+            fix='are the angles in radians? then write <compiler angle="radian"/>',
+        )
 
 
 def _compiled(file: Path) -> mujoco.MjModel:

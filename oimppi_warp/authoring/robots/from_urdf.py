@@ -6,6 +6,7 @@ import copy
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import networkx as nx
 import numpy as np
@@ -21,6 +22,9 @@ from oimppi_warp.authoring.robots.urdf_checks import (
     number,
 )
 from oimppi_warp.errors import SceneError
+
+if TYPE_CHECKING:
+    import newton
 
 _KINDS: dict[str, Kind] = {
     "revolute": "turns",
@@ -53,15 +57,13 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     members = [link for group in chain.groups for link, _ in group]
     joints = [*chain.joints, *(joint for group in chain.groups for _, joint in group if joint)]
     reduced = _reduced(file, root, members, joints, base={link for link, _ in chain.groups[0]})
-    import newton
-
-    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+    builder = _builder()
     try:
         builder.add_urdf(ET.tostring(reduced, encoding="unicode"))
     except Exception:  # mesh readers raise many kinds of exceptions
         for link in reduced.findall("link"):
             _remove(link, link.findall("visual"))  # visuals may be in formats that no reader here supports
-        builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+        builder = _builder()
         try:
             builder.add_urdf(ET.tostring(reduced, encoding="unicode"))
         except Exception as error:
@@ -76,6 +78,15 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
         for names, labels in ((members, builder.body_label), (joints, builder.joint_label))
     )
     return chain, Articulation(builder, bodies=bodies, joints=found, file=file)
+
+
+def _builder() -> newton.ModelBuilder:
+    """Returns an empty builder that gives no mass to shapes: a link has only the mass that the file gives it."""
+    import newton
+
+    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+    builder.default_shape_cfg.density = 0.0
+    return builder
 
 
 def _parse(file: Path) -> ET.Element:
