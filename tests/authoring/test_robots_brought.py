@@ -504,6 +504,82 @@ def test_an_mjcf_in_radians_that_is_read_in_degrees_is_told_so(tmp_path, capsys)
     assert '<compiler angle="radian"/>' in words
 
 
+# What is left out
+
+
+def in_mjcf(joint: str = "", end: str = "") -> str:
+    """The arm as MJCF, with more attributes of the fore joint, and more at the end."""
+    text = mjcf(desk_arm()).replace('<joint name="fore_joint"', f'<joint name="fore_joint" {joint}')
+    return text.replace("</mujoco>", f"{end}</mujoco>")
+
+
+TENDON = (
+    '<tendon><fixed name="t"><joint joint="upper_joint" coef="1"/><joint joint="fore_joint" coef="1"/></fixed></tendon>'
+)
+NOTED: dict[str, tuple[Callable[[], str], str]] = {
+    "dynamics": (
+        lambda: changed('<axis xyz="0 0 1"/><limit lower="-2.8"',
+                        '<dynamics damping="2" friction="0.5"/><axis xyz="0 0 1"/><limit lower="-2.8"'),
+        "left out: friction and damping of fore_joint;",
+    ),
+    "damping in mjcf": (lambda: in_mjcf('damping="2"'), "left out: friction and damping of fore_joint;"),
+    "a weld": (
+        lambda: in_mjcf(end='<equality><weld body1="hand" body2="base"/></equality>'),
+        "left out: an equality that joins hand and base",
+    ),
+    "a tendon": (lambda: in_mjcf(end=TENDON), "left out: a tendon between the joints upper_joint, fore_joint"),
+    "a cup": (
+        lambda: changed("</robot>", '<link name="cup"/><joint name="cup_joint" type="floating"><parent link="base"/>'
+                        '<child link="cup"/></joint></robot>'),
+        "left out: link cup, on joint cup_joint of type floating",
+    ),
+    "one finger": (
+        lambda: urdf(SampleArm("arm", (*desk_arm().parts, Part("tool", "flange"), Part(
+            "finger", "tool", axis=(0, 1, 0), limits=(0, 0.04), slides=True, mass=0.02)))),
+        "if it is that of a gripper, leave it out with --flange tool",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", NOTED)
+def test_what_the_robot_does_not_get_is_told_in_one_line(tmp_path, capsys, case):
+    text, note = NOTED[case]
+    assert added(tmp_path, text(), form="xml" if "<mujoco" in text() else "urdf") == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  note")]
+    assert note in line
+
+
+@pytest.mark.parametrize(("text", "what", "fix"), [
+    (lambda: in_mjcf().replace('range="-2.8 0.5"', 'range="2 -2"'), "fore_joint: the range from 2 to -2", "range"),
+    (lambda: in_mjcf(end='<equality><joint joint1="fore_joint"/></equality>'), "joint fore_joint is held", "equality"),
+    (lambda: '<mujoco><worldbody><body name="cup"><freejoint/><geom size="0.03"/></body></worldbody></mujoco>',
+     "body cup floats", "oimppi scene import arm.xml"),
+    (lambda: changed('"upper_joint" type="revolute"', '"upper_joint" type="planar"'),
+     "joint upper_joint between turret and upper is of type planar", "replace it by revolute or prismatic joints"),
+])  # fmt: skip
+def test_what_holds_or_frees_a_joint_is_refused(tmp_path, capsys, text, what, fix):
+    assert added(tmp_path, text(), form="xml" if "<mujoco" in text() else "urdf") == 2
+    words = one_message(capsys.readouterr().err)
+    assert what in words
+    assert fix in words[words.index("to do:") :]
+
+
+def test_a_bad_colour_refuses_nothing(tmp_path):
+    box = '<visual><geometry><sphere radius="1"/></geometry><material name="{}"><color rgba="{}"/></material></visual>'
+    text = changed('<link name="upper">', f'<link name="upper">{box.format("one", "1 0")}')
+    text = text.replace(
+        '<link name="base">', '<material name="two"><color rgba="a b c d"/></material><link name="base">'
+    )
+    assert len(started(tmp_path, text).links) == 5
+
+
+def test_a_file_whose_name_is_no_name_of_a_robot_is_told_one(tmp_path, capsys):
+    file = tmp_path / "6dof arm.urdf"
+    file.write_text(urdf(desk_arm()))
+    assert main(["scene", "robot", str(file), "--out", str(tmp_path)]) == 2
+    assert "to do:   --name arm_6dof_arm" in one_message(capsys.readouterr().err)
+
+
 def test_the_advice_for_a_xacro_file_keeps_the_file(tmp_path, capsys):
     macro = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m"/></robot>'
     for form in ("urdf", "urdf.xacro", "xacro"):
