@@ -51,11 +51,11 @@ def desk_arm(size: float = 1.0, **changes: Part) -> SampleArm:
     return SampleArm("desk_arm", tuple((parts | changes).values()), effort=20.0, velocity=2.0)
 
 
-def started(folder: Path, text: str, **options: str) -> Robot:
+def started(folder: Path, text: str) -> Robot:
     """The robot in a URDF of this text, at its start."""
     file = folder / "arm.urdf"
     file.write_text(text)
-    chain, arm = read_arm(file, name="Arm", doc="", length=0.17, radius=0.008, **options)
+    chain, arm = read_arm(file, name="Arm", doc="", length=0.17, radius=0.008)
     return with_start(arm, links=chain.links, joints=chain.joints).robot()
 
 

@@ -220,7 +220,7 @@ def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return from_, np.where(further, from_ + 2.0 * np.pi, upper)
 
 
-def _into(lower: np.ndarray, joints: np.ndarray) -> np.ndarray:
+def _into(lower: np.ndarray | float, joints: np.ndarray | float) -> np.ndarray:
     """Returns angles in the turn that begins at ``lower`` [rad]."""
     return np.mod(joints - lower, 2.0 * np.pi) + lower
 
