@@ -128,6 +128,8 @@ class AddRobot:
             f"  stick    {self.tool_length:g} m along {self.tool_axis} of {short_name(chain.flange)}", markup=False
         )
         console.print(f"  reach    {reach.radius:.2f} m from the origin, with the stick upright")
+        for note in chain.notes:
+            console.print(f"  note     {note}", markup=False)
         highest = highest_tip(robot)
         if not can_lift(robot):
             console.print("  cannot   lift the stick: it goes around objects")
@@ -145,8 +147,11 @@ class AddRobot:
             ConfigError: The name is not valid, a length is out of bounds, or a file would be overwritten.
         """
         if not name.replace("-", "_").isidentifier():
+            given = f"--name {name}" if self.name else f"{self.file.name}: {name}, from the file's name,"
+            valid = "arm_" + "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in name)
             raise ConfigError(
-                f"--name {name} is not a valid name\n  allowed: letters, digits, - and _, with no digit first"
+                f"{given} is not a valid name\n  allowed: letters, digits, - and _, with no digit first\n"
+                f"  to do:   --name {valid}"
             )
         for option, value, most in (("length", self.tool_length, 2.0), ("radius", self.tool_radius, 0.1)):
             if not (math.isfinite(value) and 0.0 < value <= most):

@@ -24,6 +24,8 @@ from oimppi_warp.scene import Robot, Scene
 
 _SIDES = 32
 """Sides of the polygon that approximates a disc carried by sliding joints."""
+_AZIMUTHS = 12
+"""Directions in which the reach of an arm with a tilted first axis is searched for."""
 _UP = np.array([0.0, 0.0, 1.0])
 _HIGH = 0.3
 """Height of the tip beyond which nobody asks [m]."""
@@ -78,8 +80,8 @@ def reach_of(robot: Robot) -> Reach:
     From its start configuration the tip is moved to the table and away from the axis of the first joint that turns,
     until no joint positions within the limits are found: that is the arm's reach to all sides, zero if the tip does not
     get down to the table. Sliding joints before that one move this disc along. A robot with sliding joints only reaches
-    everything within their limits. If the axis of the first joint that turns is not vertical, up to
-    :data:`ROUNDED_ANGLE`, the stretched length of the chain is the bound.
+    everything within their limits. If the axis of the first joint that turns is tilted by more than
+    :data:`ROUNDED_ANGLE`, the arm does not reach equally far to all sides, and the smallest distance counts.
     """
     revolute = np.flatnonzero(revolute_joints(robot))
     if not len(revolute):
@@ -87,10 +89,9 @@ def reach_of(robot: Robot) -> Reach:
     first = int(revolute[0])
     rotations, positions = link_frames(robot, robot.start)
     axis, carried = positions[first][:2], ~parallel(rotations[:first, :, 2], _UP)
-    if not parallel(rotations[first][:, 2], _UP):
-        return Reach(stretched_length(robot))
     free = np.append(~carried, np.ones(robot.dof - first, dtype=bool))
-    radius = _max_radius(robot, axis, free)
+    search = _max_radius if parallel(rotations[first][:, 2], _UP) else _radius_to_all_sides
+    radius = search(robot, axis, free)
     if not radius or (not carried.any() and np.hypot(*axis) < _CENTERED):
         return Reach(radius)
     angles = np.arange(_SIDES) * 2.0 * np.pi / _SIDES
@@ -204,17 +205,64 @@ def _max_radius(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
 
         return errors
 
-    first = float(np.linalg.norm(start[:2] - axis))
-    found = ((share * first, _solve_ik(robot, robot.start, at_radius(share * first), free)) for share in _RADII)
-    radius, joints = next(((r, q) for r, q in found if q is not None), (0.0, None))
-    step = 0.05
-    while step > 5e-4 and joints is not None:
-        further = _solve_ik(robot, joints, at_radius(radius + step), free)
+    return _outwards(robot, robot.start, float(np.linalg.norm(start[:2] - axis)), at_radius, free)[0]
+
+
+def _radius_to_all_sides(robot: Robot, axis: np.ndarray, free: np.ndarray) -> float:
+    """Returns the smallest of the tip's largest distances from a point [2] in several directions; 0 if none [m].
+
+    As for a vertical axis, the limits of the first joint that turns do not count, nor do directions in which the tip
+    gets down to the table nowhere.
+    """
+    first = int(np.flatnonzero(revolute_joints(robot))[0])
+    turning = replace(robot.joints[first], lower=-np.inf, upper=np.inf)
+    endless = replace(robot, joints=(*robot.joints[:first], turning, *robot.joints[first + 1 :]))
+    start = tip_frame(robot, robot.start)[1]
+    height = 0.0 if can_lift(robot) else start[2]
+    ahead, distance = np.arctan2(*(start[:2] - axis)[::-1]), float(np.linalg.norm(start[:2] - axis))
+    steps = np.arange(_AZIMUTHS // 2 + 1) * 2.0 * np.pi / _AZIMUTHS
+    radii = []
+    for side in (steps, -steps[1:-1]):
+        joints = robot.start
+        for azimuth in ahead + side:
+            target = np.array([*axis, height]), np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+
+            def at_radius(radius: float, target: tuple[np.ndarray, np.ndarray] = target) -> TipErrors:
+                return lambda tip: (np.eye(3), tip - target[0] - radius * target[1])
+
+            radius, found = _outwards(endless, joints, distance, at_radius, free)
+            if found is not None:
+                radii.append(radius)
+                joints = found
+    return min(radii, default=0.0)
+
+
+def _outwards(
+    robot: Robot,
+    joints: np.ndarray,
+    distance: float,
+    at_radius: Callable[[float], TipErrors],
+    free: np.ndarray,
+) -> tuple[float, np.ndarray | None]:
+    """Returns the tip's largest radius [m], found step by step, and joint positions at the first; else 0, ``None``.
+
+    Args:
+        robot: The robot.
+        joints: Joint positions to begin at, shape [dof] [rad; m].
+        distance: Radius at which the tip is first moved to the table, or a share of it in :data:`_RADII` [m].
+        at_radius: Function of a radius [m] that returns the tip's errors there.
+        free: Whether a joint may move, shape [dof].
+    """
+    found = ((share * distance, _solve_ik(robot, joints, at_radius(share * distance), free)) for share in _RADII)
+    radius, first = next(((r, q) for r, q in found if q is not None), (0.0, None))
+    last, step = first, 0.05
+    while step > 5e-4 and last is not None:
+        further = _solve_ik(robot, last, at_radius(radius + step), free)
         if further is None:
             step /= 2.0
         else:
-            joints, radius = further, radius + step
-    return 0.0 if joints is None else radius
+            last, radius = further, radius + step
+    return radius, first
 
 
 def tip_rates(robot: Robot, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -214,7 +214,7 @@ BAD = {
     "a joint that follows": (
         ("<actuator>", '<equality><joint joint1="nod" joint2="elbow"/></equality><actuator>'),
         "nod follows another joint",
-        "make it fixed",
+        "make the joint fixed",
     ),
     "a branch": (
         ('<body name="slider"', OTHER + '<body name="slider"'),

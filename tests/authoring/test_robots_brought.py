@@ -10,11 +10,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from support.sample_arms import ARMS, FORMATS, Part, SampleArm, Shape, mjcf, urdf, write_arm
+import trimesh
+from support.sample_arms import ARMS, FORMATS, Part, SampleArm, Shape, mjcf, ur5_like, urdf, write_arm
 
 from oimppi_warp.authoring.robots.read import read_arm
+from oimppi_warp.authoring.robots.start_pose import with_start
 from oimppi_warp.cli.main import main
 from oimppi_warp.config.presets import best
+from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.feasibility import check_task, sample_start
 from oimppi_warp.geometry.kinematics import link_frames, pack_arm, tip_frame, touching_turret
 from oimppi_warp.geometry.postures import postures_of
@@ -46,6 +49,14 @@ def desk_arm(size: float = 1.0, **changes: Part) -> SampleArm:
         "flange": Part("flange", "hand", (0.06, 0, 0), (0, half, 0), (0, 0, 1), mass=0.05),
     }
     return SampleArm("desk_arm", tuple((parts | changes).values()), effort=20.0, velocity=2.0)
+
+
+def started(folder: Path, text: str) -> Robot:
+    """The robot in a URDF of this text, at its start."""
+    file = folder / "arm.urdf"
+    file.write_text(text)
+    chain, arm = read_arm(file, name="Arm", doc="", length=0.17, radius=0.008)
+    return with_start(arm, links=chain.links, joints=chain.joints).robot()
 
 
 def part(arm: SampleArm, name: str) -> Part:
@@ -160,16 +171,79 @@ def test_a_link_that_comes_too_near_the_table_is_named_with_its_height(tmp_path,
 
 
 def test_a_joint_that_has_to_be_at_its_limit_is_named(tmp_path, capsys):
-    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=(-0.589, 2.0)))
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=(0.587, 2.0)))
     assert added(tmp_path, urdf(arm)) == 2
     words = one_message(capsys.readouterr().err)
-    assert "only with joint turret_joint at a limit (-0.588, where it goes from -0.589 to 2)" in words
+    assert "only with joint turret_joint at a limit (0.588, where it goes from 0.587 to 2)" in words
 
 
 def test_an_arm_that_faces_the_other_way_is_told_so(tmp_path, capsys):
     arm = desk_arm(turret=replace(part(desk_arm(), "turret"), rpy=(0, 0, np.pi), limits=(-1.0, 1.0)))
     assert added(tmp_path, urdf(arm)) == 2
     assert "turn its base: the tool gets to the table on the side of -x" in one_message(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("limits", [(-0.5, 0.5), (-0.1, 0.1)])
+def test_an_arm_that_hardly_turns_starts_straight_ahead(tmp_path, limits):
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=limits))
+    assert abs(started(tmp_path, urdf(arm)).start[0]) < 0.01
+
+
+def test_an_arm_whose_base_is_elsewhere_starts_in_front_of_it(tmp_path):
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), at=(-0.7, 0.8, 0)))
+    robot = started(tmp_path, urdf(arm))
+    x, y, z = tip_frame(robot, robot.start)[1]
+    assert np.hypot(x + 0.7, y - 0.8) < 0.6
+    assert x > -0.7
+    assert z == pytest.approx(0.05, abs=1e-3)
+
+
+def quill(up: float, turn: float) -> str:
+    """A SCARA whose quill begins this high above the table [m], its frame turned about x [rad]."""
+    return urdf(
+        replace(
+            scara(0.1),
+            parts=tuple(
+                replace(each, at=(*each.at[:2], up))
+                if each.name == "arm1"
+                else replace(each, rpy=(turn, 0, 0))
+                if each.name == "quill"
+                else each
+                for each in scara(0.1).parts
+            ),
+        )
+    )
+
+
+@pytest.mark.parametrize(("text", "what"), [
+    (lambda: quill(0.4, np.pi), "to do:   give a --tool-length of 0.37 m"),
+    (lambda: quill(0.2, 0.0), "to do:   give the opposite --tool-axis: no joint turns the stick, which points up"),
+    (lambda: urdf(replace(desk_arm(), parts=desk_arm().parts[:4])), "the robot has only 3 joints"),
+])  # fmt: skip
+def test_an_arm_without_a_start_is_told_what_would_give_it_one(tmp_path, text, what):
+    with pytest.raises(SceneError, match=re.escape(what)):
+        started(tmp_path, text())
+
+
+@pytest.mark.parametrize("limits", [(3.5, 9.0), (-9.4, -3.2), (3.0, 6.2832)])
+def test_a_joint_may_have_its_range_beyond_half_a_turn(tmp_path, limits):
+    usual = started(tmp_path, urdf(desk_arm()))
+    arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=limits))
+    found = started(tmp_path, urdf(arm))
+    assert limits[0] + 0.1 < found.start[0] < limits[1] - 0.1
+    np.testing.assert_allclose(tip_frame(found, found.start)[1], tip_frame(usual, usual.start)[1], atol=1e-3)
+
+
+# The reach
+
+
+def test_a_tilted_first_axis_does_not_lengthen_the_reach(tmp_path):
+    arm = ur5_like()
+    usual = reach_of(started(tmp_path, urdf(arm))).radius
+    for tilt in (0.011, 0.05):
+        parts = [replace(each, rpy=(tilt, 0, 0), shapes=()) if each.name == "shoulder" else each for each in arm.parts]
+        found = started(tmp_path, urdf(replace(arm, parts=tuple(parts))))
+        assert -0.6 * tilt - 0.006 < reach_of(found).radius - usual < 0.006
 
 
 # The sample task
@@ -283,6 +357,8 @@ def changed(what: str, to: str, count: int = 1) -> str:
     return text.replace(what, to, count)
 
 
+MOMENTS = 'ixx="0.0016" iyy="0.0016" izz="0.0016"'
+"""The moments of the link upper."""
 BAD: dict[str, tuple[Callable[[], str], str]] = {
     "two joints of one name": (lambda: changed("fore_joint", "upper_joint"), "2 joints have the name upper_joint"),
     "two links of one name": (
@@ -325,6 +401,40 @@ BAD: dict[str, tuple[Callable[[], str], str]] = {
         lambda: changed('ixx="0.0016" iyy="0.0016" izz="0.0016"', 'ixx="0" iyy="0" izz="0"'),
         "link upper has a physically impossible inertia",
     ),
+    "no inertial": (
+        lambda: re.sub(r'(<link name="upper">)<inertial>.*?</inertial>', r"\1", urdf(desk_arm())),
+        "link upper has no mass",
+    ),
+    "a mass without an inertia": (
+        lambda: changed(f'<inertia {MOMENTS} ixy="0" ixz="0" iyz="0"/>', ""),
+        "link upper has a physically impossible inertia",
+    ),
+    "moments of no body": (
+        lambda: changed(MOMENTS, 'ixx="0.1" iyy="0.001" izz="0.001"'),
+        "link upper has a physically impossible inertia: its principal moments are 0.001, 0.001, 0.1 kg m^2",
+    ),
+    "moments in g cm^2": (
+        lambda: changed(MOMENTS, 'ixx="160" iyy="160" izz="160"'),
+        "link upper has a physically impossible inertia for its mass: 160, 160, 160 kg m^2 with 0.4 kg",
+    ),
+    "a mass in grams": (lambda: changed('value="0.4"', 'value="400"'), "is it in grams? give it in kilograms"),
+    "a centre in millimetres": (
+        lambda: changed('<inertial><mass value="0.4"', '<inertial><origin xyz="75 0 0"/><mass value="0.4"'),
+        "the centre of mass of link upper is 75 m from its frame",
+    ),
+    "a shape in millimetres": (
+        lambda: changed('<box size="0.35 0.03 0.03"/>', '<mesh filename="millimetres.obj"/>'),
+        'link upper extends 353 m from the link\'s frame',
+    ),
+    "all in millimetres": (
+        lambda: re.sub(r'xyz="([.\d]+) 0 0"', lambda found: f'xyz="{1000 * float(found[1]):g} 0 0"', urdf(desk_arm())),
+        "the arm is 760.1 m long",
+    ),
+    "limits in degrees": (
+        lambda: re.sub('lower="-2" upper="2" (.*?) velocity="2"', r'lower="-115" upper="115" \1 velocity="115"',
+                       urdf(desk_arm()), count=1),
+        "joint turret_joint turns to 115 rad, at up to 115 rad/s",
+    ),
     "a mesh that is empty": (
         lambda: changed('<cylinder radius="0.03" length="0.06"/>', '<mesh filename="empty.obj"/>'),
         "link turret: the collision mesh 'empty.obj'",
@@ -346,6 +456,8 @@ def test_a_plain_mistake_gives_one_message_that_names_the_element(tmp_path, caps
     (tmp_path / "empty.obj").write_text("")
     (tmp_path / "none.stl").write_text("nothing")
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    box = np.array(list(np.ndindex(2, 2, 2))) * [350, 30, 30]
+    trimesh.convex.convex_hull(box).export(tmp_path / "millimetres.obj")
     assert added(tmp_path, text()) == 2
     assert what in one_message(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
@@ -376,6 +488,96 @@ def test_an_inertia_that_no_body_has_is_that_of_the_part_that_is_named(tmp_path,
     assert found
     assert added(tmp_path, f'{head}ixx="-0.02" iyy="-0.02" izz="-0.02"{tail}') == 2
     assert "link cover has a physically impossible inertia" in one_message(capsys.readouterr().err)
+
+
+def test_a_part_without_mass_takes_none_from_its_shapes(tmp_path):
+    cover = Part("cover", "fore", mass=0.0, shapes=(Shape("box", (0.1, 0.1, 0.1)),))
+    text = urdf(SampleArm("desk_arm", (*desk_arm().parts, cover)))
+    assert started(tmp_path, text).links[2].mass == pytest.approx(0.3)
+
+
+def test_an_mjcf_in_radians_that_is_read_in_degrees_is_told_so(tmp_path, capsys):
+    text = mjcf(desk_arm()).replace('angle="radian"', 'angle="degree"')
+    assert added(tmp_path, text, form="xml") == 2
+    words = one_message(capsys.readouterr().err)
+    assert "no joint turns further than 3 degrees" in words
+    assert '<compiler angle="radian"/>' in words
+
+
+# What is left out
+
+
+def in_mjcf(joint: str = "", end: str = "") -> str:
+    """The arm as MJCF, with more attributes of the fore joint, and more at the end."""
+    text = mjcf(desk_arm()).replace('<joint name="fore_joint"', f'<joint name="fore_joint" {joint}')
+    return text.replace("</mujoco>", f"{end}</mujoco>")
+
+
+TENDON = (
+    '<tendon><fixed name="t"><joint joint="upper_joint" coef="1"/><joint joint="fore_joint" coef="1"/></fixed></tendon>'
+)
+NOTED: dict[str, tuple[Callable[[], str], str]] = {
+    "dynamics": (
+        lambda: changed('<axis xyz="0 0 1"/><limit lower="-2.8"',
+                        '<dynamics damping="2" friction="0.5"/><axis xyz="0 0 1"/><limit lower="-2.8"'),
+        "left out: friction and damping of fore_joint;",
+    ),
+    "damping in mjcf": (lambda: in_mjcf('damping="2"'), "left out: friction and damping of fore_joint;"),
+    "a weld": (
+        lambda: in_mjcf(end='<equality><weld body1="hand" body2="base"/></equality>'),
+        "left out: an equality that joins hand and base",
+    ),
+    "a tendon": (lambda: in_mjcf(end=TENDON), "left out: a tendon between the joints upper_joint, fore_joint"),
+    "a cup": (
+        lambda: changed("</robot>", '<link name="cup"/><joint name="cup_joint" type="floating"><parent link="base"/>'
+                        '<child link="cup"/></joint></robot>'),
+        "left out: link cup, on joint cup_joint of type floating",
+    ),
+    "one finger": (
+        lambda: urdf(SampleArm("arm", (*desk_arm().parts, Part("tool", "flange"), Part(
+            "finger", "tool", axis=(0, 1, 0), limits=(0, 0.04), slides=True, mass=0.02)))),
+        "if it is that of a gripper, leave it out with --flange tool",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", NOTED)
+def test_what_the_robot_does_not_get_is_told_in_one_line(tmp_path, capsys, case):
+    text, note = NOTED[case]
+    assert added(tmp_path, text(), form="xml" if "<mujoco" in text() else "urdf") == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  note")]
+    assert note in line
+
+
+@pytest.mark.parametrize(("text", "what", "fix"), [
+    (lambda: in_mjcf().replace('range="-2.8 0.5"', 'range="2 -2"'), "fore_joint: the range from 2 to -2", "range"),
+    (lambda: in_mjcf(end='<equality><joint joint1="fore_joint"/></equality>'), "joint fore_joint is held", "equality"),
+    (lambda: '<mujoco><worldbody><body name="cup"><freejoint/><geom size="0.03"/></body></worldbody></mujoco>',
+     "body cup floats", "oimppi scene import arm.xml"),
+    (lambda: changed('"upper_joint" type="revolute"', '"upper_joint" type="planar"'),
+     "joint upper_joint between turret and upper is of type planar", "replace it by revolute or prismatic joints"),
+])  # fmt: skip
+def test_what_holds_or_frees_a_joint_is_refused(tmp_path, capsys, text, what, fix):
+    assert added(tmp_path, text(), form="xml" if "<mujoco" in text() else "urdf") == 2
+    words = one_message(capsys.readouterr().err)
+    assert what in words
+    assert fix in words[words.index("to do:") :]
+
+
+def test_a_bad_colour_refuses_nothing(tmp_path):
+    box = '<visual><geometry><sphere radius="1"/></geometry><material name="{}"><color rgba="{}"/></material></visual>'
+    text = changed('<link name="upper">', f'<link name="upper">{box.format("one", "1 0")}')
+    text = text.replace(
+        '<link name="base">', '<material name="two"><color rgba="a b c d"/></material><link name="base">'
+    )
+    assert len(started(tmp_path, text).links) == 5
+
+
+def test_a_file_whose_name_is_no_name_of_a_robot_is_told_one(tmp_path, capsys):
+    file = tmp_path / "6dof arm.urdf"
+    file.write_text(urdf(desk_arm()))
+    assert main(["scene", "robot", str(file), "--out", str(tmp_path)]) == 2
+    assert "to do:   --name arm_6dof_arm" in one_message(capsys.readouterr().err)
 
 
 def test_the_advice_for_a_xacro_file_keeps_the_file(tmp_path, capsys):

@@ -326,7 +326,8 @@ BAD: dict[str, tuple[Callable[[], Parts], str, str]] = {
         lambda: arm_parts() | {"j2": arm_parts()["j2"].replace("-2.2", "pi")}, "lower is 'pi'", "a number",
     ),
     "a joint that moves with another": (
-        changed(j3=joint("j3", "upper", "fore", more='<mimic joint="j2"/>')), "j3 follows another", "make it fixed",
+        changed(j3=joint("j3", "upper", "fore", more='<mimic joint="j2"/>')), "j3 follows another",
+        "make the joint fixed",
     ),
     "a floating base": (
         changed(mount=joint("mount", "world", "base", kind="floating")), "of type floating", "base must be fixed",

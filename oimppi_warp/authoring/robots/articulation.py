@@ -25,6 +25,16 @@ ToolAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 GREY = (0.7, 0.71, 0.73)
 BASE_MASS = 1.0
 """Mass given to a base that has none; the base is fixed, so the value has no effect [kg]."""
+_LONGEST = 5.0
+"""Greatest length of an arm at a table [m]."""
+_SHORTEST = 0.3
+"""Size of an arm up to which its masses and shapes are judged like those of an arm of this size [m]."""
+_FAR = 2.0
+"""Largest distance of a link's shapes and of its centre of mass from its frame, relative to the arm's size."""
+_HEAVY = 400.0
+"""Largest mass of a link, divided by the cube of the arm's size [kg/m^3]."""
+_ROUNDED = 1e-3
+"""Relative error of principal moments that were rounded."""
 
 
 class Articulation:
@@ -70,9 +80,6 @@ class Articulation:
         # The frame of each link relative to its body: at the joint, with z along the axis.
         own = [np.linalg.inv(self._base), *(matrix_of(self._builder.joint_X_c[j]) @ self._to_z(j) for j in joints)]
         placed = [self._placed(group) for group in chain.groups]
-        links = [self._link(where, np.linalg.inv(frame)) for where, frame in zip(placed, own, strict=True)]
-        for link, where in zip(links[1:], placed[1:], strict=True):
-            self._check_mass(link, list(where))
         made = []
         for number, joint in enumerate(joints):
             parent = placed[number][self._names[self._builder.joint_parent[joint]]]
@@ -80,6 +87,13 @@ class Articulation:
             self._check_length(frame[:3, 3], f"joint {chain.joints[number]}")
             made.append(self._arm_joint(joint, frame, chain, number))
         mount = np.linalg.inv(own[-1]) @ placed[-1][chain.flange] @ _along(axis)
+        whole = self._size(made, mount[:3, 3])
+        links = []
+        for where, frame in zip(placed, own, strict=True):
+            # A base may stand on a large table.
+            links.append(self._link(where, np.linalg.inv(frame), most=_FAR * whole * (1.0 if links else 10.0)))
+            if len(links) > 1:
+                self._check_mass(links[-1], list(where), whole)
         return Arm(
             name=name,
             doc=doc,
@@ -90,6 +104,23 @@ class Articulation:
             start=(0.0,) * len(joints),
             look=Look(GREY, collide=True),
         )
+
+    def _size(self, joints: list[ArmJoint], mount: np.ndarray) -> float:
+        """Returns how far an arm extends with all its strokes [m].
+
+        Raises:
+            SceneError: It is too long for an arm at a table, even without its strokes.
+        """
+        whole = float(sum(np.linalg.norm(joint.position) for joint in joints[1:]) + np.linalg.norm(mount))
+        if whole > _LONGEST:
+            raise SceneError(
+                f"the arm is {whole:.4g} m long",
+                file=self._file,
+                allowed=f"up to {_LONGEST:g} m from the first joint to the flange",
+                fix="is the file in millimetres, or in other units than it states? convert its lengths to metres",
+            )
+        strokes = sum(max(abs(joint.lower), abs(joint.upper)) for joint in joints if joint.kind == "prismatic")
+        return max(float(whole + np.linalg.norm(joints[0].position) + strokes), _SHORTEST)
 
     def _arm_joint(self, joint: int, frame: np.ndarray, chain: Chain, number: int) -> ArmJoint:
         import newton
@@ -121,8 +152,14 @@ class Articulation:
             frames[link] = frames[self._names[self._builder.joint_parent[joint]]] @ before @ np.linalg.inv(after)
         return frames
 
-    def _link(self, placed: dict[str, np.ndarray], turn: np.ndarray) -> ArmLink:
-        """Merges parts fixed to each other into one link, in a rotated frame."""
+    def _link(self, placed: dict[str, np.ndarray], turn: np.ndarray, *, most: float) -> ArmLink:
+        """Merges parts fixed to each other into one link, in a rotated frame.
+
+        Args:
+            placed: The frame of each part, shape [4, 4] [m].
+            turn: The rotation.
+            most: Largest distance of a part's collision shapes from its frame [m].
+        """
         mass, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
         shapes: list[Collider] = []
         visuals: list[Visual] = []
@@ -135,28 +172,76 @@ class Articulation:
             second += frame[:3, :3] @ inertia @ frame[:3, :3].T + m * _shifted(center)
             for shape in self._builder.body_shapes[body]:
                 if self._builder.shape_flags[shape] & self._collides:
+                    self._check_units(shape, name, most)
                     shapes.append(self._collider(shape, frame, f"collider{len(shapes)}", name))
                 else:
                     visuals += self._visual(shape, frame, f"part{len(visuals)}")
         center = first / max(mass, 1e-12)
         return ArmLink(mass, center, second - mass * _shifted(center), tuple(shapes), tuple(visuals))
 
-    def _check_mass(self, link: ArmLink, parts: list[str]) -> None:
-        """Checks the mass and the inertia of a link that moves; its ``parts`` are the link and all that is fixed to it.
+    def _check_units(self, shape: int, link: str, most: float) -> None:
+        """Raises SceneError if a collision shape is further from its link's frame than ``most`` [m]."""
+        found = self._shape(shape, np.eye(4), "")
+        if found is None:
+            return
+        if found.vertices is None:
+            far = float(np.linalg.norm(found.transform[:3]) + max(found.size))
+        else:
+            far = float(np.linalg.norm(transform_points(found.transform, found.vertices), axis=1).max(initial=0.0))
+        if far > most:
+            raise SceneError(
+                f"a collision shape of link {link} extends {far:.3g} m from the link's frame",
+                file=self._file,
+                allowed=f"up to {most:.3g} m, for an arm of this size",
+                fix='is it in millimetres? then give its mesh scale="0.001 0.001 0.001"; else correct its size',
+            )
+
+    def _check_mass(self, link: ArmLink, parts: list[str], whole: float) -> None:
+        """Checks the mass and the inertia of a link that moves.
+
+        Args:
+            link: The link.
+            parts: Names of the link and of all that is fixed to it.
+            whole: Size of the arm [m].
 
         Raises:
-            SceneError: It has no mass, or an inertia that no body has; the part with the mistake is named.
+            SceneError: It has no mass, or a mass or an inertia that no body of such an arm has; the part with the
+                mistake is named.
         """
         if link.mass <= 0.0:
             what, fix = f"link {parts[0]} has no mass", "give it a mass and an inertia"
             raise SceneError(what, file=self._file, allowed="a mass above zero [kg]", fix=fix)
-        if np.linalg.eigvalsh(link.inertia)[0] > 0.0:
+        for part in parts:
+            self._check_part(part, whole)
+        if np.linalg.eigvalsh(link.inertia)[0] <= 0.0:
+            what, allowed = f"link {parts[0]} has a physically impossible inertia", "principal moments above zero"
+            raise SceneError(what, file=self._file, allowed=allowed, fix="give the correct inertia for its mass")
+
+    def _check_part(self, part: str, whole: float) -> None:
+        """Raises SceneError if the mass or the inertia of a part is in other units, or is one that no body has."""
+        body = self._bodies[part]
+        mass, center = float(self._builder.body_mass[body]), np.array(self._builder.body_com[body], dtype=float)
+        inertia = np.array(self._builder.body_inertia[body], dtype=float).reshape(3, 3)
+        moments, away = np.linalg.eigvalsh(inertia), float(np.linalg.norm(center))
+        listed = ", ".join(f"{moment:.3g}" for moment in moments)
+        if mass > _HEAVY * whole**3:
+            what, allowed = (
+                f"link {part} has a mass of {mass:g} kg",
+                f"up to {_HEAVY * whole**3:.3g} kg, for an arm of {whole:.2g} m",
+            )
+            fix = "is it in grams? give it in kilograms"
+        elif away > _FAR * whole:
+            what, allowed = f"the centre of mass of link {part} is {away:.3g} m from its frame", "one in the link"
+            fix = "is it in millimetres? give it in metres"
+        elif moments[2] > mass * (_FAR * whole) ** 2:
+            what = f"link {part} has a physically impossible inertia for its mass: {listed} kg m^2 with {mass:g} kg"
+            allowed, fix = "moments of a body that is smaller than the arm", "give them in kg m^2"
+        elif moments[0] < -_ROUNDED * moments[2] or moments[2] > (1.0 + _ROUNDED) * (moments[0] + moments[1]):
+            what = f"link {part} has a physically impossible inertia: its principal moments are {listed} kg m^2"
+            allowed, fix = "moments above zero, each at most the sum of the other two", "correct its inertia"
+        else:
             return
-        inertias = {part: self._builder.body_inertia[self._bodies[part]] for part in parts}
-        heavy = [part for part in parts if self._builder.body_mass[self._bodies[part]] > 0.0]
-        wrong = [p for p in heavy if np.linalg.eigvalsh(np.array(inertias[p], dtype=float).reshape(3, 3))[0] <= 0.0]
-        what = f"link {[*wrong, parts[0]][0]} has a physically impossible inertia"
-        raise SceneError(what, file=self._file, allowed="principal moments above zero", fix="correct its inertia")
+        raise SceneError(what, file=self._file, allowed=allowed, fix=fix)
 
     def _collider(self, shape: int, frame: np.ndarray, name: str, link: str) -> Collider:
         """Returns a collision shape in a frame."""

@@ -14,6 +14,8 @@ import networkx as nx
 from oimppi_warp.errors import SceneError
 
 Kind = Literal["turns", "slides", "fixed"]
+_FAST = 50.0
+"""Velocity above which the limits of a joint that turns far are taken to be in degrees [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class TreeJoint:
         kind: Motion that the joint allows: ``"turns"``, ``"slides"`` or ``"fixed"``.
         limits: Limits of the joint; ``None`` for a fixed joint, or if required limits are missing.
         follows: Whether the joint follows another one (mimic).
+        losses: Whether the joint has friction or damping.
         mistake: Mistake that keeps the joint from being driven; it does not matter if the joint is left out.
     """
 
@@ -48,6 +51,7 @@ class TreeJoint:
     kind: Kind
     limits: Limits | None = None
     follows: bool = False
+    losses: bool = False
     mistake: SceneError | None = None
 
 
@@ -61,12 +65,16 @@ class Chain:
             the joint that fixes it (none for the first).
         flange: Name of the link that carries the stick.
         limits: Limits of each moving joint.
+        kinds: Motion of each moving joint.
+        notes: What the user should know about how the file was read, a line each.
     """
 
     joints: tuple[str, ...]
     groups: tuple[tuple[tuple[str, str], ...], ...]
     flange: str
     limits: tuple[Limits, ...]
+    kinds: tuple[Kind, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -80,7 +88,7 @@ def short_name(name: str) -> str:
 
 
 def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
-    """Extracts the chain from a tree whose edges carry a :class:`TreeJoint` as ``joint``.
+    """Extracts the chain from a tree whose edges carry a :class:`TreeJoint` as ``joint``, and which may have ``notes``.
 
     Args:
         tree: Links, with an edge from each parent to each child.
@@ -111,7 +119,28 @@ def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
         groups=groups,
         flange=flange or _flange(tree, groups[-1]),
         limits=tuple(_checked(joint, file) for joint in joints),
+        kinds=tuple(joint.kind for joint in joints),
+        notes=(
+            *tree.graph.get("notes", ()),
+            *_losses(joints),
+            *([] if flange else _finger(groups, joints, moving[-1][0])),
+        ),
     )
+
+
+def _losses(joints: list[TreeJoint]) -> Iterator[str]:
+    """Yields a note if joints have friction or damping, which the robot does not get."""
+    lossy = ", ".join(short_name(joint.name) for joint in joints if joint.losses)
+    if lossy:
+        yield f"left out: friction and damping of {lossy}; the drives of a real arm make up for them"
+
+
+def _finger(groups: tuple[tuple[tuple[str, str], ...], ...], joints: list[TreeJoint], holder: str) -> Iterator[str]:
+    """Yields a note if the last joint is probably a gripper's: it slides, beyond a link that is fixed to another."""
+    slides = [joint.kind == "slides" for joint in joints]
+    if len(joints) > 3 and slides[-1] and not any(slides[:-1]) and holder != groups[-2][0][0]:
+        finger, name = short_name(joints[-1].name), short_name(holder)
+        yield f"joint {finger} carries the stick; if it is that of a gripper, leave it out with --flange {name}"
 
 
 def _joint(tree: nx.DiGraph, parent: str, child: str) -> TreeJoint:
@@ -154,7 +183,8 @@ def _path(tree: nx.DiGraph, base: str, flange: str, file: Path) -> list[str]:
     for ends in pairwise(path):
         if _joint(tree, *ends).follows:
             what = f"joint {_joint(tree, *ends).name} follows another joint (mimic)"
-            raise SceneError(what, file=file, allowed="joints that are driven independently", fix="make it fixed")
+            fix = "the planner cannot drive it: use another robot, or make the joint fixed if it never moves"
+            raise SceneError(what, file=file, allowed="joints that are driven independently", fix=fix)
     return path
 
 
@@ -188,6 +218,11 @@ def _checked(joint: TreeJoint, file: Path) -> Limits:
         lower, upper = (_angle_or_length(value, unit) for value in (limits.lower, limits.upper))
         what = f"joint {joint.name}: the lower limit ({lower}) is not below the upper limit ({upper})"
         raise SceneError(what, file=file, allowed="a lower limit below the upper one", fix="correct the limits")
+    turns = [abs(value) for value in (limits.lower, limits.upper) if math.isfinite(value)]
+    if joint.kind == "turns" and turns and max(turns) > 4.0 * math.pi and _FAST < limits.velocity < math.inf:
+        what = f"joint {joint.name} turns to {max(turns):.4g} rad, at up to {limits.velocity:.4g} rad/s"
+        fix = "are its limits in degrees? give them in radians"
+        raise SceneError(what, file=file, allowed=f"two turns, or at most {_FAST:g} rad/s", fix=fix)
     if not (limits.effort > 0.0 and limits.velocity > 0.0):
         degrees = f" ({math.degrees(limits.velocity):.4g} deg/s)" if unit == "rad" else ""
         effort, velocity = f"{limits.effort:g} {force}", f"{limits.velocity:.4g} {unit}/s{degrees}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from oimppi_warp.authoring.robots.articulation import Articulation
 from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
+from oimppi_warp.authoring.robots.mjcf_checks import check_angles, left_out
 from oimppi_warp.errors import SceneError
 
 if TYPE_CHECKING:
@@ -49,6 +51,10 @@ def read_mjcf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     reader = _Reader(_compiled(file), file)
     tree = reader.tree()
     chain = serial_chain(tree, file=file, flange=flange or reader.usual_flange(tree))
+    check_angles(chain, file)
+    chain = replace(
+        chain, notes=(*chain.notes, *left_out(chain, reader.model, bodies=reader.bodies, joints=reader.joints))
+    )
     builder, bodies, joints = reader.builder(chain)
     return chain, Articulation(builder, bodies=bodies, joints=joints, file=file)
 
@@ -121,7 +127,11 @@ class _Reader:
         moving = any(edge["joint"].kind != "fixed" for _, _, edge in tree.edges(data=True))
         if floating and not moving:
             what = f"body {floating[0]} floats: it has a free joint"
-            raise SceneError(what, file=self.file, allowed="a fixed base", fix="remove the base's free joint")
+            fix = (
+                "remove the base's free joint; if it is an object to push, and no robot: "
+                f"oimppi scene import {self.file.name}"
+            )
+            raise SceneError(what, file=self.file, allowed="a fixed base", fix=fix)
         return tree
 
     def usual_flange(self, tree: nx.DiGraph) -> str:
@@ -150,8 +160,17 @@ class _Reader:
         if kind not in kinds:
             what = f"joint {name} is a ball joint"
             mistake = SceneError(what, file=self.file, allowed="hinge, slide", fix="replace it by three hinges")
-        limits = self._limits(joints[0])
-        return TreeJoint(name, kinds.get(kind, "turns"), limits, self._follows(joints[0]), mistake)
+        lower, upper = (float(value) for value in self.model.jnt_range[joints[0]])
+        if not self.model.jnt_limited[joints[0]] and (lower or upper) and not lower < upper:
+            what = f"joint {name}: the range from {lower:.4g} to {upper:.4g} has no positions"
+            allowed, fix = "a lower limit below the upper one", "correct its range"
+            mistake = SceneError(what, file=self.file, allowed=allowed, fix=fix)
+        if self._is_held(joints[0]):
+            what, fix = f"joint {name} is held at a position by an equality", "remove the equality, or the joint"
+            mistake = SceneError(what, file=self.file, allowed="joints that are driven independently", fix=fix)
+        limits, dof = self._limits(joints[0]), int(self.model.jnt_dofadr[joints[0]])
+        losses = bool(self.model.dof_damping[dof] or self.model.dof_frictionloss[dof])
+        return TreeJoint(name, kinds.get(kind, "turns"), limits, self._follows(joints[0]), losses, mistake)
 
     def _limits(self, joint: int) -> Limits | None:
         """Returns a joint's limits; ``None`` for a slide that has none. MJCF has no limits of velocity."""
@@ -193,9 +212,18 @@ class _Reader:
         """Returns whether an equality makes a joint follow another."""
         import mujoco
 
+        return bool((self._equals(mujoco.mjtEq.mjEQ_JOINT, joint) & (self.model.eq_obj2id >= 0)).any())
+
+    def _is_held(self, joint: int) -> bool:
+        """Returns whether an equality holds a joint at a position."""
+        import mujoco
+
+        return bool((self._equals(mujoco.mjtEq.mjEQ_JOINT, joint) & (self.model.eq_obj2id < 0)).any())
+
+    def _equals(self, kind: mujoco.mjtEq, first: int) -> np.ndarray:
+        """Returns which equalities are active, of a kind and about an object, shape [n]."""
         model = self.model
-        mimics = (model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)) & (model.eq_obj1id == joint) & (model.eq_obj2id >= 0)
-        return bool((mimics & (model.eq_active0 != 0)).any())
+        return (model.eq_type == int(kind)) & (model.eq_obj1id == first) & (model.eq_active0 != 0)
 
     def builder(self, chain: Chain) -> tuple[newton.ModelBuilder, dict[str, int], dict[str, int]]:
         """Puts a chain's bodies and joints into a builder; returns it, and the indices of links and joints by name."""

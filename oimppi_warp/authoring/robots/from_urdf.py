@@ -6,6 +6,7 @@ import copy
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import networkx as nx
 import numpy as np
@@ -13,6 +14,8 @@ import numpy as np
 from oimppi_warp.authoring.robots.articulation import Articulation
 from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.authoring.robots.urdf_checks import (
+    FLOATING,
+    KINDS,
     check_inertial,
     check_joint,
     check_names,
@@ -21,6 +24,9 @@ from oimppi_warp.authoring.robots.urdf_checks import (
     number,
 )
 from oimppi_warp.errors import SceneError
+
+if TYPE_CHECKING:
+    import newton
 
 _KINDS: dict[str, Kind] = {
     "revolute": "turns",
@@ -53,15 +59,13 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     members = [link for group in chain.groups for link, _ in group]
     joints = [*chain.joints, *(joint for group in chain.groups for _, joint in group if joint)]
     reduced = _reduced(file, root, members, joints, base={link for link, _ in chain.groups[0]})
-    import newton
-
-    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+    builder = _builder()
     try:
         builder.add_urdf(ET.tostring(reduced, encoding="unicode"))
     except Exception:  # mesh readers raise many kinds of exceptions
         for link in reduced.findall("link"):
             _remove(link, link.findall("visual"))  # visuals may be in formats that no reader here supports
-        builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+        builder = _builder()
         try:
             builder.add_urdf(ET.tostring(reduced, encoding="unicode"))
         except Exception as error:
@@ -76,6 +80,15 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
         for names, labels in ((members, builder.body_label), (joints, builder.joint_label))
     )
     return chain, Articulation(builder, bodies=bodies, joints=found, file=file)
+
+
+def _builder() -> newton.ModelBuilder:
+    """Returns an empty builder that gives no mass to shapes: a link has only the mass that the file gives it."""
+    import newton
+
+    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+    builder.default_shape_cfg.density = 0.0
+    return builder
 
 
 def _parse(file: Path) -> ET.Element:
@@ -97,18 +110,48 @@ def _parse(file: Path) -> ET.Element:
 
 
 def _tree(file: Path, root: ET.Element) -> nx.DiGraph:
-    """Builds a graph of the links and the joints between them."""
+    """Builds a graph of the links and the joints between them, without what floats."""
     tree = nx.DiGraph()
     tree.add_nodes_from(link.get("name", "") for link in root.findall("link"))
+    floating = [joint for joint in root.findall("joint") if joint.get("type") in FLOATING]
     for joint in root.findall("joint"):
+        if joint in floating:
+            continue
         name, ends = joint.get("name", ""), (linked(joint, "parent"), linked(joint, "child"))
         if tree.has_edge(*ends):
             what = f"link {ends[1]} has 2 parent joints: {tree.edges[ends]['joint'].name}, {name}"
             raise SceneError(what, file=file, allowed="a tree of links", fix="keep only one of these joints")
         limits, mistake = _limits(file, joint)
         follows = joint.find("mimic") is not None
-        tree.add_edge(*ends, joint=TreeJoint(name, _KINDS[joint.get("type", "")], limits, follows, mistake))
+        kind = _KINDS[joint.get("type", "")]
+        tree.add_edge(*ends, joint=TreeJoint(name, kind, limits, follows, _has_losses(joint), mistake))
+    for joint in floating:
+        _leave_out(file, tree, joint)
     return tree
+
+
+def _leave_out(file: Path, tree: nx.DiGraph, floating: ET.Element) -> None:
+    """Removes what a floating joint carries from a tree, and adds a note about it.
+
+    Raises:
+        SceneError: It carries the arm, or a part of it.
+    """
+    parent, child = (linked(floating, end) for end in ("parent", "child"))
+    carried = {child, *nx.descendants(tree, child)} if child in tree else set()
+    moving = {child for _, child, edge in tree.edges(data=True) if edge["joint"].kind != "fixed"}
+    name, kind = floating.get("name"), floating.get("type")
+    if moving & carried or not moving:
+        fix = "the base must be fixed" if not tree.in_degree(parent) else "replace it by revolute or prismatic joints"
+        what = f"joint {name} between {parent} and {child} is of type {kind}"
+        raise SceneError(what, file=file, allowed=", ".join(KINDS), fix=fix)
+    tree.remove_nodes_from(carried)
+    tree.graph.setdefault("notes", []).append(f"left out: link {child}, on joint {name} of type {kind}")
+
+
+def _has_losses(joint: ET.Element) -> bool:
+    """Returns whether a joint has friction or damping."""
+    dynamics = joint.find("dynamics")
+    return dynamics is not None and any(number(dynamics.get(name, "0")) != 0.0 for name in ("friction", "damping"))
 
 
 def _limits(file: Path, joint: ET.Element) -> tuple[Limits | None, SceneError | None]:
@@ -142,7 +185,8 @@ def _reduced(file: Path, root: ET.Element, members: list[str], joints: list[str]
         base: The links that do not move.
     """
     reduced = ET.Element("robot")
-    reduced.extend(root.findall("material"))
+    reduced.extend(copy.deepcopy(material) for material in root.findall("material"))
+    _remove_bad_colors(reduced)
     for joint in root.findall("joint"):
         if joint.get("name") not in joints:
             continue
@@ -177,6 +221,7 @@ def _check_link(file: Path, link: ET.Element, *, fixed: bool) -> None:
     for mesh in link.findall("collision/geometry/mesh"):
         mesh.set("filename", str(_collision_mesh(file, link.get("name", ""), mesh.get("filename", ""))))
     for visual in link.findall("visual"):
+        _remove_bad_colors(visual)
         mesh = visual.find("geometry/mesh")
         found = None if mesh is None else _mesh(file, mesh.get("filename", ""))
         if mesh is not None:
@@ -196,6 +241,15 @@ def _is_sound(file: Path, link: ET.Element, visual: ET.Element) -> bool:
     except SceneError:
         return False
     return True
+
+
+def _remove_bad_colors(element: ET.Element) -> None:
+    """Removes the colours of materials that are not four numbers."""
+    for material in element.findall("material"):
+        for color in material.findall("color"):
+            values = [number(value) for value in color.get("rgba", "").split()]
+            if len(values) != 4 or not np.isfinite(values).all():
+                material.remove(color)
 
 
 def _remove(link: ET.Element, elements: list[ET.Element]) -> None:

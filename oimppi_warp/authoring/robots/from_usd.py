@@ -79,13 +79,23 @@ def _tree(
             raise SceneError(what, file=file, prim=path, allowed=allowed)
         if parent >= 0:
             limits = None if kinds[kind] == "fixed" else _limits(builder, joint)
-            tree.add_edge(names[parent], names[child], joint=TreeJoint(path, kinds[kind], limits))
+            tree.add_edge(
+                names[parent],
+                names[child],
+                joint=TreeJoint(path, kinds[kind], limits, losses=_has_losses(builder, joint, kinds[kind])),
+            )
         elif kinds[kind] == "fixed":
             base = matrix_of(builder.joint_X_p[joint]) @ np.linalg.inv(matrix_of(builder.joint_X_c[joint]))
     if base is None:
         fix = "add one PhysicsFixedJoint with only physics:body1 set"
         raise SceneError("the robot's base is not fixed to the world", file=file, allowed="a fixed base", fix=fix)
     return tree, base
+
+
+def _has_losses(builder: newton.ModelBuilder, joint: int, kind: Kind) -> bool:
+    """Returns whether a joint has friction or damping, apart from its drive's."""
+    at = builder.joint_qd_start[joint]
+    return kind != "fixed" and bool(builder.joint_friction[at] or builder.joint_damping[at])
 
 
 def _limits(builder: newton.ModelBuilder, joint: int) -> Limits:

@@ -9,7 +9,15 @@ import numpy as np
 
 from oimppi_warp.authoring.robots.arm import Arm
 from oimppi_warp.errors import SceneError
-from oimppi_warp.geometry.kinematics import ROUNDED_ANGLE, is_level, link_heights, revolute_joints, tip_frame
+from oimppi_warp.geometry.kinematics import (
+    ROUNDED_ANGLE,
+    is_level,
+    link_frames,
+    link_heights,
+    parallel,
+    revolute_joints,
+    tip_frame,
+)
 from oimppi_warp.geometry.postures import upright_from
 from oimppi_warp.geometry.reach import lowest_tip, reach_of
 from oimppi_warp.scene import Robot
@@ -22,8 +30,11 @@ ROOM = 0.02
 """Clearance to the table of every link that a joint can lower [m]."""
 _DISTANCES = (0.36, 0.45, 0.30, 0.55, 0.25, 0.65, 0.80, 1.0, 0.20, 0.15)
 """Distances from the base at which a tip position is tried, in this order [m]."""
-_AZIMUTH = -0.588
-"""Direction in which it is tried: slightly to one side, as in the shipped tasks [rad]."""
+_AZIMUTHS = (-0.588, 0.0, 0.588)
+"""Directions in which it is tried, in this order; the first is that of the shipped tasks [rad]."""
+_LENGTHS = (0.05, -0.05, 0.1, -0.1, -0.14, 0.2, 0.3)
+"""Changes of the stick's length that are tried for an arm that has no start [m]."""
+_UP = np.array([0.0, 0.0, 1.0])
 _TRIES = 60
 _SPARE = 0.03
 """Margin that every joint must have to its limits, as a share of its whole range."""
@@ -47,9 +58,9 @@ def with_start(arm: Arm, *, file: object = "", links: Sequence[str] = (), joints
     if is_flat(robot):
         height = float(tip_frame(robot, middle)[1][2])
         _check_height(robot, middle, height, file)
-    best, rejected = _search(robot, height, _AZIMUTH)
+    best, rejected = _search_ahead(robot, height)
     if best is None:
-        raise _no_start(robot, height, rejected, file, links, joints)
+        raise _no_start(arm, height, rejected, file, links, joints)
     found = replace(arm, start=best)
     _check_reach(found.robot(), file)
     return found
@@ -70,15 +81,43 @@ class _Candidate:
     spare: np.ndarray
 
 
+_Found = tuple[tuple[float, ...] | None, list[_Candidate]]
+"""The best start, ``None`` if there is none, and the candidates that are unusable."""
+
+
+def _search_ahead(robot: Robot, height: float, distances: Sequence[float] = _DISTANCES) -> _Found:
+    """Looks for a start in front of the base's origin, or else of the axis about which the arm turns."""
+    best, rejected = _search(robot, height, _AZIMUTHS[0], distances)
+    axis = _first_axis(robot)
+    for azimuth in _AZIMUTHS if axis.any() else _AZIMUTHS[1:]:
+        if best is None:
+            best, more = _search(robot, height, azimuth, distances, axis)
+            rejected += more
+    return best, rejected
+
+
+def _first_axis(robot: Robot) -> np.ndarray:
+    """Returns the place of the first joint if it turns about a vertical axis; otherwise the origin, shape [2] [m]."""
+    rotations, positions = link_frames(robot, robot.start)
+    turns = robot.joints[0].kind == "revolute" and parallel(rotations[0][:, 2], _UP)
+    return positions[0][:2] if turns else np.zeros(2)
+
+
 def _search(
-    robot: Robot, height: float, azimuth: float, distances: Sequence[float] = _DISTANCES
-) -> tuple[tuple[float, ...] | None, list[_Candidate]]:
-    """Returns the best start with the tip in a direction [rad] at a height [m], and the unusable candidates."""
+    robot: Robot,
+    height: float,
+    azimuth: float,
+    distances: Sequence[float] = _DISTANCES,
+    center: np.ndarray | None = None,
+) -> _Found:
+    """Looks for a start with the tip in a direction [rad] from a point [2] [m], by default the origin, at a height."""
     lower, upper = _limits(robot)
     guesses, best = _guesses(robot, np.random.default_rng(0), azimuth), (-np.inf, ())
     rejected: list[_Candidate] = []
     for distance in distances:
         target = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
+        if center is not None:
+            target[:2] += center
         solved, good = upright_from(robot, guesses, target)
         for joints in solved[good]:
             joints = _rounded(robot, joints)
@@ -94,14 +133,15 @@ def _search(
 
 
 def _no_start(
-    robot: Robot,
+    arm: Arm,
     height: float,
     rejected: list[_Candidate],
     file: object,
     links: Sequence[str],
     joints: Sequence[str],
 ) -> SceneError:
-    """Returns the error for a robot without a start: it names what all candidates failed."""
+    """Returns the error for an arm without a start: it names what all candidates failed."""
+    robot = arm.robot()
     clear = [each for each in rejected if each.heights.min() >= ROOM]
     if clear:
         nearest = max(clear, key=lambda each: each.spare.min())
@@ -126,17 +166,37 @@ def _no_start(
             allowed=f"at least {ROOM:g} m below every link",
             fix="use a longer --tool-length, or correct the collision shapes of the link",
         )
-    sides = {"-x": np.pi, "y": np.pi / 2, "-y": -np.pi / 2}
-    side = next((name for name, azimuth in sides.items() if _search(robot, height, azimuth, _DISTANCES[::4])[0]), "")
-    turn = f"turn its base: the tool gets to the table on the side of {side}"
+    bends = revolute_joints(robot) & ~is_level(robot)
+    if bends.any() and robot.dof < 4:
+        return SceneError(
+            f"the robot has only {robot.dof} joints: it cannot hold the stick upright and move it over the table",
+            file=file,
+            allowed="four joints or more, or joints that move the stick without tilting it",
+            fix="with --flange, name a link further out, if there is one",
+        )
     return SceneError(
         "no joint positions were found that hold the tool upright above the table in front of the arm",
         file=file,
         allowed=f"a tip {HEIGHT:g} m above z = 0, {min(_DISTANCES):g} to {max(_DISTANCES):g} m from the base along x",
-        fix=turn
-        if side
-        else "check --flange, --tool-axis and --tool-length, and that z points up and is zero at the table's top",
+        fix=_remedy(arm, height)
+        or "check --flange, --tool-axis and --tool-length, and that z points up and is zero at the table's top",
     )
+
+
+def _remedy(arm: Arm, height: float) -> str:
+    """Returns what gives an arm a start: its base turned, or another stick; else nothing."""
+    robot, stick = arm.robot(), arm.stick
+    for name, azimuth in {"-x": np.pi, "y": np.pi / 2, "-y": -np.pi / 2}.items():
+        if _search(robot, height, azimuth, _DISTANCES[::3], _first_axis(robot))[0]:
+            return f"turn its base: the tool gets to the table on the side of {name}"
+    lengths = [stick.length + more for more in _LENGTHS if stick.length + more > 2.0 * stick.radius]
+    for length in lengths:
+        if _search(replace(arm, stick=replace(stick, length=length)).robot(), height, _AZIMUTHS[0])[0]:
+            return f"give a --tool-length of {length:.3g} m"
+    axes = link_frames(robot, robot.start)[0][revolute_joints(robot), :, 2]
+    if tip_frame(robot, robot.start)[0][2, 2] > 0.9 and parallel(axes, _UP).all():
+        return "give the opposite --tool-axis: no joint turns the stick, which points up"
+    return ""
 
 
 def _check_reach(robot: Robot, file: object) -> None:
@@ -153,19 +213,27 @@ def _check_reach(robot: Robot, file: object) -> None:
 
 
 def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Returns lower and upper limits, at most half a turn either way for joints that go further, shape [dof] each."""
+    """Returns lower and upper limits; of a joint that turns further, of the turn nearest to zero, shape [dof] each."""
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
-    revolute = revolute_joints(robot)
-    return np.where(revolute, np.maximum(lower, -np.pi), lower), np.where(revolute, np.minimum(upper, np.pi), upper)
+    further = revolute_joints(robot) & (upper - lower > 2.0 * np.pi)
+    from_ = np.where(further, np.clip(-np.pi, lower, upper - 2.0 * np.pi), lower)
+    return from_, np.where(further, from_ + 2.0 * np.pi, upper)
+
+
+def _into(lower: np.ndarray | float, joints: np.ndarray | float) -> np.ndarray:
+    """Returns angles in the turn that begins at ``lower`` [rad]."""
+    return np.mod(joints - lower, 2.0 * np.pi) + lower
 
 
 def _guesses(robot: Robot, random: np.random.Generator, azimuth: float) -> np.ndarray:
     """Returns initial guesses of joint positions: the first joint turned to a direction, some of the others bent."""
     lower, upper = _limits(robot)
     middle, guesses = (lower + upper) / 2, []
+    turned = _into(lower[0], azimuth)
+    ahead = turned if turned <= upper[0] else azimuth
     for _ in range(_TRIES):
         bent = np.where(random.random(robot.dof) < 0.6, random.uniform(lower, upper), middle)
-        bent[0] = np.clip(azimuth, lower[0], upper[0]) if revolute_joints(robot)[0] else middle[0]
+        bent[0] = np.clip(ahead, lower[0], upper[0]) if revolute_joints(robot)[0] else middle[0]
         guesses.append(bent)
     return np.array([middle, *guesses])
 
@@ -179,8 +247,8 @@ def _score(robot: Robot, found: _Candidate) -> float:
 
 def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
     """Returns the joint positions without whole turns, where the limits allow, rounded to a few digits."""
-    wrapped = np.mod(joints + np.pi, 2.0 * np.pi) - np.pi
-    lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
+    lower, upper = _limits(robot)
+    wrapped = _into(lower, joints)
     allowed = revolute_joints(robot) & (lower <= wrapped) & (wrapped <= upper)
     return np.clip(np.round(np.where(allowed, wrapped, joints), 4) + 0.0, lower, upper)
 

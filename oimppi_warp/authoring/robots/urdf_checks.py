@@ -14,6 +14,8 @@ from oimppi_warp.usd.stage import MAX_LENGTH
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed")
 """Types of joints that a robot may have."""
+FLOATING = ("floating", "planar")
+"""Types of joints that float: what they carry is left out."""
 _SIZES = {
     "box": (("size", 3, ""),),
     "sphere": (("radius", 1, ""),),
@@ -52,10 +54,9 @@ def check_names(file: Path, root: ET.Element) -> None:
                 raise SceneError(
                     f"joint {name} refers to a missing link {link!r}", file=file, allowed="links of the URDF"
                 )
-        if kind not in KINDS:
+        if kind not in (*KINDS, *FLOATING):
             what = f"joint {name} between {ends[0]} and {ends[1]} is of type {kind or 'none'}"
-            fix = "the base must be fixed" if kind in ("floating", "planar") else "correct its type"
-            raise SceneError(what, file=file, allowed=", ".join(KINDS), fix=fix)
+            raise SceneError(what, file=file, allowed=", ".join(KINDS), fix="correct its type")
 
 
 def linked(joint: ET.Element, end: str) -> str:
