@@ -401,8 +401,10 @@ BAD: dict[str, tuple[Callable[[], str], str]] = {
         lambda: changed('ixx="0.0016" iyy="0.0016" izz="0.0016"', 'ixx="0" iyy="0" izz="0"'),
         "link upper has a physically impossible inertia",
     ),
-    "no inertial": (
-        lambda: re.sub(r'(<link name="upper">)<inertial>.*?</inertial>', r"\1", urdf(desk_arm())),
+    "neither an inertial nor a shape": (
+        lambda: re.sub(
+            r'(<link name="upper">)<inertial>.*?</inertial>.*?</link>', r"\1</link>", urdf(desk_arm()), flags=re.DOTALL
+        ),
         "link upper has no mass",
     ),
     "a mass without an inertia": (
@@ -494,6 +496,16 @@ def test_a_part_without_mass_takes_none_from_its_shapes(tmp_path):
     cover = Part("cover", "fore", mass=0.0, shapes=(Shape("box", (0.1, 0.1, 0.1)),))
     text = urdf(SampleArm("desk_arm", (*desk_arm().parts, cover)))
     assert started(tmp_path, text).links[2].mass == pytest.approx(0.3)
+
+
+def test_a_link_whose_mass_nobody_gives_gets_that_of_its_shapes_and_a_note_says_so(tmp_path, capsys):
+    text = re.sub(r'(<link name="upper">)<inertial>.*?</inertial>', r"\1", urdf(desk_arm()), flags=re.DOTALL)
+    known, supposed = started(tmp_path, urdf(desk_arm())), started(tmp_path, text)
+    assert supposed.links[1].mass > 0.0
+    assert supposed.links[1].mass != known.links[1].mass
+    assert supposed.links[2].mass == known.links[2].mass
+    assert added(tmp_path, text) == 0
+    assert "link upper has no mass in the file: taken as" in " ".join(capsys.readouterr().out.split())
 
 
 def test_an_mjcf_in_radians_that_is_read_in_degrees_is_told_so(tmp_path, capsys):

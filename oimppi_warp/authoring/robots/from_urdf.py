@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,6 +37,8 @@ _KINDS: dict[str, Kind] = {
 }
 _GREY = '<material name=""><color rgba="0.855 0.86 0.871 1"/></material>'
 """Material for visuals without a colour."""
+_SUPPOSED_DENSITY = 1000.0
+"""Density of the shapes of a link for which the file gives no mass, that of water [kg/m^3]."""
 _MESHES = "collision meshes in STL, OBJ or PLY format"
 
 
@@ -59,36 +62,58 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     members = [link for group in chain.groups for link, _ in group]
     joints = [*chain.joints, *(joint for group in chain.groups for _, joint in group if joint)]
     reduced = _reduced(file, root, members, joints, base={link for link, _ in chain.groups[0]})
-    builder = _builder()
-    try:
-        builder.add_urdf(ET.tostring(reduced, encoding="unicode"))
-    except Exception:  # mesh readers raise many kinds of exceptions
-        for link in reduced.findall("link"):
-            _remove(link, link.findall("visual"))  # visuals may be in formats that no reader here supports
-        builder = _builder()
-        try:
-            builder.add_urdf(ET.tostring(reduced, encoding="unicode"))
-        except Exception as error:
-            raise SceneError(
-                f"the robot cannot be read ({error})",
-                file=file,
-                allowed=f"a valid URDF, with {_MESHES}",
-                fix="correct the element that the reason concerns, or convert the meshes",
-            ) from error
+    builder = _built(file, reduced)
     bodies, found = (
         {names[int(label[1:])]: index for index, label in enumerate(labels) if label[1:].isdecimal()}
         for names, labels in ((members, builder.body_label), (joints, builder.joint_label))
     )
+    weightless = [group for group in chain.groups[1:] if not any(builder.body_mass[bodies[link]] for link, _ in group)]
+    if weightless:
+        supposed = _built(file, reduced, density=_SUPPOSED_DENSITY)
+        for body in (bodies[link] for group in weightless for link, _ in group):
+            for mine, other in (
+                (builder.body_mass, supposed.body_mass),
+                (builder.body_com, supposed.body_com),
+                (builder.body_inertia, supposed.body_inertia),
+            ):
+                mine[body] = other[body]
+        notes = [_supposed_mass(group, builder, bodies) for group in weightless]
+        chain = replace(chain, notes=(*chain.notes, *filter(None, notes)))
     return chain, Articulation(builder, bodies=bodies, joints=found, file=file)
 
 
-def _builder() -> newton.ModelBuilder:
-    """Returns an empty builder that gives no mass to shapes: a link has only the mass that the file gives it."""
+def _built(file: Path, robot: ET.Element, *, density: float = 0.0) -> newton.ModelBuilder:
+    """Reads a robot into a builder, in which shapes have a density [kg/m^3].
+
+    Raises:
+        SceneError: It cannot be read.
+    """
     import newton
 
-    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
-    builder.default_shape_cfg.density = 0.0
-    return builder
+    for last in (False, True):
+        builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+        builder.default_shape_cfg.density = density
+        try:
+            builder.add_urdf(ET.tostring(robot, encoding="unicode"))
+        except Exception as error:  # mesh readers raise many kinds of exceptions
+            if last:
+                raise SceneError(
+                    f"the robot cannot be read ({error})",
+                    file=file,
+                    allowed=f"a valid URDF, with {_MESHES}",
+                    fix="correct the element that the reason concerns, or convert the meshes",
+                ) from error
+            for link in robot.findall("link"):
+                _remove(link, link.findall("visual"))  # visuals may be in formats that no reader here supports
+        else:
+            return builder
+    raise AssertionError
+
+
+def _supposed_mass(group: tuple[tuple[str, str], ...], builder: newton.ModelBuilder, bodies: dict[str, int]) -> str:
+    """Returns a note about the mass that a link is supposed to have; empty if it has no shapes either."""
+    mass = sum(float(builder.body_mass[bodies[link]]) for link, _ in group)
+    return f"link {group[0][0]} has no mass in the file: taken as {mass:.2g} kg, of its shapes" if mass else ""
 
 
 def _parse(file: Path) -> ET.Element:
