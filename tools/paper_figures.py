@@ -84,10 +84,12 @@ def _draw_way(axes: Axes, run: Result, norm: Normalize) -> None:
     way = np.vstack([run.start, *run.pose])[:, :2]
     segments = list(np.stack([way[:-1], way[1:]], axis=1))
     axes.add_collection(LineCollection(segments, array=np.array(run.time), cmap=TIME, norm=norm, lw=1.2, zorder=5))
-    axes.plot(*way[0], "o", ms=7, mfc="white", mec="#15803d", mew=0.9, zorder=6)
+    axes.plot(*way[0], marker="o", ls="none", ms=7, mfc="white", mec="#15803d", mew=0.9, zorder=6)
     axes.text(*way[0], str(run.number), fontsize=5, ha="center", va="center", color=INK, zorder=7)
-    mark = {"marker": "o", "mec": GOAL, "mfc": "none"} if run.success else {"marker": "x", "mec": FAILED}
-    axes.plot(*way[-1], ms=4, ls="none", zorder=7, **mark)
+    if run.success:
+        axes.plot(*way[-1], marker="o", ms=4, mec=GOAL, mfc="none", ls="none", zorder=7)
+    else:
+        axes.plot(*way[-1], marker="x", ms=4, mec=FAILED, ls="none", zorder=7)
 
 
 def snapshots(results: ResultSet, task: str) -> Figure:

@@ -71,12 +71,9 @@ def read_urdf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     if weightless:
         supposed = _built(file, reduced, density=_SUPPOSED_DENSITY)
         for body in (bodies[link] for group in weightless for link, _ in group):
-            for mine, other in (
-                (builder.body_mass, supposed.body_mass),
-                (builder.body_com, supposed.body_com),
-                (builder.body_inertia, supposed.body_inertia),
-            ):
-                mine[body] = other[body]
+            builder.body_mass[body] = supposed.body_mass[body]
+            builder.body_com[body] = supposed.body_com[body]
+            builder.body_inertia[body] = supposed.body_inertia[body]
         notes = [_supposed_mass(group, builder, bodies) for group in weightless]
         chain = replace(chain, notes=(*chain.notes, *filter(None, notes)))
     return chain, Articulation(builder, bodies=bodies, joints=found, file=file)
