@@ -84,8 +84,9 @@ def _draw_way(axes: Axes, run: Result, norm: Normalize) -> None:
     way = np.vstack([run.start, *run.pose])[:, :2]
     segments = list(np.stack([way[:-1], way[1:]], axis=1))
     axes.add_collection(LineCollection(segments, array=np.array(run.time), cmap=TIME, norm=norm, lw=1.2, zorder=5))
-    axes.plot(*way[0], marker="o", ls="none", ms=7, mfc="white", mec="#15803d", mew=0.9, zorder=6)
-    axes.text(*way[0], str(run.number), fontsize=5, ha="center", va="center", color=INK, zorder=7)
+    x, y = way[0]
+    axes.plot(x, y, marker="o", ls="none", ms=7, mfc="white", mec="#15803d", mew=0.9, zorder=6)
+    axes.text(x, y, str(run.number), fontsize=5, ha="center", va="center", color=INK, zorder=7)
     if run.success:
         axes.plot(*way[-1], marker="o", ms=4, mec=GOAL, mfc="none", ls="none", zorder=7)
     else:
