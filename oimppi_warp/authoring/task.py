@@ -164,7 +164,7 @@ def write(
         pose_robot(stage, "/World/Robot", task.robot_start)
 
     own = task.object.friction
-    _write_table(stage, task.table, TABLE_FRICTION if own is None else min(TABLE_FRICTION, own))
+    _write_table(stage, task.table, min(TABLE_FRICTION, own) if own else TABLE_FRICTION)
     body = stage.DefinePrim("/World/Object")
     body.GetReferences().AddReference(f"./objects/{task.object.name}.usda")
     UsdPhysics.RigidBodyAPI.Apply(body)
