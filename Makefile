@@ -25,7 +25,7 @@ install: $(LOCK_ENV) ## install the package and its dependencies into .venv, wit
 
 $(LOCK_ENV): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is required, but $(PYTHON) is older; use make PYTHON=python3.x")'
-	@echo "Installing into $(VENV): about 1.3 GB, a minute or more"
+	@echo "Installing into $(VENV): about 1.3 GB, one to three minutes, with no output until it is done"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .

@@ -65,3 +65,4 @@ def without_pauses() -> Iterator[None]:
             libc.munlockall()
         if own:
             gc.unfreeze()
+            gc.collect()  # it has not looked at what became garbage before and meanwhile

@@ -39,13 +39,13 @@ def hour(host: str, seconds: float) -> None:
             jitter += np.abs(gaps - config.control_period).tolist()
             steps += len(log)
             memory.append(_memory())
-            print(
-                len(memory), log.header["ended"], len(log), f"{memory[-1]:.0f} MB", log.header["problems"], flush=True
-            )
+            late = np.flatnonzero(gaps > 1.5 * config.control_period).tolist()
+            said = f"{len(memory)} {log.header['ended']} {len(log)} {memory[-1]:.0f} MB, late {late},"
+            print(said, log.header["problems"], flush=True)
     finally:
         emulator.terminate()
-        said = emulator.communicate(timeout=30.0)[0]
-    taken, refused, expired = map(int, re.findall(r"(\d+) commands, (\d+) refused, (\d+) expired", said)[0])
+        printed = emulator.communicate(timeout=30.0)[0]
+    taken, refused, expired = map(int, re.findall(r"(\d+) commands, (\d+) refused, (\d+) expired", printed)[0])
     settled = memory[min(3, len(memory) - 1)]
     found = {
         "episodes": len(memory),

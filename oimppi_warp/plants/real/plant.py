@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -140,9 +140,11 @@ class ArmPlant:
         self.speed = allowed_speed(arm, options.speed)
         self._commands = Commands(arm, period=self.control_period, speed=self.speed)
         self._sender = threading.Thread(target=self._send_all, name="oimppi-arm", daemon=True)
+        self._calm = ExitStack()
         atexit.register(self.close)
         try:
-            with real_time_priority(), without_pauses():  # for this thread and the one that sends
+            self._calm.enter_context(without_pauses())
+            with real_time_priority():  # for this thread and the one that sends
                 self.check()
                 if options.dry_run:
                     self._sender.start()
@@ -299,6 +301,7 @@ class ArmPlant:
                 self.sight.close()
             if self._streamed > _FIRST_RUN and not self._fault and not self._dry_run:
                 remember(self.arm)
+            self._calm.close()
             atexit.unregister(self.close)
 
     def _stop(self) -> None:
