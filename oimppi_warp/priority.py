@@ -1,10 +1,11 @@
-"""What threads need that have to keep time: priority over other programs, and a process that does not pause."""
+"""Gives threads real-time priority, and keeps the process from pausing."""
 
 from __future__ import annotations
 
 import ctypes
 import gc
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -56,12 +57,12 @@ def without_pauses() -> Iterator[None]:
     """
     own = gc.get_freeze_count() == 0
     gc.freeze()
-    libc = ctypes.CDLL(None)
-    locked = own and hasattr(libc, "mlockall") and libc.mlockall(_LOCK_CURRENT | _LOCK_ON_FAULT) == 0
+    libc = ctypes.CDLL(None) if own and sys.platform == "linux" else None
+    locked = libc is not None and libc.mlockall(_LOCK_CURRENT | _LOCK_ON_FAULT) == 0
     try:
         yield
     finally:
-        if locked:
+        if libc is not None and locked:
             libc.munlockall()
         if own:
             gc.unfreeze()
