@@ -8,7 +8,6 @@ an installed package as an entry point of the registry's group. `docs/extending.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
@@ -16,6 +15,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, Literal, TypeVar
 
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.suggestions import did_you_mean
 
 T = TypeVar("T")
 
@@ -81,8 +81,8 @@ class Registry(Mapping[str, T], Generic[T]):
         """
         known = [*others, *self]
         if name not in known:
-            near = difflib.get_close_matches(str(name), known, n=1)
-            hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
+            near = did_you_mean(str(name), known)
+            hint = f"\n  to do:   {near}" if near else ""
             raise ConfigError(f"{self.kind} {name!r} does not exist\n  allowed: {', '.join(known)}{hint}")
 
     def is_local(self, name: str) -> bool:

@@ -29,6 +29,7 @@ FORMAT = 1
 """Version of the file format; readers refuse other versions."""
 
 FILE = "results.json"
+_ALLOWED = f"a folder written by oimppi bench, or its {FILE}"
 
 PATH_POINTS = 60
 """Number of points kept of the object's path in an episode."""
@@ -181,6 +182,8 @@ def load_results(path: str | Path) -> ResultSet:
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
+    if not path.exists():
+        raise LogError(f"{path}: there is no such file or folder\n  allowed: {_ALLOWED}")
     try:
         facts = json.loads(file.read_text(encoding="utf-8"))
         if facts.pop("format") != FORMAT:
@@ -189,10 +192,7 @@ def load_results(path: str | Path) -> ResultSet:
         facts["published"] = tuple(_published_from(row) for row in facts.get("published", ()))
         return ResultSet(**facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise LogError(
-            f"{path}: cannot be read as the results of a suite ({error})\n"
-            f"  allowed: a folder written by oimppi bench, or its {FILE}"
-        ) from None
+        raise LogError(f"{path}: cannot be read as the results of a suite ({error})\n  allowed: {_ALLOWED}") from None
 
 
 def _published_from(row: dict[str, Any]) -> Published:

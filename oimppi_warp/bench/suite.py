@@ -7,7 +7,6 @@ settings; `docs/bench.md` lists them.
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -20,7 +19,8 @@ from oimppi_warp.config.run_spec import LARGEST_SEED, MODES, RunSpec
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.record.log import flatten, to_json
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
-from oimppi_warp.runtime.request import SettingsRequest
+from oimppi_warp.runtime.request import TOLERANCE_LIMITS, SettingsRequest, is_tolerance
+from oimppi_warp.suggestions import did_you_mean, did_you_mean_file
 
 SUITES = Path(__file__).parent / "suites"
 """Folder of the shipped suites."""
@@ -157,7 +157,10 @@ class Suite:
             for name in wanted:
                 if name not in present:
                     allowed = ", ".join(dict.fromkeys(present))
-                    raise ConfigError(f"{option} {name}: not part of the suite {self.name}\n  allowed: {allowed}")
+                    spaces = "\n  to do:   put spaces between names, not commas" if "," in name else ""
+                    raise ConfigError(
+                        f"{option} {name}: not part of the suite {self.name}\n  allowed: {allowed}{spaces}"
+                    )
         kept = [
             replace(
                 entry,
@@ -262,10 +265,8 @@ def _find(suite: str | Path) -> Path:
     file = Path(suite).expanduser()
     if file.is_file():
         return file.resolve()
-    near = difflib.get_close_matches(file.stem, names, n=1, cutoff=0.5)
-    hint = (
-        f"did you mean {near[0]}?" if near else "run `oimppi bench` to list the suites; see docs/bench.md for the keys"
-    )
+    hint = did_you_mean_file(suite, names, [".toml"])
+    hint = hint or "run `oimppi bench` to list the suites; see docs/bench.md for the keys"
     raise ConfigError(
         f"{suite}: no such suite\n  allowed: a TOML file, or one of {', '.join(names)}\n  to do:   {hint}"
     )
@@ -311,8 +312,10 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         "set": (_strings, 'a list of settings, like ["robot.optimizer.samples=512"]'),
         "max_sim_seconds": (lambda value: _number(value) and value > 0, "a time above zero, in seconds"),
         "tolerance": (
-            lambda value: isinstance(value, list) and len(value) == 2 and all(_number(x) and x > 0 for x in value),
-            "position [m] and yaw [rad], like [0.005, 0.02]",
+            lambda value: (
+                isinstance(value, list) and len(value) == 2 and all(map(_number, value)) and is_tolerance(*value)
+            ),
+            f"position [m] and yaw [rad], {TOLERANCE_LIMITS}, like [0.005, 0.02]",
         ),
         "mode": _one_of(MODES),
         "plant": _one_of(PLANTS),
@@ -354,8 +357,8 @@ def _values(table: dict[str, Any], where: str, *, beside: tuple[str, ...] = ()) 
     for key, value in table.items():
         if key not in known:
             allowed = [*beside, *known]
-            near = difflib.get_close_matches(key, allowed, n=1)
-            hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
+            near = did_you_mean(key, allowed)
+            hint = f"\n  to do:   {near}" if near else ""
             raise ConfigError(f"{where}{key}: unknown key\n  allowed: {', '.join(allowed)}{hint}")
         check_value(key, value, where)
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}

@@ -7,6 +7,7 @@ import json
 import os
 import shlex
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from oimppi_warp.bench.suite import Suite
 from oimppi_warp.config.overrides import effective_weights
 from oimppi_warp.config.run_spec import LARGEST_SEED, RunSpec
 from oimppi_warp.config.settings import Config
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.plants.factory import starts_itself
 from oimppi_warp.record.log import flatten, to_json
 from oimppi_warp.runtime.request import SettingsRequest, prepare_scene
@@ -162,7 +163,7 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
 
     Raises:
         SceneError: A scene cannot be read, or no start can be drawn.
-        ConfigError: A task and method occur twice without different labels.
+        ConfigError: A scene does not exist, or a task and method occur twice without different labels.
     """
     from oimppi_warp.usd import load_scene, scene_content
 
@@ -172,7 +173,10 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
     for entry in suite.entries:
         for task in entry.tasks:
             path = _scene_path(suite, task)
-            scene = load_scene(path)
+            try:
+                scene = load_scene(path)
+            except SceneError as error:
+                raise error if Path(path).is_file() else ConfigError(f"{suite.file}: {error}") from None
             name = f"{scene.name}-{entry.label}" if entry.label else scene.name
             for method in entry.methods:
                 if (name, method) in known:
@@ -193,9 +197,13 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
 
 
 def _scene_path(suite: Suite, task: str) -> str:
-    """Returns the path, from the current folder, of a scene file next to the suite, or else the name unchanged."""
+    """Returns the path, from the current folder, of a scene file next to the suite, or else what the suite names.
+
+    A file that does not exist is one next to the suite, unless the name has no ending, like that of a shipped scene.
+    """
     beside = suite.file.parent / task
-    return os.path.relpath(beside) if beside.is_file() else task
+    meant = beside.is_file() or (Path(task).suffix and not Path(task).expanduser().is_file())
+    return os.path.relpath(beside) if meant else task
 
 
 def _start(scene: Scene, number: int, seed: int) -> PlanarPose:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
+from oimppi_warp.cli.printing import print_rows
 from oimppi_warp.config import ros2_topics as names
 from oimppi_warp.errors import ConfigError
 
@@ -132,16 +133,15 @@ class ImportBag:
 
 def _print_summary(imported: ImportedBag, rows: dict[str, str]) -> None:
     """Prints what was read from the bag, and more rows."""
-    from rich.console import Console
-    from rich.table import Table
+    from rich.markup import escape
 
-    table = Table.grid(padding=(0, 2))
     end = imported.tracks["joint states"].times[-1]
+    found = {}
     for role, track in imported.tracks.items():
         first = track.times[0]
         gap, _ = track.longest_gap(first, max(first, end))
-        text = f"{track.source}: {len(track.times)} messages from {first:.2f} s on, at most {gap:.3f} s without one"
-        table.add_row(f"[dim]{role}", text)
-    for name, text in rows.items():
-        table.add_row(f"[dim]{name}", text)
-    Console(highlight=False, width=None if os.isatty(1) else 160).print(table)
+        found[role] = (
+            f"{escape(track.source)}: {len(track.times)} messages from {first:.2f} s on, "
+            f"at most {gap:.3f} s without one"
+        )
+    print_rows(found | rows)

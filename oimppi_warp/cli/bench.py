@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from oimppi_warp.bench import Backend
+from oimppi_warp.cli.printing import print_rows
 from oimppi_warp.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ Assignments = Annotated[
     arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)"),
 ]
 AsInSuite = "(default: the suite's)"
+
+_TELL = 20.0
+"""Interval of lines about the progress where there is no terminal [s]."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ class Bench:
         if kept:
             console.print(f"{kept} of {len(run.trials)} trials are already finished", soft_wrap=True)
         if pending:
-            with console.status("loading kernels; compiling them the first time takes about 20 seconds"):
+            with console.status("loading kernels; the first time, they are compiled in about 20 seconds"):
                 prepare(pending)
         stopped = False
         with _progress(run, console) as on_result:
@@ -129,7 +133,8 @@ class Bench:
             with console.status("writing the report"):
                 from oimppi_warp.bench.report.write import write_report
 
-                write_report(results, folder)
+                page, _ = write_report(results, folder)
+            console.print(f"report: {page}", soft_wrap=True)
         if results.results and self.films:
             from oimppi_warp.bench.films import write_films
 
@@ -201,25 +206,26 @@ class Compare:
 
 def _list_suites() -> int:
     """Prints the shipped suites, one per line, and returns the exit status."""
-    from rich.console import Console
-    from rich.table import Table as Grid
-
     from oimppi_warp.bench.suite import shipped_suites
 
-    grid = Grid.grid(padding=(0, 3))
+    rows = {}
     for suite in shipped_suites():
         trials = sum(len(entry.tasks) * len(entry.methods) * entry.trials for entry in suite.entries)
-        grid.add_row(f"[bold]{suite.name}", f"{trials} trials", suite.title)
-    Console(highlight=False).print(grid)
+        rows[suite.name] = f"{trials:4d} trials   {suite.title}"
+    print_rows(rows, name_style="bold")
     return 0
 
 
 @contextmanager
 def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], None]]:
-    """Shows a progress bar over the trials with success rates; yields the function to call with each new result."""
+    """Shows the progress over the trials with success rates; yields the function to call with each new result.
+
+    On a terminal it is a bar, otherwise a line from time to time.
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     began, here = time.monotonic(), 0
+    told = began
 
     def state() -> str:
         results = list(run.finished.values())
@@ -236,9 +242,12 @@ def _progress(run: SuiteRun, console: Console) -> Iterator[Callable[[Result], No
         bar = progress.add_task("", total=len(run.trials), completed=len(run.finished), state=state())
 
         def on_result(result: Result) -> None:
-            nonlocal here
+            nonlocal here, told
             here += 1
             progress.update(bar, completed=len(run.finished), state=state())
+            if not console.is_terminal and time.monotonic() - told > _TELL:
+                told = time.monotonic()
+                console.print(f"{len(run.finished)} of {len(run.trials)} trials; {state()}", soft_wrap=True)
             if result.error:
                 progress.console.print(f"{result.command}\n  raised {result.evidence}", soft_wrap=True, markup=False)
 

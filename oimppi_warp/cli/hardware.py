@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -71,7 +70,6 @@ class LabEmulator:
                     pose_port=self.pose_port,
                 )
         address = self.host if self.port == COMMAND_PORT else f"{self.host}:{self.port}"
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         emulated.start()
         print(f"An emulated xArm listens at {address}, the camera at {self.host}:{self.pose_port}; Ctrl-C ends both.")
         print(f"In another terminal: oimppi run {self.scene} --plant xarm --robot-address {address}", flush=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -140,9 +139,6 @@ class TaskOptions:
         """
         config = self.settings()
         self.hardware.assignments(self.run.plant)
-        if self.run.plant in REAL:  # signals to end stop the arm like Ctrl-C
-            for each in (signal.SIGTERM, signal.SIGHUP):
-                signal.signal(each, signal.default_int_handler)
         start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
 
         console = notices()
@@ -164,7 +160,7 @@ class TaskOptions:
                 console.print(f"{self.scene}: {warnings}, listed by `oimppi scene check {self.scene}`", soft_wrap=True)
         if not device.kernels_are_cached():
             console.print(
-                "First run on this machine: compiling the kernels takes about 20 seconds and is done once.",
+                "First run on this machine: the kernels are compiled once, in about 20 seconds on two idle cores.",
                 soft_wrap=True,
             )
         with console.status("loading kernels"):

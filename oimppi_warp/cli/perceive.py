@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -93,7 +92,6 @@ class Perceive:
         scene = load_scene(self.scene)
         layout = layout_of(scene.object) if self.tags is None else load_layout(self.tags)
         detector = TagDetector(camera, layout, scene.object.rest_height)
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         with ExitStack() as open_things:
             recorder = None
             frames = open_frames(self.camera, size=camera.image_size)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -67,7 +66,6 @@ class Ros2Plant:
                 link = connect(domain=self.domain, peers=self.peers)
             _refuse_company(link)
             simulated = Ros2Lab(scene, lab().lab, link, seed=self.seed)
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends it like Ctrl-C
         simulated.start()
         options = (f"domain={self.domain}" if self.domain != -1 else "", f"peers={self.peers}" if self.peers else "")
         given = " ".join(option for option in options if option)

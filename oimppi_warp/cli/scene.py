@@ -1,4 +1,4 @@
-"""The commands ``oimppi scene new`` and ``oimppi scene import``."""
+"""The commands ``oimppi scene new``, ``oimppi scene import`` and ``oimppi scenes``."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from oimppi_warp.authoring import named_shapes
+from oimppi_warp.cli.printing import print_rows
 
 if TYPE_CHECKING:
     from oimppi_warp.authoring.object_spec import ShapeOptions
@@ -237,6 +238,18 @@ def _warn_of_rolling(body: PushedObject) -> None:
 
     if rolls := rolling(body):
         print(f"warning: {IN_WORDS[rolls]}, while the planner predicts sliding only\n  to do:   {REMEDY}")
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """List the shipped scenes, one per line."""
+
+    def execute(self) -> int:
+        """Prints the scenes and returns the exit status."""
+        from oimppi_warp.usd import shipped_scenes
+
+        print_rows({scene.name: scene.title for scene in shipped_scenes()}, name_style="bold")
+        return 0
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
+from oimppi_warp.cli.printing import print_rows
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import ENGINES, METHODS
 
@@ -151,31 +152,29 @@ class Doctor:
             return 1 if findings else 0
 
         from rich.console import Console
-        from rich.table import Table
 
         gpus = [f"{gpu.alias}: {gpu.name}, sm_{gpu.arch}, {gpu.memory / 2**30:.0f} GiB" for gpu in facts.gpus]
         driver = "" if facts.driver is None else f"; the driver supports CUDA {'.'.join(map(str, facts.driver))}"
         rows = {
             "machine": f"{facts.cpu}, {facts.usable_cores} of {facts.cores} cores usable, "
             f"{facts.memory / 2**30:.0f} GiB; {facts.system}",
-            "GPUs": ("; ".join(gpus) or "none usable by Warp") + driver,
+            "GPUs": ("; ".join(gpus) or "none usable by Warp, and none needed") + driver,
             "packages": f"Python {facts.python}, " + ", ".join(f"{k} {v or '-'}" for k, v in facts.versions.items()),
-            "will use": f"device {facts.device}, {facts.usable_cores} CPU threads; --engine auto selects, among "
-            "the engines that keep up with the control period, the one with the highest known success rate",
+            "extras": ", ".join(name if there else f"{name} (not installed)" for name, there in facts.extras.items()),
+            "will use": f"device {facts.device}, {facts.usable_cores} CPU threads; each run times the engines and "
+            "selects one that keeps up, unless --engine is given",
             **{
                 kind.replace("_", " "): ", ".join(_with_package(entries))
                 or f"no additional {kind.replace('_', ' ')} installed"
                 for kind, entries in facts.entries.items()
             },
-            "compiled kernels": f"{facts.kernel_cache}{'' if facts.compiled else ' (none yet: run `oimppi warmup`)'}",
-            "distance fields": facts.field_cache,
+            "compiled kernels": f"{facts.kernel_cache}, {facts.kernel_bytes / 1e6:.0f} MB"
+            f"{'' if facts.compiled else ' (`oimppi warmup` compiles all, or each run what it needs)'}",
+            "distance fields": f"{facts.field_cache}, {facts.field_bytes / 1e6:.0f} MB",
             "scenes": f"{facts.scenes} shipped",
         }
-        table = Table.grid(padding=(0, 2))
-        for name, text in rows.items():
-            table.add_row(f"[dim]{name}", text)
+        print_rows(rows)
         console = Console(highlight=False)
-        console.print(table)
         for finding in findings:
             console.print(f"[bold red]problem[/]  {finding.what}\n         to do: {finding.remedy}", soft_wrap=True)
         if not findings:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+_LARGEST = 2_000_000_000
+"""Size of the stored arrays above which those that were not used for longest are removed [B]."""
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -86,9 +89,13 @@ def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.nda
     """Returns the array that ``compute`` makes, from the cache if it is stored there."""
     file = cache_folder() / f"{name}-{content}.npy"
     try:
-        return np.load(file)
+        values = np.load(file)
     except (OSError, ValueError, EOFError):
         pass  # missing or truncated: compute it again
+    else:
+        with suppress(OSError):
+            os.utime(file)  # it is in use
+        return values
     values = compute()
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -96,6 +103,21 @@ def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.nda
         with partial.open("wb") as stream:
             np.save(stream, values)
         partial.replace(file)
+        _remove_oldest(file.parent)
     except OSError:
         return values  # with an unwritable cache the run is slower, but does not fail
     return values
+
+
+def _remove_oldest(folder: Path) -> None:
+    """Removes the arrays that were not used for longest, until the others are no larger than :data:`_LARGEST`."""
+    found = []
+    for file in folder.glob("*.npy*"):
+        with suppress(FileNotFoundError):  # another process removes them too
+            found.append((file.stat(), file))
+    excess = sum(about.st_size for about, _ in found) - _LARGEST
+    for about, file in sorted(found, key=lambda each: each[0].st_mtime):
+        if excess <= 0:
+            return
+        file.unlink(missing_ok=True)
+        excess -= about.st_size

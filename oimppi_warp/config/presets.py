@@ -21,6 +21,7 @@ from oimppi_warp.config.settings import (
     RobotLevel,
     Safety,
 )
+from oimppi_warp.registries import METHODS
 
 
 def best(method: str = "cloi") -> Config:
@@ -28,7 +29,11 @@ def best(method: str = "cloi") -> Config:
 
     Args:
         method: Name of the method. In every preset, methods from outside the package have the settings of ``cloi``.
+
+    Raises:
+        ConfigError: No method has this name.
     """
+    METHODS.check(method)
     base = Config()
     if method == "mppi":  # tracks only the goal, along the shortest free path
         return replace(base, cost=replace(base.cost, w_to_go=200.0, w_track=0.0))
@@ -100,6 +105,7 @@ def paper_printed(method: str = "cloi") -> Config:
     Args:
         method: Name of the method; see :func:`best`.
     """
+    METHODS.check(method)
     samples = 1200
     horizon = {"mppi": 25, "soi": 25}.get(method, 15)
     object_horizon = {"soi": 90}.get(method, 60)

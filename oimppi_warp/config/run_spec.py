@@ -51,7 +51,8 @@ class RunSpec:
     """Plant to control: an ideal simulation (ideal), or a simulated laboratory (lab), configured by the settings lab.*.
     In lab, the object is detected once a second, with delay, noise, occasional outliers and occlusion by the arm.
     Commands are delayed and joint accelerations are limited. pusht is the benchmark Push-T, for the scene pusht.
-    xarm is a real xArm6 at the address --robot-address, and ros2 an arm on ROS 2 topics, both in real time."""
+    xarm is a real xArm6 at the address --robot-address, and ros2 an arm on ROS 2 topics, both in real time.
+    docs/own_plant.md describes how to add a plant of your own."""
 
     plant_options: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE", help_behavior_hint="(default: none)")] = ()
     """Options of the plant: the keyword arguments of the function that makes it."""

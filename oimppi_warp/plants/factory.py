@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import types
 from collections.abc import Callable, Sequence
@@ -15,6 +14,7 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.plants.plant import Plant, has_own_world
 from oimppi_warp.registries import PLANTS
 from oimppi_warp.scene import Scene
+from oimppi_warp.suggestions import did_you_mean
 
 _GIVEN = ("scene", "config", "seed")
 _TEXTUAL = {str, int, float, bool}
@@ -69,8 +69,8 @@ def plant_options(make: Callable[..., Plant], name: str, assignments: Sequence[s
     for assignment in assignments:
         key, _, text = assignment.partition("=")
         if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            hint = f"\n  to do:   did you mean {near[0]}?" if near else ""
+            near = did_you_mean(key, known)
+            hint = f"\n  to do:   {near}" if near else ""
             allowed = ", ".join(known) or "none"
             raise ConfigError(f"--plant-options {key}: the plant {name} has no such option\n  allowed: {allowed}{hint}")
         try:

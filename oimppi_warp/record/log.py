@@ -245,6 +245,8 @@ class EpisodeLog:
             LogError: ``folder`` contains no complete record.
         """
         folder = Path(folder)
+        if not folder.exists():
+            raise LogError(f"{folder}: there is no such folder\n  allowed: a folder with {_NPZ} and {_JSON}")
         try:
             header = json.loads((folder / _JSON).read_text(encoding="utf-8"))
             with np.load(folder / _NPZ, allow_pickle=False) as arrays:

@@ -53,6 +53,8 @@ from oimppi_warp.scene import Scene
 
 _REFERENCE_EVERY = 10
 """Interval at which object plans that change in every step are logged, in steps."""
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 0.001, 1.0
+"""Control periods of a plant that can be planned for [s], as for the setting control_period."""
 _LONGEST_LATENCY = 1.0
 """Longest latency of a plant that can be planned for [s]."""
 _FALLEN = 0.05
@@ -414,6 +416,11 @@ def check_plant(plant: Plant, spec: RunSpec, *, passed: bool) -> None:
     Raises:
         ConfigError: It cannot.
     """
+    period = getattr(plant, "control_period", None)
+    if not isinstance(period, int | float) or not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
+        given = "no control_period" if period is None else f"a control_period of {period!r}"
+        allowed = f"the duration of a command in seconds, {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g}, such as 0.05"
+        raise ConfigError(f"the plant {type(plant).__name__} has {given}\n  allowed: {allowed}")
     if spec.friction is not None and passed:
         raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")
     if spec.knock is not None and not isinstance(plant, MovablePlant):

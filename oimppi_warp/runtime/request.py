@@ -15,6 +15,7 @@ from oimppi_warp.config.overrides import set_option, validate
 from oimppi_warp.config.presets import PRESETS
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.registries import METHODS
 
 if TYPE_CHECKING:
     from oimppi_warp.scene import PlanarPose, Scene
@@ -22,7 +23,13 @@ if TYPE_CHECKING:
 RANDOMIZED_DRAWS = 4
 """Number of random draws per sample that ``--randomize`` sets."""
 
-TOLERANCE = "position,yaw above zero, in metres and radians, e.g. 0.005,0.02"
+LARGEST_TOLERANCE = (0.5, math.pi)
+"""Largest tolerance, of the position [m] and of the yaw [rad]."""
+
+TOLERANCE_LIMITS = f"above 0, up to {LARGEST_TOLERANCE[0]:g} and {LARGEST_TOLERANCE[1]:.2f}"
+"""Description of the limits of a tolerance."""
+
+TOLERANCE = f"position,yaw in metres and radians, {TOLERANCE_LIMITS}, e.g. 0.005,0.02"
 """Description of a tolerance on the command line."""
 
 POSE = "x,y,yaw in metres and radians, e.g. 0.3,-0.45,3.14"
@@ -58,7 +65,8 @@ class SettingsRequest:
         """
         if self.preset not in PRESETS:
             raise ConfigError(f"preset {self.preset!r} does not exist\n  allowed: {', '.join(PRESETS)}")
-        config = PRESETS[self.preset](method)  # pyright: ignore[reportArgumentType]
+        known = method if method in METHODS else "cloi"  # results may be of a method that is not installed here
+        config = PRESETS[self.preset](known)
         if randomize:
             config = set_option(config, f"robot.uncertainty.draws={RANDOMIZED_DRAWS}")
         for assignment in self.assignments:
@@ -122,11 +130,16 @@ def parse_pose(option: str, text: str, *, given: str = "", allowed: str = POSE) 
     return x, y, yaw
 
 
+def is_tolerance(position: float, yaw: float) -> bool:
+    """Returns whether a position [m] and a yaw [rad] can be a tolerance; metres that were meant as cm or mm cannot."""
+    return 0.0 < position <= LARGEST_TOLERANCE[0] and 0.0 < yaw <= LARGEST_TOLERANCE[1] + 0.01
+
+
 def parse_tolerance(text: str | None) -> tuple[float, float] | None:
     """Parses the value of ``--tolerance``, "position,yaw" in metres and radians; ``None`` is kept.
 
     Raises:
-        ConfigError: The text is not two positive numbers.
+        ConfigError: The text is not a tolerance.
     """
     if text is None:
         return None
@@ -134,7 +147,7 @@ def parse_tolerance(text: str | None) -> tuple[float, float] | None:
         position, yaw = (float(part) for part in text.split(","))
     except ValueError:
         position = yaw = math.nan
-    if not (0.0 < position < math.inf and 0.0 < yaw < math.inf):
+    if not is_tolerance(position, yaw):
         raise ConfigError(f"--tolerance {text}: not a tolerance\n  allowed: {TOLERANCE}")
     return position, yaw
 

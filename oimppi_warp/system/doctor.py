@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,9 @@ from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
 from oimppi_warp.registry import Registry
 
-PACKAGES = ("warp-lang", "newton", "mujoco", "mujoco-warp", "usd-core", "numpy", "trimesh", "shapely", "viser")
+NAME = "oimppi-warp"
+"""Name of this package's distribution."""
+PACKAGES = (NAME, "warp-lang", "newton", "mujoco", "mujoco-warp", "usd-core", "numpy", "trimesh", "shapely", "viser")
 """Packages whose versions are reported."""
 REGISTRIES: dict[str, Registry[Any]] = {
     "methods": METHODS,
@@ -30,6 +33,8 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "shapes": SHAPES,
 }
 """Registries whose entries are reported, in order."""
+_FOR_DEVELOPERS = ("dev", "site")
+"""Extras that nobody needs to plan or to push."""
 _LEAST_MEMORY = 4e9
 """Memory required for a run, with a margin [B]."""
 
@@ -65,7 +70,9 @@ class Facts:
         driver: CUDA version that the driver supports; ``None`` without one.
         toolkit: CUDA version that Warp was built with; ``None`` if it was built without.
         versions: Versions of :data:`PACKAGES`; empty for one that is not installed.
+        extras: Whether each extra of this package is installed, by name.
         kernel_cache, field_cache: Folders of compiled kernels and computed fields.
+        kernel_bytes, field_bytes: Sizes of their contents [B].
         writable: Whether each of the two folders is writable.
         compiled: Whether kernels are compiled already.
         scenes: Number of shipped scenes.
@@ -87,8 +94,11 @@ class Facts:
     driver: tuple[int, int] | None
     toolkit: tuple[int, int] | None
     versions: dict[str, str]
+    extras: dict[str, bool]
     kernel_cache: str
     field_cache: str
+    kernel_bytes: int
+    field_bytes: int
     writable: tuple[bool, bool]
     compiled: bool
     scenes: int
@@ -131,8 +141,11 @@ def gather_facts() -> Facts:
         driver=wp.get_cuda_driver_version(),
         toolkit=wp.get_cuda_toolkit_version(),
         versions={name: _version(name) for name in PACKAGES},
+        extras=_extras(),
         kernel_cache=str(kernel_cache),
         field_cache=str(fields),
+        kernel_bytes=_size(kernel_cache),
+        field_bytes=_size(fields),
         writable=(_writable(kernel_cache), _writable(fields)),
         compiled=kernels_are_cached(),
         scenes=len(shipped_scenes()),
@@ -212,6 +225,22 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return ""
+
+
+def _extras() -> dict[str, bool]:
+    """Returns whether each extra for users is installed: whether all packages that it requires are."""
+    about = metadata(NAME)
+    found = {extra: True for extra in about.get_all("Provides-Extra") or () if extra not in _FOR_DEVELOPERS}
+    for requirement in about.get_all("Requires-Dist") or ():
+        needed, extra = re.match(r"[\w.-]+", requirement), re.search(r"extra == ['\"]([\w-]+)", requirement)
+        if needed and extra and extra[1] in found:
+            found[extra[1]] &= bool(_version(needed[0]))
+    return found
+
+
+def _size(folder: Path) -> int:
+    """Returns the size of a folder's contents [B]; 0 if it does not exist."""
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
 
 
 def _writable(folder: Path) -> bool:

@@ -10,7 +10,6 @@ consequence of another.
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import os
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from pxr import Sdf
 
 from oimppi_warp.errors import SceneError
 from oimppi_warp.scene import Scene
+from oimppi_warp.suggestions import did_you_mean_file
 from oimppi_warp.usd.bodies import check_roles, read_object, read_obstacle, read_table
 from oimppi_warp.usd.robot import read_robot
 from oimppi_warp.usd.stage import SCENES, SceneStage
@@ -150,10 +150,10 @@ def _find(scene: str | Path) -> Path:
     file = Path(os.path.expanduser(scene))
     if file.is_file():
         return file.resolve()
-    near = difflib.get_close_matches(file.stem, names, n=1, cutoff=0.5)
     raise SceneError(
         "there is no such file",
         file=scene,
         allowed=f"a USD file, or one of {', '.join(names)}",
-        fix=f"did you mean {near[0]}?" if near else "`oimppi scenes` lists the scenes that come with the package",
+        fix=did_you_mean_file(scene, names, (".usda", ".usd", ".usdc", ".usdz"))
+        or "`oimppi scenes` lists the scenes that come with the package",
     )

@@ -310,8 +310,10 @@ def test_a_trial_that_raised_is_status_1(episodes: Episodes, tmp_path: Path, mon
         (["run", "task01", "--seed", "4294967296"], "allowed: 0 to 4294967295"),
         (["bench", "smoke", "--tasks", "task05"], "allowed: task01, task02"),
         (["bench", "smoke", "--set", "cost.w_aling=2"], "did you mean cost.w_align"),
+        (["bench", "smoke", "--methods", "mppi,soi"], "put spaces between names, not commas"),
+        (["bench", "smoke", "--tolerance", "5,1"], "above 0, up to 0.5 and 3.14"),
         (["bench", "smoke", "--cluster", "somewhere:1"], "--backend dask"),
-        (["report", "nowhere"], "results.json"),
+        (["report", "nowhere"], "there is no such file or folder\n  allowed: a folder written by oimppi bench"),
         (["compare", "nowhere", "nowhere"], "results.json"),
     ],
 )

@@ -257,6 +257,7 @@ BAD = {
     "bad setting of one method": (SMALL + 'set = ["robot.optimizer.horizon=3"]', "not possible for a horizon"),
     "tolerance of one number": (SMALL + "tolerance = [0.005]", "position [m] and yaw [rad]"),
     "tolerance of nothing": (SMALL + "tolerance = [0.005, 0]", "position [m] and yaw [rad]"),
+    "tolerance in mm": (SMALL + "tolerance = [5, 0.1]", "above 0, up to 0.5 and 3.14"),
     "time that is none": (SMALL + "max_sim_seconds = 0", "above zero"),
     "entry that is a table": (SMALL + "[entry]\nseed = 1", "[[entry]]"),
     "bad key in an entry": (SMALL + "[[entry]]\n[[entry]]\nseed = -1", "entry 2: seed = -1"),
@@ -275,6 +276,20 @@ def test_a_bad_suite_is_refused_with_what_is_allowed(case: str, tmp_path: Path):
 def test_a_name_that_is_no_suite_is_answered_with_those_there_are():
     with pytest.raises(ConfigError, match=r"paper-sim[\s\S]*did you mean best-sim\?"):
         load_suite("best-sin")
+
+
+def test_a_file_that_is_misspelt_or_lacks_its_ending_is_found_beside_it(tmp_path: Path):
+    (tmp_path / "mine.toml").write_text(SMALL)
+    for name in ("mine", "mien.toml"):
+        with pytest.raises(ConfigError, match=rf"did you mean {tmp_path}/mine\.toml\?"):
+            load_suite(tmp_path / name)
+
+
+def test_a_scene_that_does_not_exist_is_searched_beside_the_suite(tmp_path: Path):
+    (tmp_path / "push_ell.usda").write_text("#usda 1.0")
+    with pytest.raises(ConfigError, match=r"mine\.toml: .*push_el\.usda: there is no such file") as error:
+        make_trials(suite_of(tmp_path, 'tasks = ["push_el.usda"]'))
+    assert "push_ell.usda?" in str(error.value) and "pusht" not in str(error.value).partition("to do")[2]
 
 
 def test_a_part_of_a_suite_can_be_run():

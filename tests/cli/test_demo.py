@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from pathlib import Path
+
+import pytest
 
 from oimppi_warp.cli import main as command
 
@@ -26,14 +30,30 @@ def test_the_demo_is_a_run_of_task02_whose_record_is_told(monkeypatch, tmp_path,
     monkeypatch.chdir(tmp_path)
     run = run_of(monkeypatch)
     assert (run.scene, run.start, run.record, run.run.method) == ("task02", "1", Path("oimppi-demo"), "cloi")
-    assert "oimppi view --replay oimppi-demo " in capsys.readouterr().out
+    assert " view --replay oimppi-demo " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("found", "started", "told"),
+    [
+        ("/usr/bin/oimppi", "/usr/bin/oimppi", "  oimppi view"),
+        (None, ".venv/bin/oimppi", "  .venv/bin/oimppi view"),
+        (None, "/package/oimppi_warp/__main__.py", "  python -m oimppi_warp view"),
+    ],
+)
+def test_the_commands_that_it_names_can_be_copied(monkeypatch, tmp_path, capsys, found, started, told):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(shutil, "which", lambda name: found)
+    monkeypatch.setattr(sys, "argv", [started, "demo"])
+    run_of(monkeypatch)
+    assert told in capsys.readouterr().out
 
 
 def test_a_second_demo_has_a_folder_of_its_own_unless_the_first_may_be_overwritten(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     run_of(monkeypatch)
     assert run_of(monkeypatch).record == Path("oimppi-demo-2")
-    assert "oimppi export oimppi-demo-2 --to html" in capsys.readouterr().out
+    assert " export oimppi-demo-2 --to html" in capsys.readouterr().out
     forced = run_of(monkeypatch, "--force")
     assert forced.record == Path("oimppi-demo") and forced.force
 

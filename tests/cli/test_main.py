@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -76,6 +77,7 @@ def test_success_is_status_0_and_a_summary(stage: Stage, capsys: pytest.CaptureF
     out = capsys.readouterr().out
     assert "goal reached" in out
     assert "goal not reached" not in out
+    assert "goal reached within 200 mm and 0.5 rad" in out
     assert "median 13.0 ms" in out
 
 
@@ -183,11 +185,24 @@ BAD_INPUT = {
     ),
     "plant option that is none": (["run", "t", "--plant-options", "fast"], "NAME=VALUE"),
     "no tolerance": (["run", "t", "--tolerance", "5mm,0.02"], "--tolerance 5mm,0.02: not a tolerance"),
+    "tolerance in mm": (["run", "t", "--tolerance", "5,1"], "above 0, up to 0.5 and 3.14"),
     "tolerance of nothing": (["run", "t", "--tolerance", "0,0.02"], "e.g. 0.005,0.02"),
     "device that is not there": (["run", "t", "--device", "cuda:99"], "auto, cpu"),
     "folder that cannot be made": (["run", "t", "--json", "/dev/null/m.json"], "/dev/null is not a writable folder"),
     "record into a file": (["run", "t", "--record", __file__], "not a writable folder"),
 }
+
+
+def test_a_misspelt_option_is_searched_among_those_of_the_command(capsys: pytest.CaptureFixture[str]):
+    assert status("run", "t", "--metod", "soi") == 2
+    said = capsys.readouterr().err
+    assert "--method" in said and "demos" not in said and "oimppi run --help" in said
+
+
+def test_output_that_nobody_reads_to_the_end_is_no_error():
+    command = f"{sys.executable} -m oimppi_warp scenes; echo status $? >&2"
+    reader = subprocess.run(["sh", "-c", f"({command}) | true"], capture_output=True, text=True, check=False)
+    assert "status 0" in reader.stderr and "Broken pipe" not in reader.stderr
 
 
 @pytest.mark.parametrize("case", BAD_INPUT)

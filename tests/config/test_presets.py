@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from oimppi_warp import registries
 from oimppi_warp.config.overrides import options, set_option, validate
 from oimppi_warp.config.presets import PRESETS, best, paper, paper_printed
 from oimppi_warp.config.settings import Config
@@ -34,7 +35,11 @@ NOT_PRINTED = {
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_method_from_outside_begins_with_the_settings_of_cloi(preset: str):
-    assert PRESETS[preset]("somebody_elses") == PRESETS[preset]("cloi")
+    registries.METHODS.register("somebody_elses", object())
+    try:
+        assert PRESETS[preset]("somebody_elses") == PRESETS[preset]("cloi")
+    finally:
+        registries.METHODS.unregister("somebody_elses")
 
 
 def test_paper_has_the_papers_samples_and_horizons():
@@ -85,6 +90,12 @@ def test_values_are_read_by_the_type_of_their_field(assignment: str, value: obje
     read = options(config)[assignment.partition("=")[0].strip()]
     assert read == value
     assert type(read) is type(value)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_method_that_does_not_exist_has_no_settings(preset: str):
+    with pytest.raises(ConfigError, match="did you mean cloi"):
+        PRESETS[preset]("clio")
 
 
 @pytest.mark.parametrize(

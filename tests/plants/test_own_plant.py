@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -248,6 +249,15 @@ def test_an_option_that_a_run_does_not_have_is_an_error():
         make_planner(shipped("task01"), small(), method="clio")
 
 
+@pytest.mark.parametrize("period", [None, 50, "0.05"])
+def test_a_plant_whose_control_period_is_missing_or_in_milliseconds_is_an_error(period: Any):
+    plant = Kinematic(shipped("task01"))
+    plant.control_period = period
+    said = r"Kinematic has .*control_period[\s\S]*in seconds, 0\.001 to 1, such as 0\.05"
+    with pytest.raises(ConfigError, match=said):
+        Episode(shipped("task01"), small(), plant=plant, engine="quasistatic", device="cpu")
+
+
 class Watched(Kinematic):
     """Keeps what it was told, and reports too few joints from some time on."""
 
@@ -290,7 +300,7 @@ def test_settings_are_checked_before_a_plant_is_made_of_them_and_a_plants_own_va
         Episode(scene, replace(small(), control_period=0.0), method="mppi", device=device)
     plant = Kinematic(scene)
     plant.control_period = 7.0
-    with pytest.raises(ConfigError, match="control_period = 7 cannot be used"):
+    with pytest.raises(ConfigError, match="has a control_period of 7.0"):
         Episode(scene, small(), plant=plant, method="mppi", device=device)
     late = Kinematic(scene)
     late.latency = 3.0  # type: ignore[attr-defined]

@@ -37,8 +37,11 @@ WELL = Facts(
     driver=(13, 0),
     toolkit=(13, 4),
     versions=dict.fromkeys(PACKAGES, "3.17.0"),
+    extras={"xarm": False},
     kernel_cache="/caches/warp",
     field_cache="/caches/fields",
+    kernel_bytes=20_000_000,
+    field_bytes=0,
     writable=(True, True),
     compiled=True,
     scenes=8,
@@ -90,7 +93,19 @@ def test_the_doctor_sees_this_machine(capsys):
 def test_the_doctor_speaks_to_people(capsys):
     main(["doctor"])
     out = capsys.readouterr().out
-    for word in ("machine", "GPUs", "packages", "will use", "kernels", "methods", "optimizers", "engines", "plants"):
+    for word in (
+        "machine",
+        "extras",
+        " MB",
+        "GPUs",
+        "packages",
+        "will use",
+        "kernels",
+        "methods",
+        "optimizers",
+        "engines",
+        "plants",
+    ):
         assert word in out
 
 

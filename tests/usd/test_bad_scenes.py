@@ -73,6 +73,13 @@ def test_a_missing_scene_is_answered_with_the_nearest_name():
     assert "task03_wide" in str(error.value)
 
 
+def test_a_missing_file_is_answered_with_the_nearest_one_in_its_folder(tmp_path):
+    (tmp_path / "push_s.usda").write_text("#usda 1.0")
+    for name in ("push_s", "pussh_s.usda"):
+        with pytest.raises(SceneError, match=rf"did you mean {tmp_path}/push_s\.usda\?"):
+            load_scene(tmp_path / name)
+
+
 @pytest.mark.parametrize("text", ["not a scene at all", "#usda 1.0\n(\n    nonsense here", ""])
 @pytest.mark.parametrize("name", ["scene.usda", "scene.txt", "scene.usdc"])
 def test_what_is_not_usd_is_refused(tmp_path, text, name):

@@ -148,8 +148,9 @@ def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
     low, high = SIDES
     for length in lengths:
         if not low <= length <= high:
+            unit = f"\n  to do:   give lengths in metres: {length / 1000:g}, not {length:g}" if length >= 1.0 else ""
             raise ConfigError(
-                f"{what}: a side of {length:.4g} m is out of range\n  allowed: {low:g} to {high:g} m per side"
+                f"{what}: a side of {length:.4g} m is out of range\n  allowed: {low:g} to {high:g} m per side{unit}"
             )
     return lengths
 
