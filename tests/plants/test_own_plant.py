@@ -300,7 +300,7 @@ def test_settings_are_checked_before_a_plant_is_made_of_them_and_a_plants_own_va
         Episode(scene, replace(small(), control_period=0.0), method="mppi", device=device)
     plant = Kinematic(scene)
     plant.control_period = 7.0
-    with pytest.raises(ConfigError, match="has a control_period of 7.0"):
+    with pytest.raises(ConfigError, match=r"has a control_period of 7\.0"):
         Episode(scene, small(), plant=plant, method="mppi", device=device)
     late = Kinematic(scene)
     late.latency = 3.0  # type: ignore[attr-defined]
