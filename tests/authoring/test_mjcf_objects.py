@@ -143,6 +143,10 @@ REFUSED = {
     "not XML": ("<mujoco><worldbody>", "cannot be read as XML"),
     "a URDF": ('<robot name="arm"/>', "the root element is <robot>"),
     "an unknown element": ("<mujoco><worldbody><body><gem/></body></worldbody></mujoco>", "MuJoCo cannot read"),
+    "a size at infinity": (
+        '<mujoco><worldbody><body><geom name="lid" type="box" size="0.05 inf 0.05"/></body></worldbody></mujoco>',
+        "number that is not finite",
+    ),
     "a mesh that is missing": (
         '<mujoco><asset><mesh file="no.stl"/></asset><worldbody><body><geom type="mesh" mesh="no"/></body></worldbody>'
         "</mujoco>",

@@ -140,8 +140,9 @@ def _read(file: Path) -> trimesh.Trimesh:
     if not len(mesh.faces):
         what = _damage(file) or "the file contains no triangles"
         raise SceneError(what, file=file, allowed="triangles that enclose a volume", fix=_EXPORT_AGAIN)
-    if not np.isfinite(mesh.vertices).all():
-        what = "the mesh has vertices that are not finite"
+    if mesh.vertices.shape[1:] != (3,) or not np.isfinite(mesh.vertices).all():
+        three = mesh.vertices.shape[1:] == (3,)
+        what = f"the mesh has vertices {'that are not finite' if three else 'without three coordinates'}"
         raise SceneError(what, file=file, allowed="triangles that enclose a volume", fix=_EXPORT_AGAIN)
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         what = "the mesh has faces whose corners do not exist"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +14,7 @@ from oimppi_warp.authoring.meshes.convex import CORNERS, Fit
 from oimppi_warp.authoring.meshes.hulls import Hull, limited_hull
 from oimppi_warp.authoring.meshes.pose import Lay, lay_on_table
 from oimppi_warp.authoring.meshes.solid import DISPLAY_FACES, STEEL, MeshObject, plain_name
+from oimppi_warp.authoring.mjcf import compiled
 from oimppi_warp.authoring.objects.outlines import SIZES, check_height, checked_friction, checked_mass
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import collider_mesh, rotation_matrix
@@ -80,7 +79,7 @@ def import_mjcf(
         SceneError: The file cannot be read, or does not hold one rigid body of a size that can be pushed.
     """
     file = Path(file).expanduser()
-    model = _compiled(file)
+    model = _model(file)
     _check_joints(file, model)
     number = _only_body(file, model)
     body = _read_shapes(file, model, number)
@@ -125,11 +124,11 @@ def import_mjcf(
     )
 
 
-def _compiled(file: Path) -> mujoco.MjModel:
-    """Returns the model that MuJoCo compiles a file to; its messages give the line of a mistake.
+def _model(file: Path) -> mujoco.MjModel:
+    """Returns the model of a file.
 
     Raises:
-        SceneError: The file is not MJCF, or MuJoCo cannot compile it.
+        SceneError: The file is not MJCF, or it cannot be compiled.
     """
     if not file.is_file():
         raise SceneError("there is no such file", file=file, allowed="an MJCF file")
@@ -141,23 +140,7 @@ def _compiled(file: Path) -> mujoco.MjModel:
         fix = "a robot in a URDF is imported by `oimppi scene robot`" if root.tag == "robot" else "convert it to MJCF"
         what = f"the root element is <{root.tag}>"
         raise SceneError(what, file=file, allowed="an MJCF file, with the root element <mujoco>", fix=fix)
-    import mujoco
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what is deprecated, but still does what it says
-            specification = mujoco.MjSpec.from_file(str(file))
-            specification.compiler.fusestatic = False
-            specification.compiler.discardvisual = False
-            return specification.compile()
-    except Exception as error:  # ValueError, and what MuJoCo's readers of meshes raise
-        reason = re.sub(r"^((XML )?Error: )+", "", " ".join(str(error).split())) or type(error).__name__
-        raise SceneError(
-            f"MuJoCo cannot read the file ({reason})",
-            file=file,
-            allowed="valid MJCF, with its included files and meshes in place",
-            fix="correct what MuJoCo reports",
-        ) from None
+    return compiled(file)
 
 
 def _check_joints(file: Path, model: mujoco.MjModel) -> None:

@@ -7,7 +7,6 @@ what is left is a table of bodies, joints and geoms, which :class:`_Reader` puts
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import networkx as nx
 import numpy as np
 
+from oimppi_warp.authoring.mjcf import compiled
 from oimppi_warp.authoring.robots.articulation import Articulation
 from oimppi_warp.authoring.robots.chain import Chain, Kind, Limits, TreeJoint, serial_chain
 from oimppi_warp.authoring.robots.mjcf_checks import check_angles, left_out
@@ -48,7 +48,7 @@ def read_mjcf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     Raises:
         SceneError: MuJoCo cannot read the file, or it has no serial arm of hinge or slide joints on a fixed base.
     """
-    reader = _Reader(_compiled(file), file)
+    reader = _Reader(compiled(file), file)
     tree = reader.tree()
     chain = serial_chain(tree, file=file, flange=flange or reader.usual_flange(tree))
     check_angles(chain, file)
@@ -57,29 +57,6 @@ def read_mjcf(file: Path, *, flange: str = "") -> tuple[Chain, Articulation]:
     )
     builder, bodies, joints = reader.builder(chain)
     return chain, Articulation(builder, bodies=bodies, joints=joints, file=file)
-
-
-def _compiled(file: Path) -> mujoco.MjModel:
-    """Returns the model that MuJoCo compiles a file to.
-
-    Raises:
-        SceneError: It cannot; the reason is MuJoCo's.
-    """
-    import mujoco
-
-    try:
-        specification = mujoco.MjSpec.from_file(str(file))
-        specification.compiler.fusestatic = False  # the flange is a body of its own
-        specification.compiler.discardvisual = False
-        return specification.compile()
-    except (ValueError, TypeError, RuntimeError, MemoryError, mujoco.FatalError) as error:
-        reason = re.sub(r"^((XML )?Error: )+", "", " ".join(str(error).split())) or "no reason given"
-        raise SceneError(
-            f"MuJoCo cannot read the file: {reason}",
-            file=file,
-            allowed="an MJCF model with all the files that it refers to",
-            fix="correct the element that the reason concerns, or add the missing file",
-        ) from None
 
 
 class _Reader:
