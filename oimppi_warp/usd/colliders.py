@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 ALLOWED = "Cube, Sphere, Cylinder, Capsule, or a Mesh that is convex or has a convex physics:approximation"
 
+_THINNEST = 1e-6
+"""Least half side or radius of a shape [m]; with less, its volume and inertia are lost to rounding."""
 _TO_Z = {
     UsdGeom.Tokens.x: Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0, 1, 0), 90.0)),
     UsdGeom.Tokens.y: Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), -90.0)),
@@ -51,6 +53,19 @@ def read_colliders(scene: SceneStage, root: Usd.Prim, body: Gf.Matrix4d) -> tupl
 
 
 def _read(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
+    found = _shape(scene, prim, frame)
+    sides = found.size[:1] if found.kind == "capsule" else found.size  # a capsule may be as short as a sphere
+    if min(sides, default=_THINNEST) < _THINNEST:
+        raise scene.error(
+            f"the shape is only {2.0 * min(sides):.2g} m thick",
+            prim,
+            allowed=f"{2.0 * _THINNEST:g} m or more",
+            fix="correct its size, or remove it",
+        )
+    return found
+
+
+def _shape(scene: SceneStage, prim: Usd.Prim, frame: Gf.Matrix4d) -> Collider:
     path, scale = str(prim.GetPath()), scales(frame)
     if scale.min() < 1e-9 or frame.GetDeterminant() <= 0.0:
         raise scene.error(

@@ -359,6 +359,7 @@ MISTAKES = {
         "physics:dynamicFriction is -0.5",
         "zero or more",
     ),
+    "a size that rounding swallows": (put("/World/Obstacles/Cube", "size", 1e-30), "1e-31 m thick", "2e-06 m or more"),
     "a negative size": (put("/World/Obstacles/Cube", "size", -1.0), "size is -1 m", "more than zero"),
     "a floating object": (object_to(0.3, -0.45, 0.055), "30.0 mm above the table", "set its z to 0.025 m"),
     "a sunken object": (object_to(0.3, -0.45, 0.02), "5.0 mm inside the table", "set its z to 0.025 m"),
