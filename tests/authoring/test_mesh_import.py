@@ -260,7 +260,13 @@ def test_what_cannot_be_pushed_is_refused_with_the_reason(tmp_path, kind):
 
 @pytest.mark.parametrize(
     ("name", "content"),
-    [("part.stl", b"no mesh"), ("part.obj", b"v 0 0 0"), ("flat.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"), ("part.glb", b"glTF" + bytes(20)), ("part.step", b"x")],
+    [
+        ("part.stl", b"no mesh"),
+        ("part.obj", b"v 0 0 0"),
+        ("flat.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"),
+        ("part.glb", b"glTF" + bytes(20)),
+        ("part.step", b"x"),
+    ],
 )
 def test_what_is_no_mesh_is_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
