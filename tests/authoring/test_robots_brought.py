@@ -183,6 +183,15 @@ def test_an_arm_that_faces_the_other_way_is_told_so(tmp_path, capsys):
     assert "turn its base: the tool gets to the table on the side of -x" in one_message(capsys.readouterr().err)
 
 
+@pytest.mark.parametrize(("height", "side"), [(-0.7, "below"), (0.9, "above")])
+def test_an_arm_on_the_floor_or_on_a_pedestal_is_told_so(tmp_path, capsys, height, side):
+    turret = part(desk_arm(), "turret")
+    arm = desk_arm(turret=replace(turret, at=(0.0, 0.0, height)))
+    assert added(tmp_path, urdf(arm)) == 2
+    words = one_message(capsys.readouterr().err)
+    assert f"put its base on the table, z = 0: its first joint is {abs(height):.2f} m {side} that" in words
+
+
 @pytest.mark.parametrize("limits", [(-0.5, 0.5), (-0.1, 0.1)])
 def test_an_arm_that_hardly_turns_starts_straight_ahead(tmp_path, limits):
     arm = desk_arm(turret=replace(part(desk_arm(), "turret"), limits=limits))

@@ -34,6 +34,8 @@ _AZIMUTHS = (-0.588, 0.0, 0.588)
 """Directions in which it is tried, in this order; the first is that of the shipped tasks [rad]."""
 _LENGTHS = (0.05, -0.05, 0.1, -0.1, -0.14, 0.2, 0.3)
 """Changes of the stick's length that are tried for an arm that has no start [m]."""
+_USUAL_SHOULDER, _FAR_OFF = 0.15, 0.3
+"""Usual height of the first joint above the table, and the difference from it that makes one doubt the file [m]."""
 _UP = np.array([0.0, 0.0, 1.0])
 _TRIES = 60
 _SPARE = 0.03
@@ -184,11 +186,19 @@ def _no_start(
 
 
 def _remedy(arm: Arm, height: float) -> str:
-    """Returns what gives an arm a start: its base turned, or another stick; else nothing."""
+    """Returns what gives an arm a start: its base turned or on the table, or another stick; else nothing."""
     robot, stick = arm.robot(), arm.stick
     for name, azimuth in {"-x": np.pi, "y": np.pi / 2, "-y": -np.pi / 2}.items():
         if _search(robot, height, azimuth, _DISTANCES[::3], _first_axis(robot))[0]:
             return f"turn its base: the tool gets to the table on the side of {name}"
+    first = robot.joints[0]
+    height_there = float(first.parent_transform[2])
+    raised = first.parent_transform.copy()
+    raised[2] = _USUAL_SHOULDER
+    on_table = replace(robot, joints=(replace(first, parent_transform=raised), *robot.joints[1:]))
+    if abs(height_there - _USUAL_SHOULDER) > _FAR_OFF and _search(on_table, height, _AZIMUTHS[0])[0]:
+        side = "below" if height_there < 0.0 else "above"
+        return f"put its base on the table, z = 0: its first joint is {abs(height_there):.2f} m {side} that"
     lengths = [stick.length + more for more in _LENGTHS if stick.length + more > 2.0 * stick.radius]
     for length in lengths:
         if _search(replace(arm, stick=replace(stick, length=length)).robot(), height, _AZIMUTHS[0])[0]:
