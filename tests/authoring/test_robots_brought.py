@@ -13,6 +13,7 @@ import pytest
 import trimesh
 from support.sample_arms import ARMS, FORMATS, Part, SampleArm, Shape, mjcf, ur5_like, urdf, write_arm
 
+from oimppi_warp.authoring.robots.from_urdf import read_urdf
 from oimppi_warp.authoring.robots.read import read_arm
 from oimppi_warp.authoring.robots.start_pose import with_start
 from oimppi_warp.cli.main import main
@@ -290,6 +291,14 @@ def test_names_with_slashes_and_quotes_are_names(tmp_path, capsys):
     told = capsys.readouterr().out
     assert "along z of desk/it's/flange" in told
     assert "desk/it's/turret_joint, desk/it's/upper_joint" in told
+
+
+def test_joints_of_a_suspicious_speed_are_named(tmp_path):
+    for velocity, asked in ((0.001, 5), (2.2, 0)):
+        (tmp_path / "arm.urdf").write_text(urdf(replace(desk_arm(), velocity=velocity)))
+        chain, _ = read_urdf(tmp_path / "arm.urdf")
+        notes = [note for note in chain.notes if "moves at 0.001 rad/s at most; is that its unit?" in note]
+        assert len(notes) == asked, chain.notes
 
 
 # Rounded angles

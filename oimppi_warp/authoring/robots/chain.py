@@ -16,6 +16,8 @@ from oimppi_warp.errors import SceneError
 Kind = Literal["turns", "slides", "fixed"]
 _FAST = 50.0
 """Velocity above which the limits of a joint that turns far are taken to be in degrees [rad/s]."""
+_SLOW_TURN, _SLOW_SLIDE = 0.05, 0.005
+"""Velocities below which one asks for the unit of a joint's velocity limit [rad/s, m/s]."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +125,18 @@ def serial_chain(tree: nx.DiGraph, *, file: Path, flange: str = "") -> Chain:
         notes=(
             *tree.graph.get("notes", ()),
             *_losses(joints),
+            *_slow(joints),
             *([] if flange else _finger(groups, joints, moving[-1][0])),
         ),
     )
+
+
+def _slow(joints: list[TreeJoint]) -> Iterator[str]:
+    """Yields a note for joints that are so slow that their velocity limits are likely to be in another unit."""
+    for joint in joints:
+        slowest, unit = (_SLOW_SLIDE, "m/s") if joint.kind == "slides" else (_SLOW_TURN, "rad/s")
+        if joint.limits is not None and 0.0 < joint.limits.velocity < slowest:
+            yield f"warning: joint {joint.name} moves at {joint.limits.velocity:.3g} {unit} at most; is that its unit?"
 
 
 def _losses(joints: list[TreeJoint]) -> Iterator[str]:
