@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -27,8 +28,9 @@ def did_you_mean_file(file: str | Path, names: Sequence[str], endings: Sequence[
         names: Names that may be given instead of a file.
         endings: Endings of the files that would do, such as ``".usda"``.
     """
-    path = Path(file).expanduser()
-    beside = [each.name for each in sorted(path.parent.glob("*")) if each.suffix.lower() in endings]
+    path = Path(os.path.expanduser(file))
+    files = [each for each in sorted(path.parent.glob("*")) if each.suffix.lower() in endings and each.is_file()]
+    beside = [each.name for each in files if each.name != path.name]
     forgotten = [name for name in beside if Path(name).stem == path.name]
     near = forgotten or difflib.get_close_matches(path.name, beside, n=1, cutoff=0.75)
     if near:

@@ -44,30 +44,35 @@ def compiled(file: Path) -> mujoco.MjModel:
 
 
 def _check_numbers(model: mujoco.MjModel, file: Path) -> None:
-    """Raises SceneError for a body, joint, geom or site whose place or size is not finite or too large.
+    """Raises SceneError for a body, joint, geom or site with a number that is not finite, or is too large a length.
 
-    MuJoCo compiles such numbers without a word.
+    MuJoCo compiles such numbers without a word. Planes and height fields are not used, so their sizes do not matter.
     """
+    import mujoco
+
+    unused = np.isin(model.geom_type, [int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)])
+    sizes = np.where(unused[:, None], 0.0, model.geom_size)
     lengths = {
         "body": (model.body_pos, model.body_ipos),
         "joint": (model.jnt_pos,),
-        "geom": (model.geom_pos, model.geom_size),
+        "geom": (model.geom_pos, sizes),
         "site": (model.site_pos,),
     }
-    directions = {
+    others = {
         "body": (model.body_quat, model.body_inertia, model.body_mass[:, None]),
-        "joint": (model.jnt_axis,),
-        "geom": (model.geom_quat,),
+        "joint": (model.jnt_axis, model.jnt_range),
+        "geom": (model.geom_quat, model.geom_friction),
         "site": (model.site_quat,),
     }
     for kind, values in lengths.items():
-        sound = np.all([(np.abs(each) < MAX_LENGTH).all(axis=1) for each in values], axis=0)
-        sound &= np.all([np.isfinite(each).all(axis=1) for each in directions[kind]], axis=0)
-        if not sound.all():
-            index = int(np.flatnonzero(~sound)[0])
-            raise SceneError(
-                f"{kind} {getattr(model, kind)(index).name or index} has a number that is not finite, or too large",
-                file=file,
-                allowed=f"finite numbers, and lengths below {MAX_LENGTH:g} m",
-                fix="correct its numbers",
-            )
+        finite = np.all([np.isfinite(each).all(axis=1) for each in (*values, *others[kind])], axis=0)
+        short = np.all([(np.abs(each) < MAX_LENGTH).all(axis=1) for each in values], axis=0)
+        for sound, what in ((finite, "number that is not finite"), (short, f"length of {MAX_LENGTH:g} m or more")):
+            if not sound.all():
+                index = int(np.flatnonzero(~sound)[0])
+                raise SceneError(
+                    f"{kind} {getattr(model, kind)(index).name or index} has a {what}",
+                    file=file,
+                    allowed=f"finite numbers, and lengths below {MAX_LENGTH:g} m",
+                    fix="correct its numbers",
+                )

@@ -235,7 +235,7 @@ def _same(made: Path, there: Path) -> bool:
 
 
 def _relocated(error: SceneError, draft: Path, folder: Path) -> SceneError:
-    """Rewrites an error about a draft to refer to the file that it would have become, and that does not exist."""
+    """Rewrites an error about a draft to refer to the file that it would have become."""
     file = error.file.replace(str(draft.resolve()), str(folder)).replace(str(draft), str(folder))
     fix = _DRAFT_FIXES.get(error.fix, error.fix)
     what = f"{error.what} (nothing was written)"

@@ -8,6 +8,7 @@ settings; `docs/bench.md` lists them.
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -262,7 +263,7 @@ def _find(suite: str | Path) -> Path:
     names = [path.stem for path in sorted(SUITES.glob("*.toml"))]
     if str(suite) in names:
         return SUITES / f"{suite}.toml"
-    file = Path(suite).expanduser()
+    file = Path(os.path.expanduser(suite))
     if file.is_file():
         return file.resolve()
     hint = did_you_mean_file(suite, names, [".toml"])

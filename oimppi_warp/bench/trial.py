@@ -202,7 +202,7 @@ def _scene_path(suite: Suite, task: str) -> str:
     A file that does not exist is one next to the suite, unless the name has no ending, like that of a shipped scene.
     """
     beside = suite.file.parent / task
-    meant = beside.is_file() or (Path(task).suffix and not Path(task).expanduser().is_file())
+    meant = beside.is_file() or (Path(task).suffix and not Path(os.path.expanduser(task)).is_file())
     return os.path.relpath(beside) if meant else task
 
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 import atexit
 import gc
 import os
-import signal
+import select
 import sys
-import threading
 from collections.abc import Sequence
 from typing import Annotated, Any, get_args
 
@@ -32,6 +31,10 @@ from oimppi_warp.cli.scene import Import, New, Scenes
 from oimppi_warp.cli.system import Doctor, Warmup
 from oimppi_warp.cli.view import Export, View
 from oimppi_warp.errors import OimppiError
+from oimppi_warp.signals import end_like_ctrl_c, silence
+
+_PIPE_CLOSED = 141
+"""Exit status where nobody reads the output to its end, as that of a program which SIGPIPE ended."""
 
 SceneCommand = (
     Annotated[New, subcommand("new", prefix_name=False)]
@@ -92,30 +95,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
     atexit.register(gc.freeze)  # them repeatedly, and once more at exit, would double the start-up time
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # NumPy's BLAS threads slow down the planner's kernels
-    _end_like_ctrl_c()
+    end_like_ctrl_c()
+    command = _parse(sys.argv[1:] if arguments is None else arguments)
     try:
-        return _parse(sys.argv[1:] if arguments is None else arguments).execute()
+        status = command.execute()
+        sys.stdout.flush()
+        return status
     except OimppiError as error:
         print(f"oimppi: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # whoever read the output, such as `head`, has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to flush goes nowhere
-        return 0
+    except SystemExit:  # what Rich makes of a BrokenPipeError
+        return _PIPE_CLOSED
     except OSError as error:
+        if _nobody_reads():
+            return _PIPE_CLOSED
         print(f"oimppi: input or output failed: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("oimppi: interrupted before the first step", file=sys.stderr)
+        print("oimppi: interrupted", file=sys.stderr)
         return 130
 
 
-def _end_like_ctrl_c() -> None:
-    """Lets the signals that ask a program to end do what Ctrl-C does: stop the arm, and complete the record."""
-    if threading.current_thread() is not threading.main_thread():
-        return
-    for each in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(each) == signal.SIG_DFL:  # `nohup` has SIGHUP ignored
-            signal.signal(each, signal.default_int_handler)
+def _nobody_reads() -> bool:
+    """Returns whether the reader of the output is gone; what is left to write then goes nowhere."""
+    try:
+        output = sys.stdout.fileno()
+    except OSError:  # it is no file
+        return False
+    poll = select.poll()
+    poll.register(output, 0)
+    gone = any(event & select.POLLERR for _, event in poll.poll(0))
+    if gone:
+        silence(output)
+    return gone
 
 
 def _parse(arguments: Sequence[str]) -> Any:

@@ -18,6 +18,7 @@ from tyro.conf import FlagCreatePairsOff, arg
 from oimppi_warp.cli.options import TaskOptions
 from oimppi_warp.cli.summary import print_summary
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.signals import uninterrupted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -67,10 +68,10 @@ class Run(TaskOptions):
         with _progress(episode.config.episode.max_sim_seconds, console) as on_step:
             try:
                 log = episode.run(on_step=on_step)
-            except Exception:
+            finally:
                 if record is not None:
-                    episode.log.save(record)
-                raise
+                    with uninterrupted():
+                        episode.log.save(record)
         metrics = summarize(log)
         for step, reason in log.header.get("problems", []):
             console.print(f"step {step}: the arm was stopped: {reason}", soft_wrap=True)
@@ -85,7 +86,6 @@ class Run(TaskOptions):
             self.json.absolute().parent.mkdir(parents=True, exist_ok=True)
             write_atomically(self.json, metrics.json().encode())
         if record is not None:
-            log.save(record)
             with console.status("drawing plots"):
                 from oimppi_warp.plots.episode import draw
 

@@ -27,6 +27,8 @@ def print_summary(log: EpisodeLog, metrics: Metrics, record: Path | None) -> Non
         metrics: Its metrics.
         record: Folder of the record; ``None`` if none was written.
     """
+    from rich.markup import escape
+
     from oimppi_warp.geometry.fields import FURTHEST
 
     run, any_yaw = metrics.run, log.header["tolerance"]["yaw"] is None
@@ -70,38 +72,46 @@ def print_summary(log: EpisodeLog, metrics: Metrics, record: Path | None) -> Non
             f"99 % of the commands within {metrics.command_jitter_ms:.1f} ms of their time"
         )
     if record is not None:
-        rows["record"] = str(record)
+        rows["record"] = escape(str(record))
     print_rows(rows)
 
 
 def _result(log: EpisodeLog, metrics: Metrics) -> str:
-    """Returns whether the goal was reached, and within which tolerances."""
+    """Returns whether the goal was reached, within which tolerances, and how the episode ended."""
     judged = bool(log.header.get("scores"))  # by the plant, whatever the tolerance
-    within = "" if judged else f" within {_tolerance(log.header['tolerance'])}"
+    allowed = log.header["tolerance"]
+    within = "" if judged else f" within {_tolerance(allowed)}"
+    ended = "" if metrics.ended == "success" else f" ({metrics.ended})"
     if not metrics.success:
-        return f"[bold red]goal not reached[/]{within} ({metrics.ended})"
+        return f"[bold red]goal not reached[/]{within}{ended}"
     result = f"[bold green]goal reached[/]{within}"
     for name, reached in (("exact", metrics.success_exact), ("tight", metrics.success_tight)):
-        if reached and (tolerance := log.header.get(f"{name}_tolerance")):
-            return f"{result}, also within {_tolerance(tolerance)}"
-    return result
+        stricter = log.header.get(f"{name}_tolerance")
+        if reached and stricter and _is_stricter(stricter, allowed):
+            return f"{result}, also within {_tolerance(stricter)}{ended}"
+    return result + ended
+
+
+def _is_stricter(tolerance: Mapping[str, float | None], than: Mapping[str, float | None]) -> bool:
+    """Returns whether a tolerance is stricter than another one in some way, and no less strict in the other."""
+    pairs = [(tolerance[key] or math.inf, than[key] or math.inf) for key in ("position", "yaw")]
+    return all(one <= other for one, other in pairs) and any(one < other for one, other in pairs)
 
 
 def _tolerance(tolerance: Mapping[str, float | None]) -> str:
     """Returns a tolerance of a record's header in words."""
     yaw = tolerance["yaw"]
-    return f"{1000 * (tolerance['position'] or 0.0):g} mm" + ("" if yaw is None else f" and {yaw:g} rad")
+    return f"{1000 * (tolerance['position'] or 0.0):.3g} mm" + ("" if yaw is None else f" and {yaw:.3g} rad")
 
 
 def _time(metrics: Metrics) -> str:
-    """Returns how long the episode was, and how long it is if the arm waits for each plan."""
+    """Returns how long the episode was, when the goal was reached and, in lock step, when it is with planning."""
     time = f"{metrics.sim_time_s:.2f} s{'' if metrics.run.plant in REAL else ' simulated'} in {metrics.steps} steps"
     if not metrics.success:
         return time
-    planned = (
-        f", {metrics.preplan_time_s:.2f} s of them before the first step" if metrics.preplan_time_s >= 0.01 else ""
-    )
-    return (
-        f"{time}; goal reached after {metrics.success_time_s:.2f} s, "
-        f"or {metrics.total_time_s:.2f} s if the arm waits for its plans (the paper's T){planned}"
-    )
+    time = f"{time}; goal reached after {metrics.success_time_s:.2f} s"
+    if metrics.run.mode == "realtime":
+        return time
+    first = metrics.preplan_time_s
+    planned = f", {first:.2f} s before the first step" if first >= 0.01 else ""
+    return f"{time}; {metrics.total_time_s:.2f} s if the arm waits for each plan (the paper's T{planned})"

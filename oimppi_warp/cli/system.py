@@ -160,7 +160,7 @@ class Doctor:
             f"{facts.memory / 2**30:.0f} GiB; {facts.system}",
             "GPUs": ("; ".join(gpus) or "none usable by Warp, and none needed") + driver,
             "packages": f"Python {facts.python}, " + ", ".join(f"{k} {v or '-'}" for k, v in facts.versions.items()),
-            "extras": ", ".join(name if there else f"{name} (not installed)" for name, there in facts.extras.items()),
+            "extras": _extras(facts.extras),
             "will use": f"device {facts.device}, {facts.usable_cores} CPU threads; each run times the engines and "
             "selects one that keeps up, unless --engine is given",
             **{
@@ -170,7 +170,7 @@ class Doctor:
             },
             "compiled kernels": f"{facts.kernel_cache}, {facts.kernel_bytes / 1e6:.0f} MB"
             f"{'' if facts.compiled else ' (`oimppi warmup` compiles all, or each run what it needs)'}",
-            "distance fields": f"{facts.field_cache}, {facts.field_bytes / 1e6:.0f} MB",
+            "fields, models": f"{facts.field_cache}, {facts.field_bytes / 1e6:.0f} MB",
             "scenes": f"{facts.scenes} shipped",
         }
         print_rows(rows)
@@ -180,6 +180,12 @@ class Doctor:
         if not findings:
             console.print("[bold green]no problems found")
         return 1 if findings else 0
+
+
+def _extras(extras: dict[str, bool]) -> str:
+    """Returns in words which extras are installed."""
+    there, missing = ([name for name, found in extras.items() if found is wanted] for wanted in (True, False))
+    return f"installed: {', '.join(there) or 'none'}; not installed: {', '.join(missing) or 'none'}"
 
 
 def _with_package(entries: dict[str, str]) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
@@ -13,7 +14,9 @@ from pathlib import Path
 import numpy as np
 
 _LARGEST = 2_000_000_000
-"""Size of the stored arrays above which those that were not used for longest are removed [B]."""
+"""Size of the stored files above which those that were not used for longest are removed [B]."""
+_OURS = re.compile(r"\w+-[0-9a-f]{24}(-sensing)?\.np[yz](\.\d+\.part)?")
+"""Names of the files stored here: the kind, the hash of what it depends on, and the process that is writing it."""
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -93,8 +96,7 @@ def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.nda
     except (OSError, ValueError, EOFError):
         pass  # missing or truncated: compute it again
     else:
-        with suppress(OSError):
-            os.utime(file)  # it is in use
+        touch(file)
         return values
     values = compute()
     try:
@@ -103,18 +105,25 @@ def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.nda
         with partial.open("wb") as stream:
             np.save(stream, values)
         partial.replace(file)
-        _remove_oldest(file.parent)
+        make_room(file.parent)
     except OSError:
         return values  # with an unwritable cache the run is slower, but does not fail
     return values
 
 
-def _remove_oldest(folder: Path) -> None:
-    """Removes the arrays that were not used for longest, until the others are no larger than :data:`_LARGEST`."""
+def touch(file: Path) -> None:
+    """Notes that a stored file is in use."""
+    with suppress(OSError):
+        os.utime(file)
+
+
+def make_room(folder: Path) -> None:
+    """Removes the stored files that were not used for longest, until the others are no larger than :data:`_LARGEST`."""
     found = []
-    for file in folder.glob("*.npy*"):
-        with suppress(FileNotFoundError):  # another process removes them too
-            found.append((file.stat(), file))
+    for file in folder.iterdir():
+        if _OURS.fullmatch(file.name):
+            with suppress(FileNotFoundError):  # another process removes them too
+                found.append((file.stat(), file))
     excess = sum(about.st_size for about, _ in found) - _LARGEST
     for about, file in sorted(found, key=lambda each: each[0].st_mtime):
         if excess <= 0:

@@ -29,6 +29,8 @@ def orient(mesh: trimesh.Trimesh) -> None:
     flipped = np.zeros(count, dtype=bool)
     for first in np.unique(parts, return_index=True)[1] if number > 1 else [0]:
         order, before = breadth_first_order(graph, int(first), directed=False)
+        if len(order) == 1:  # a face without neighbours
+            continue
         turns = np.asarray(graph[before[order[1:]], order[1:]]).ravel() == 2
         for face, previous, turn in zip(order[1:].tolist(), before[order[1:]].tolist(), turns.tolist(), strict=True):
             flipped[face] = flipped[previous] ^ turn

@@ -17,7 +17,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from oimppi_warp.compute.cache import cache_folder, content_of_data, source_content
+from oimppi_warp.compute.cache import cache_folder, content_of_data, make_room, source_content, touch
 from oimppi_warp.compute.device import quick_compilation
 from oimppi_warp.physics.newton_model import ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.scene import Scene
@@ -209,6 +209,7 @@ def _save(made: MujocoModel, file: Path) -> None:
     with partial.open("wb") as stream:
         np.savez(stream, model=compiled, **places)
     partial.replace(file)
+    make_room(file.parent)
 
 
 def _load(file: Path) -> MujocoModel:
@@ -217,5 +218,6 @@ def _load(file: Path) -> MujocoModel:
 
     with np.load(file) as saved:
         arrays = dict(saved)
+    touch(file)
     model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": arrays.pop("model").tobytes()})
     return MujocoModel(model=model, **arrays)

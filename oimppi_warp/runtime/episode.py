@@ -416,9 +416,10 @@ def check_plant(plant: Plant, spec: RunSpec, *, passed: bool) -> None:
     Raises:
         ConfigError: It cannot.
     """
-    period = getattr(plant, "control_period", None)
-    if not isinstance(period, int | float) or not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
-        given = "no control_period" if period is None else f"a control_period of {period!r}"
+    period: Any = getattr(plant, "control_period", None)
+    usable = isinstance(period, int | float | np.floating) and not isinstance(period, bool)
+    if not (usable and _SHORTEST_PERIOD <= float(period) <= _LONGEST_PERIOD):
+        given = "no control_period" if period is None else f"a control_period of {period}"
         allowed = f"the duration of a command in seconds, {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g}, such as 0.05"
         raise ConfigError(f"the plant {type(plant).__name__} has {given}\n  allowed: {allowed}")
     if spec.friction is not None and passed:

@@ -6,6 +6,7 @@ import os
 import platform
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
@@ -160,7 +161,7 @@ def diagnose(facts: Facts) -> list[Finding]:
     """Returns the problems found in the facts, the worst first."""
     found = []
     for name, installed in facts.versions.items():
-        if not installed:
+        if not installed and name != NAME:  # which runs from its source then
             found.append(Finding(f"{name} is not installed", "pip install -r requirements.lock"))
     newton, batched = (facts.versions[name].split(".")[:2] for name in ("mujoco", "mujoco-warp"))
     if newton != batched:
@@ -229,7 +230,10 @@ def _version(package: str) -> str:
 
 def _extras() -> dict[str, bool]:
     """Returns whether each extra for users is installed: whether all packages that it requires are."""
-    about = metadata(NAME)
+    try:
+        about = metadata(NAME)
+    except PackageNotFoundError:  # it runs from its source
+        return {}
     found = {extra: True for extra in about.get_all("Provides-Extra") or () if extra not in _FOR_DEVELOPERS}
     for requirement in about.get_all("Requires-Dist") or ():
         needed, extra = re.match(r"[\w.-]+", requirement), re.search(r"extra == ['\"]([\w-]+)", requirement)
@@ -240,7 +244,11 @@ def _extras() -> dict[str, bool]:
 
 def _size(folder: Path) -> int:
     """Returns the size of a folder's contents [B]; 0 if it does not exist."""
-    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    total = 0
+    for file in folder.rglob("*"):
+        with suppress(FileNotFoundError):  # others may remove files meanwhile
+            total += file.stat().st_size
+    return total
 
 
 def _writable(folder: Path) -> bool:

@@ -370,6 +370,7 @@ ANY_MESH = {"boxes": BOXES, "holes": st.integers(0, 2), "flips": st.integers(0, 
 
 @settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
 @example(boxes=[(3, 1, 2, 1, 3), (2, 1, 1, 1, 2), (1, 3, 2, 2, 3)], holes=2, flips=2, seed=63)  # leaves a flat piece
+@example(boxes=[(0, 0, 2, 1, 1), (0, 0, 2, 1, 2)], holes=0, flips=1, seed=0)  # leaves a face without neighbours
 @given(**ANY_MESH)
 def test_any_mesh_becomes_a_sound_object_or_is_refused_in_words(boxes, holes, flips, seed):
     check_any_mesh(boxes, holes, flips, seed)

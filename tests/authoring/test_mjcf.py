@@ -232,7 +232,7 @@ BAD = {
     "an unknown element": (("<light", "<lamp"), "unrecognized element", "correct"),
     "words for a number": (('pos="0 0 0.1">', 'pos="0 0 high">'), "MuJoCo cannot read the file", "correct"),
     "a place at infinity": (('pos="0 0 0.1">', 'pos="0 0 -inf">'), "has a number that is not finite", "correct"),
-    "a place in mm, beyond all": (('pos="0 0 0.1">', 'pos="0 0 1e5">'), "or too large", "correct"),
+    "a place in mm, beyond all": (('pos="0 0 0.1">', 'pos="0 0 1e5">'), "has a length of 1000 m or more", "correct"),
     "an unknown flange": (("", ""), "--flange hand: the robot has no such link", "attachment_site"),
 }
 

@@ -63,7 +63,7 @@ def test_the_manual_has_the_table_of_shapes():
     [
         ("boxx:0.1x0.1x0.1", "did you mean box:0.1x0.06x0.05?"),
         ("letter", "did you mean letter:S?"),
-        ("box:120x60x50", "in metres: 0.12, not 120"),
+        ("box:120x60x50", "give it in metres: 0.12 if 120 mm were meant"),
         ("lab_tt", "did you mean lab-t?"),
         ("box:0.1x0.1", "needs 3 lengths above zero\n  allowed: box:0.1x0.06x0.05 (length x width x height), "
          "in metres"),

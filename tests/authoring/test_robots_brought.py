@@ -293,6 +293,14 @@ def test_names_with_slashes_and_quotes_are_names(tmp_path, capsys):
     assert "desk/it's/turret_joint, desk/it's/upper_joint" in told
 
 
+def test_an_elbow_that_could_fold_starts_stretched(tmp_path):
+    file, options = write_arm(tmp_path, "lite6_like", "urdf")
+    assert main(["scene", "robot", str(file), "--out", str(tmp_path), *options]) == 0
+    robot = load_scene(tmp_path / "lite6_like_open.usda").robot
+    assert robot.joints[2].upper > 5.0  # it turns beyond half a turn
+    assert np.abs(robot.start).max() < 2.0
+
+
 def test_joints_of_a_suspicious_speed_are_named(tmp_path):
     for velocity, asked in ((0.001, 5), (2.2, 0)):
         (tmp_path / "arm.urdf").write_text(urdf(replace(desk_arm(), velocity=velocity)))

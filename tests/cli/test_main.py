@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
+import signal
 import subprocess
 import sys
 from dataclasses import asdict
@@ -79,6 +82,18 @@ def test_success_is_status_0_and_a_summary(stage: Stage, capsys: pytest.CaptureF
     assert "goal not reached" not in out
     assert "goal reached within 200 mm and 0.5 rad" in out
     assert "median 13.0 ms" in out
+
+
+def test_the_summary_tells_how_a_success_ended_and_only_stricter_tolerances(
+    stage: Stage, capsys: pytest.CaptureFixture[str]
+):
+    stage.log.header |= {"ended": "object fell", "tight_tolerance": {"position": 0.199, "yaw": 0.499}}
+    assert status("run", "synthetic", "--device", "cpu") == 0
+    said = capsys.readouterr().out
+    assert "goal reached within 200 mm and 0.5 rad, also within 199 mm and 0.499 rad (object fell)" in said
+    stage.log.header["tight_tolerance"] = stage.log.header["tolerance"]
+    status("run", "synthetic", "--device", "cpu")
+    assert "goal reached within 200 mm and 0.5 rad (object fell)" in capsys.readouterr().out
 
 
 def test_a_goal_that_was_not_reached_is_status_1(stage: Stage, capsys: pytest.CaptureFixture[str]):
@@ -199,10 +214,37 @@ def test_a_misspelt_option_is_searched_among_those_of_the_command(capsys: pytest
     assert "--method" in said and "demos" not in said and "oimppi run --help" in said
 
 
-def test_output_that_nobody_reads_to_the_end_is_no_error():
-    command = f"{sys.executable} -m oimppi_warp scenes; echo status $? >&2"
-    reader = subprocess.run(["sh", "-c", f"({command}) | true"], capture_output=True, text=True, check=False)
-    assert "status 0" in reader.stderr and "Broken pipe" not in reader.stderr
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("words", ["scenes", "scene check task01", "compare {0} {0}"])
+def test_output_that_nobody_reads_to_the_end_ends_in_silence(words: str, unbuffered: str):
+    results = Path(__file__).resolve().parents[2] / "docs" / "results" / "newton.json"
+    command = f"{sys.executable} -m oimppi_warp {words.format(results)}; echo status $? >&2"
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    pipe = ["sh", "-c", f"({command}) | true"]
+    said = subprocess.run(pipe, env=environment, capture_output=True, text=True, check=False).stderr
+    assert "status 141" in said and "Broken" not in said and "Exception" not in said
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_run_like_ctrl_c_with_a_complete_record(number: signal.Signals, tmp_path: Path):
+    leader, follower = pty.openpty()
+    command = [sys.executable, "-m", "oimppi_warp", "run", "task01", "--seed", "1", "--engine", "quasistatic"]
+    command += ["--device", "cpu", "--threads", "1", "--tolerance", "0.0001,0.0001", "--max-sim-seconds", "500"]
+    ended = subprocess.Popen(
+        [*command, "--record", str(tmp_path / "r")], stdin=follower, stdout=follower, stderr=follower
+    )
+    os.close(follower)
+    shown = b""
+    while b"ms per plan" not in shown:  # the progress of the episode
+        shown += os.read(leader, 4096)
+    if number == signal.SIGHUP:
+        os.close(leader)  # the terminal is gone
+    ended.send_signal(number)
+    gone = number == signal.SIGHUP  # writing to the terminal may fail before the signal comes
+    assert ended.wait(timeout=60) in ((130, 141) if gone else (130,))
+    assert EpisodeLog.load(tmp_path / "r").header["ended"] == "interrupted"
+    if number != signal.SIGHUP:
+        os.close(leader)
 
 
 @pytest.mark.parametrize("case", BAD_INPUT)

@@ -249,7 +249,7 @@ def test_an_option_that_a_run_does_not_have_is_an_error():
         make_planner(shipped("task01"), small(), method="clio")
 
 
-@pytest.mark.parametrize("period", [None, 50, "0.05"])
+@pytest.mark.parametrize("period", [None, 50, True, "0.05"])
 def test_a_plant_whose_control_period_is_missing_or_in_milliseconds_is_an_error(period: Any):
     plant = Kinematic(shipped("task01"))
     plant.control_period = period

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +21,7 @@ from oimppi_warp.compute.device import EMULATED_GPU, start_warp
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
 from oimppi_warp.registries import METHODS
-from oimppi_warp.system import precompile
+from oimppi_warp.system import doctor, precompile
 from oimppi_warp.system.doctor import PACKAGES, Facts, Gpu, diagnose, gather_facts
 from oimppi_warp.system.precompile import Variant, compile_for, needed_on_cuda, record_modules
 from oimppi_warp.usd import shipped_scenes
@@ -79,10 +80,24 @@ def test_what_is_wrong_is_said_with_what_to_do(change, said):
     assert len(finding.remedy) > 10
 
 
+def test_a_package_that_runs_from_its_source_is_not_missing(monkeypatch: pytest.MonkeyPatch):
+    def unknown(name: str) -> Any:
+        if name == doctor.NAME:
+            raise PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(doctor, "metadata", unknown)
+    monkeypatch.setattr(doctor, "version", unknown)
+    facts = gather_facts()
+    assert facts.extras == {} and facts.versions[doctor.NAME] == ""
+    assert not any("not installed" in finding.what for finding in diagnose(facts))
+
+
 def test_the_doctor_sees_this_machine(capsys):
     facts = gather_facts()
     assert 1 <= facts.usable_cores <= facts.cores and facts.memory > 0 and facts.scenes == len(shipped_scenes())
     assert all(facts.versions.values())
+    assert facts.extras and facts.kernel_bytes > 0
     status = main(["doctor", "--json"])
     told = json.loads(capsys.readouterr().out)
     assert status == (1 if diagnose(facts) else 0)

@@ -78,6 +78,11 @@ def test_a_missing_file_is_answered_with_the_nearest_one_in_its_folder(tmp_path)
     for name in ("push_s", "pussh_s.usda"):
         with pytest.raises(SceneError, match=rf"did you mean {tmp_path}/push_s\.usda\?"):
             load_scene(tmp_path / name)
+    (tmp_path / "folder.usda").mkdir()
+    for name in (tmp_path / "folder.usda", "~nobody/push_s.usda"):
+        with pytest.raises(SceneError, match="there is no such file") as error:
+            load_scene(name)
+        assert "did you mean" not in str(error.value) or str(name) not in str(error.value).partition("to do")[2]
 
 
 @pytest.mark.parametrize("text", ["not a scene at all", "#usda 1.0\n(\n    nonsense here", ""])

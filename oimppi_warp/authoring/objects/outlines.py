@@ -148,7 +148,8 @@ def checked_sides(what: str, *lengths: float) -> tuple[float, ...]:
     low, high = SIDES
     for length in lengths:
         if not low <= length <= high:
-            unit = f"\n  to do:   give lengths in metres: {length / 1000:g}, not {length:g}" if length >= 1.0 else ""
+            meant = low <= length / 1000.0 <= high
+            unit = f"\n  to do:   give it in metres: {length / 1000.0:g} if {length:g} mm were meant" if meant else ""
             raise ConfigError(
                 f"{what}: a side of {length:.4g} m is out of range\n  allowed: {low:g} to {high:g} m per side{unit}"
             )

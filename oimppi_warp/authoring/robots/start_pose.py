@@ -55,7 +55,7 @@ def with_start(arm: Arm, *, file: object = "", links: Sequence[str] = (), joints
             all candidates failed.
     """
     robot = arm.robot()
-    lower, upper = _limits(robot)
+    lower, upper = _ranges(robot)[-1]
     middle, height = (lower + upper) / 2, HEIGHT
     if is_flat(robot):
         height = float(tip_frame(robot, middle)[1][2])
@@ -83,18 +83,24 @@ class _Candidate:
     spare: np.ndarray
 
 
+_Range = tuple[np.ndarray, np.ndarray]
+"""Least and greatest joint positions, shape [dof] each [rad; m]."""
 _Found = tuple[tuple[float, ...] | None, list[_Candidate]]
 """The best start, ``None`` if there is none, and the candidates that are unusable."""
 
 
-def _search_ahead(robot: Robot, height: float, distances: Sequence[float] = _DISTANCES) -> _Found:
+def _search_ahead(robot: Robot, height: float) -> _Found:
     """Looks for a start in front of the base's origin, or else of the axis about which the arm turns."""
-    best, rejected = _search(robot, height, _AZIMUTHS[0], distances)
     axis = _first_axis(robot)
-    for azimuth in _AZIMUTHS if axis.any() else _AZIMUTHS[1:]:
-        if best is None:
-            best, more = _search(robot, height, azimuth, distances, axis)
-            rejected += more
+    best, rejected = None, list[_Candidate]()
+    for within in _ranges(robot):
+        best, rejected = _search_within(robot, within, height, _AZIMUTHS[0], _DISTANCES)
+        for azimuth in _AZIMUTHS if axis.any() else _AZIMUTHS[1:]:
+            if best is None:
+                best, more = _search_within(robot, within, height, azimuth, _DISTANCES, axis)
+                rejected += more
+        if best is not None:
+            break
     return best, rejected
 
 
@@ -113,8 +119,24 @@ def _search(
     center: np.ndarray | None = None,
 ) -> _Found:
     """Looks for a start with the tip in a direction [rad] from a point [2] [m], by default the origin, at a height."""
-    lower, upper = _limits(robot)
-    guesses, best = _guesses(robot, np.random.default_rng(0), azimuth), (-np.inf, ())
+    best, rejected = None, list[_Candidate]()
+    for within in _ranges(robot):
+        if best is None:
+            best, rejected = _search_within(robot, within, height, azimuth, distances, center)
+    return best, rejected
+
+
+def _search_within(
+    robot: Robot,
+    within: _Range,
+    height: float,
+    azimuth: float,
+    distances: Sequence[float],
+    center: np.ndarray | None = None,
+) -> _Found:
+    """Looks for a start like :func:`_search`, with joint positions within a range."""
+    lower, upper = within
+    guesses, best = _guesses(robot, within, np.random.default_rng(0), azimuth), (-np.inf, ())
     rejected: list[_Candidate] = []
     for distance in distances:
         target = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
@@ -122,13 +144,13 @@ def _search(
             target[:2] += center
         solved, good = upright_from(robot, guesses, target)
         for joints in solved[good]:
-            joints = _rounded(robot, joints)
+            joints = _rounded(robot, within, joints)
             spare = np.minimum(joints - lower, upper - joints) / (upper - lower)
             found = _Candidate(joints, lowered_heights(robot, joints), spare)
-            if found.heights.min() < ROOM or found.spare.min() < _SPARE:
+            if found.heights.min() < ROOM or found.spare.min() < _SPARE:  # also if it is outside of the range
                 rejected.append(found)
             else:
-                best = max(best, (_score(robot, found), tuple(joints.tolist())))
+                best = max(best, (_score(robot, within, found), tuple(joints.tolist())))
         if best[1]:
             return best[1], rejected
     return None, rejected
@@ -222,12 +244,21 @@ def _check_reach(robot: Robot, file: object) -> None:
     )
 
 
-def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Returns lower and upper limits; of a joint that turns further, of the turn nearest to zero, shape [dof] each."""
+def _ranges(robot: Robot) -> list[_Range]:
+    """Returns the ranges of joint positions in which a start is looked for, one after the other.
+
+    The first is within half a turn of zero, where an arm is usually stretched: beyond it, the elbow of many arms is
+    folded. The last is between the joints' limits; of a joint that turns further than once, the turn nearest to zero.
+    """
     lower, upper = (np.array([getattr(joint, end) for joint in robot.joints]) for end in ("lower", "upper"))
-    further = revolute_joints(robot) & (upper - lower > 2.0 * np.pi)
+    turns = revolute_joints(robot)
+    further = turns & (upper - lower > 2.0 * np.pi)
     from_ = np.where(further, np.clip(-np.pi, lower, upper - 2.0 * np.pi), lower)
-    return from_, np.where(further, from_ + 2.0 * np.pi, upper)
+    to = np.where(further, from_ + 2.0 * np.pi, upper)
+    near = turns & (np.minimum(to, np.pi) - np.maximum(from_, -np.pi) > 0.1)
+    usual = np.where(near, np.maximum(from_, -np.pi), from_), np.where(near, np.minimum(to, np.pi), to)
+    whole = from_, to
+    return [whole] if np.array_equal(usual, whole) else [usual, whole]
 
 
 def _into(lower: np.ndarray | float, joints: np.ndarray | float) -> np.ndarray:
@@ -235,9 +266,9 @@ def _into(lower: np.ndarray | float, joints: np.ndarray | float) -> np.ndarray:
     return np.mod(joints - lower, 2.0 * np.pi) + lower
 
 
-def _guesses(robot: Robot, random: np.random.Generator, azimuth: float) -> np.ndarray:
+def _guesses(robot: Robot, within: _Range, random: np.random.Generator, azimuth: float) -> np.ndarray:
     """Returns initial guesses of joint positions: the first joint turned to a direction, some of the others bent."""
-    lower, upper = _limits(robot)
+    lower, upper = within
     middle, guesses = (lower + upper) / 2, []
     turned = _into(lower[0], azimuth)
     ahead = turned if turned <= upper[0] else azimuth
@@ -248,16 +279,16 @@ def _guesses(robot: Robot, random: np.random.Generator, azimuth: float) -> np.nd
     return np.array([middle, *guesses])
 
 
-def _score(robot: Robot, found: _Candidate) -> float:
+def _score(robot: Robot, within: _Range, found: _Candidate) -> float:
     """Rates a start by table clearance, margin to the limits and lack of twists."""
-    lower, upper = _limits(robot)
+    lower, upper = within
     twisted = float(np.linalg.norm((found.joints - (lower + upper) / 2) * revolute_joints(robot)))
     return min(float(found.heights.min()), 0.1) + 0.2 * min(float(found.spare.min()), 0.2) - 0.02 * twisted
 
 
-def _rounded(robot: Robot, joints: np.ndarray) -> np.ndarray:
-    """Returns the joint positions without whole turns, where the limits allow, rounded to a few digits."""
-    lower, upper = _limits(robot)
+def _rounded(robot: Robot, within: _Range, joints: np.ndarray) -> np.ndarray:
+    """Returns the joint positions without whole turns, where the range allows, rounded to a few digits."""
+    lower, upper = within
     wrapped = _into(lower, joints)
     allowed = revolute_joints(robot) & (lower <= wrapped) & (wrapped <= upper)
     return np.clip(np.round(np.where(allowed, wrapped, joints), 4) + 0.0, lower, upper)

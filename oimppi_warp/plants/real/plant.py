@@ -9,12 +9,11 @@ first fault that it sees (:attr:`ArmPlant.fault`); and the control loop does for
 from __future__ import annotations
 
 import atexit
-import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +30,7 @@ from oimppi_warp.plants.real.sight import Sight
 from oimppi_warp.plants.real.start import FIRST_POSE, StartProcedure
 from oimppi_warp.priority import SENDER, real_time_priority, without_pauses
 from oimppi_warp.scene import PlanarPose, Scene
+from oimppi_warp.signals import uninterrupted
 
 _SLOWEST_TOUCH = 1e-3
 """Least value of the setting `robot.touch_speed` [m/s]."""
@@ -382,24 +382,3 @@ class ArmPlant:
                 "  to do:   check the cable, and that nothing else takes this machine's time"
             )
         return ""
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Holds back Ctrl-C, and signals to end, until the block is over; then the first one takes effect.
-
-    Python handles signals in the main thread, whichever thread the system gives them to.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[int] = []
-    held = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {each: signal.signal(each, lambda number, _: came.append(number)) for each in held}
-    try:
-        yield
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, signal.SIG_DFL if handler is None else handler)
-    if came:
-        signal.raise_signal(came[0])

@@ -1,0 +1,61 @@
+"""What signals do to a program that moves an arm: they end it as Ctrl-C does, once what must be done is done."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_TO_END = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""The signals that ask a program to end; Windows has no SIGHUP."""
+
+
+def end_like_ctrl_c() -> None:
+    """Lets the signals that ask a program to end do what Ctrl-C does: stop the arm, and complete the record.
+
+    Signals that the program was started to ignore, as by ``nohup``, are still ignored.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    terminals = [stream.fileno() for stream in (sys.stdout, sys.stderr) if stream.isatty()]
+
+    def interrupt(number: int, _: FrameType | None) -> None:
+        if number == getattr(signal, "SIGHUP", None):  # they are gone, so writing to them would fail
+            for terminal in terminals:
+                silence(terminal)
+        raise KeyboardInterrupt
+
+    for each in _TO_END:
+        if signal.getsignal(each) == signal.SIG_DFL:
+            signal.signal(each, interrupt)
+
+
+def silence(descriptor: int) -> None:
+    """Lets everything that is written to a file descriptor from now on go nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, descriptor)
+    os.close(nowhere)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Holds back Ctrl-C, and signals to end, until the block is over; then the first one takes effect.
+
+    Python handles signals in the main thread, whichever thread the system gives them to.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {each: signal.signal(each, lambda number, _: came.append(number)) for each in _TO_END}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, signal.SIG_DFL if handler is None else handler)
+    if came:
+        signal.raise_signal(came[0])
