@@ -231,7 +231,11 @@ def test_a_signal_ends_a_run_like_ctrl_c_with_a_complete_record(number: signal.S
     command = [sys.executable, "-m", "oimppi_warp", "run", "task01", "--seed", "1", "--engine", "quasistatic"]
     command += ["--device", "cpu", "--threads", "1", "--tolerance", "0.0001,0.0001", "--max-sim-seconds", "500"]
     ended = subprocess.Popen(
-        [*command, "--record", str(tmp_path / "r")], stdin=follower, stdout=follower, stderr=follower
+        [*command, "--record", str(tmp_path / "r")],
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # the tests may run under `nohup`
     )
     os.close(follower)
     shown = b""

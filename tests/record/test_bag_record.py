@@ -93,7 +93,7 @@ def test_a_record_beside_its_bag_is_read_from_the_record(tmp_path: Path):
     (tmp_path / "bag" / "bag.mcap").rename(tmp_path / "episode.mcap")
     assert len(load_record(tmp_path)) == 3
     assert len(load_record(tmp_path / "episode.mcap")) == 5
-    with pytest.raises(LogError, match="no complete record"):
+    with pytest.raises(LogError, match="there is no such folder"):
         load_record(tmp_path / "nothing")
 
 
