@@ -1,4 +1,4 @@
-"""What signals do to a program that moves an arm: they end it as Ctrl-C does, once what must be done is done."""
+"""Handles the signals that end a program: like Ctrl-C, and not in the middle of a block that must be completed."""
 
 from __future__ import annotations
 
