@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
@@ -13,17 +14,24 @@ from types import FrameType
 _TO_END = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """The signals that ask a program to end; Windows has no SIGHUP."""
 
+_LATER = 0.01
+"""Time after which a signal that Python dropped takes effect [s]."""
+
 
 def end_like_ctrl_c() -> None:
     """Lets the signals that ask a program to end do what Ctrl-C does: stop the arm, and complete the record.
 
-    Signals that the program was started to ignore, as by ``nohup``, are still ignored.
+    Signals that the program was started to ignore, as by ``nohup``, are still ignored. One that arrives while an object
+    is being destroyed, where Python drops exceptions, takes effect a moment later.
     """
     if threading.current_thread() is not threading.main_thread():
         return
     terminals = [stream.fileno() for stream in (sys.stdout, sys.stderr) if stream.isatty()]
 
+    last = [signal.SIGINT]
+
     def interrupt(number: int, _: FrameType | None) -> None:
+        last[0] = signal.Signals(number)
         if number == getattr(signal, "SIGHUP", None):  # they are gone, so writing to them would fail
             for terminal in terminals:
                 silence(terminal)
@@ -32,6 +40,24 @@ def end_like_ctrl_c() -> None:
     for each in _TO_END:
         if signal.getsignal(each) == signal.SIG_DFL:
             signal.signal(each, interrupt)
+
+    tell, main = sys.unraisablehook, threading.get_ident()
+
+    def send_again() -> None:
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(main, last[0])  # so that the main thread does not go on sleeping
+        else:  # on Windows
+            _thread.interrupt_main(last[0])
+
+    def raise_again(dropped: sys.UnraisableHookArgs) -> None:
+        if isinstance(dropped.exc_value, KeyboardInterrupt):
+            later = threading.Timer(_LATER, send_again)  # at once, it would be raised in here
+            later.daemon = True
+            later.start()
+        else:
+            tell(dropped)
+
+    sys.unraisablehook = raise_again
 
 
 def silence(descriptor: int) -> None:
