@@ -8,6 +8,7 @@ Chromium is open before the command is given, as a user's browser would be; it d
 
 from __future__ import annotations
 
+import base64
 import io
 import os
 import re
@@ -28,10 +29,10 @@ from PIL import Image
 
 SIZE = (1000, 700)
 """Size of the page [pixels]."""
-SCENE = {"x": 0, "y": 0, "width": 600, "height": 700}
-"""Part of the page that the panel does not cover [pixels]."""
+SEEN = 600
+"""Width of the part of the page that the panel does not cover [pixels]."""
 MOVED = 150
-"""Pixels that have to change between two screenshots for the arm to count as moving."""
+"""Pixels that have to change from the first picture on for the arm to count as moving."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class Command:
     """``oimppi view`` in a process of its own, and what it printed when.
 
     Attributes:
-        lines: Time since the start [s] and text of each line.
+        began: When the command was given [s since the epoch].
+        lines: Time since then [s] and text of each line.
     """
 
     scene: str
@@ -60,7 +62,7 @@ class Command:
     def __post_init__(self) -> None:
         caches = {"WARP_CACHE_PATH": str(self.caches / "warp"), "OIMPPI_CACHE": str(self.caches / "fields")}
         words = [sys.executable, "-m", "oimppi_warp", "view", self.scene, "--no-open", "--device", "cpu"]
-        self._began = time.perf_counter()
+        self.began = time.time()
         self._process = subprocess.Popen(
             words, env=os.environ | caches, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
@@ -73,7 +75,7 @@ class Command:
 
     def elapsed(self) -> float:
         """Returns the time since the command was given [s]."""
-        return time.perf_counter() - self._began
+        return time.time() - self.began
 
     def url(self) -> str:
         """Waits for the address of the page."""
@@ -91,41 +93,67 @@ class Command:
         self._process.wait()
 
 
+class Screen:
+    """The frames that Chromium displays of a page, without what the panel covers.
+
+    Args:
+        page: The page, of Playwright.
+
+    Attributes:
+        frames: Time of display [s since the epoch] and picture, shape [height, width, 3], of each frame.
+    """
+
+    def __init__(self, page: Any) -> None:
+        self._page = page
+        self.frames: list[tuple[float, np.ndarray]] = []
+        self._chromium = page.context.new_cdp_session(page)
+        self._chromium.on("Page.screencastFrame", self._take)
+        self._chromium.send("Page.startScreencast", {"format": "jpeg", "quality": 80})
+
+    def _take(self, frame: dict[str, Any]) -> None:
+        content = base64.b64decode(frame["data"])
+        image = np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
+        self.frames.append((frame["metadata"]["timestamp"], image[:, :SEEN]))
+        self._chromium.send("Page.screencastFrameAck", {"sessionId": frame["sessionId"]})
+
+    def next(self) -> tuple[float, np.ndarray]:
+        """Waits for the next frame."""
+        known = len(self.frames)
+        while len(self.frames) == known:
+            self._page.wait_for_timeout(10)  # frames arrive meanwhile
+        return self.frames[known]
+
+
 def measure(scene: str, caches: Path, page: Any) -> None:
     """Prints how long one run takes to address, page, first picture and moving arm, and its longest silence."""
     command = Command(scene, caches)
     try:
         url = command.url()
         printed = command.elapsed()
+        screen = Screen(page)
         page.goto(url)
         loaded = command.elapsed()
-        before, drawn = _picture(page), None
         while True:
-            now = _picture(page)
-            if drawn is None and _is_drawn(now):
-                drawn = command.elapsed()
-            if drawn is not None and np.sum(np.abs(now - before).sum(axis=-1) > 60) > MOVED:
+            at, first = screen.next()
+            if _is_drawn(first):
                 break
-            before = now
-        moving = command.elapsed()
-        times = [0.0, *(each for each, _ in command.lines if each <= printed)]
+        drawn = at - command.began
+        while True:
+            at, image = screen.next()
+            if np.sum(np.abs(image - first).sum(axis=-1) > 60) > MOVED:
+                break
+        moving = at - command.began
+        times = [0.0, *(each for each, _ in command.lines if each <= drawn), drawn]
         silence = max(np.diff(times))
         print(
             f"address {printed:.1f} s, page loaded {loaded:.1f} s, first picture {drawn:.1f} s, "
-            f"moving arm {moving:.1f} s, "
-            f"longest silence before the address {silence:.1f} s",
+            f"moving arm {moving:.1f} s, longest silence of the terminal up to the picture {silence:.1f} s",
             flush=True,
         )
         for at, line in command.lines:
             print(f"    {at:5.1f} s  {line}", flush=True)
     finally:
         command.end()
-
-
-def _picture(page: Any) -> np.ndarray:
-    """Returns what the page shows beside the panel, shape [height, width, 3]."""
-    content = page.screenshot(clip=SCENE, timeout=120_000)
-    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
 
 
 def _is_drawn(image: np.ndarray) -> bool:

@@ -7,23 +7,23 @@ import io
 import os
 import sys
 import webbrowser
-from collections.abc import Callable
-from contextlib import ExitStack, redirect_stdout, suppress
+from contextlib import ExitStack, nullcontext, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from oimppi_warp.cli.options import REAL, TaskOptions, busy, notices
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.network import check_listening, page_url
+from oimppi_warp.network import check_listening
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from oimppi_warp.view.live import LiveView
-    from oimppi_warp.view.replay import ReplayView
+    from oimppi_warp.view.browser import Page
+    from oimppi_warp.view.canvas import Canvas
+    from oimppi_warp.view.picture import Picture
 
 
 @dataclass(frozen=True)
@@ -63,23 +63,56 @@ class View(TaskOptions):
         check_listening(self.host, self.port)
         if self.viewer == "rerun":
             return self._rerun()
-        if self.replay is not None:
-            console = notices()
-            from oimppi_warp.view.browser import open_viewer
-            from oimppi_warp.view.replay import Replay, ReplayView
+        with ExitStack() as stack:
+            if self.replay is not None:
+                console = notices()
+                from oimppi_warp.view.replay import Replay, ReplayView
 
-            replay = Replay(self.replay)
-            viewer = open_viewer(replay.scene.table, host=self.host, port=self.port, paused=self.paused)
-            return self._serve(viewer, ReplayView(viewer, replay), console, None)
-        setup, console = self.prepare()
-        from oimppi_warp.view.browser import open_viewer
-        from oimppi_warp.view.live import LiveView
-        from oimppi_warp.view.session import Session
+                replay = Replay(self.replay)
+                _, canvas = self._draw(replay.picture(0), console, stack)
+                view = ReplayView(canvas, replay)
+            else:
+                setup, console = self.prepare()
+                from oimppi_warp.compute.device import kernels_are_cached
+                from oimppi_warp.view.picture import Picture
 
-        with busy(console, "loading kernels"):
-            session = Session(setup)
-        viewer = open_viewer(setup.scene.table, host=self.host, port=self.port, paused=self.paused)
-        return self._serve(viewer, LiveView(viewer, session), console, session.close)
+                compiled = kernels_are_cached()
+                # Compiling goes on while the scene is drawn; loading what is compiled would only delay it.
+                with nullcontext() if compiled else setup.loading_kernels():
+                    page, canvas = self._draw(Picture.of_start(setup.scene), console, stack)
+                    with busy(console, "loading the planner"), page.saying("loading the planner"):
+                        from oimppi_warp.view.live import LiveView
+                        from oimppi_warp.view.session import Session
+
+                        session = Session(setup)
+                        stack.callback(session.close)
+                        view = LiveView(canvas, session)
+                if not compiled:  # the address is far up by now
+                    print(f"The planner is ready: {page.url}", flush=True)
+            with suppress(KeyboardInterrupt):
+                view.run()
+        return 0
+
+    def _draw(self, first: Picture, console: Console, stack: ExitStack) -> tuple[Page, Canvas]:
+        """Opens a page, prints its address, and draws the first picture while a browser loads the page.
+
+        Args:
+            first: The first picture.
+            console: Console for notices.
+            stack: Closes the page at the end.
+        """
+        from oimppi_warp.view.browser import Page
+
+        page = Page(first.scene.table, host=self.host, port=self.port)
+        self._tell(page.url, page.server.get_port())
+        with busy(console, "drawing the scene"), page.saying("drawing the scene"):
+            from oimppi_warp.view.canvas import Canvas
+
+            viewer = page.viewer(paused=self.paused)
+            stack.callback(viewer.close)
+            canvas = Canvas(viewer)
+            canvas.show(first)
+        return page, canvas
 
     def _rerun(self) -> int:
         """Shows the run or the record in Rerun until Ctrl-C, and returns the exit status."""
@@ -126,30 +159,6 @@ class View(TaskOptions):
         print(f"Open {url} in a browser; press Ctrl-C to stop.", flush=True)
         if self.open:
             open_page(url)
-
-    def _serve(
-        self, viewer: Any, view: LiveView | ReplayView, console: Console, close: Callable[[], None] | None
-    ) -> int:
-        """Prints the page's address, runs a view until Ctrl-C, and returns the exit status.
-
-        Args:
-            viewer: The viewer, which has a server.
-            view: The view.
-            console: Console for notices.
-            close: Function that is called at the end, before the viewer is closed.
-        """
-        try:
-            with busy(console, "drawing the first picture"):  # so that the page is never empty
-                view.tick()
-            port = viewer.server.get_port()
-            self._tell(page_url(self.host, port), port)
-            with suppress(KeyboardInterrupt):
-                view.run()
-        finally:
-            if close is not None:
-                close()
-            viewer.close()
-        return 0
 
 
 def open_page(url: str) -> bool:

@@ -178,11 +178,12 @@ def loading(modules: Sequence[wp.Module]) -> Iterator[None]:
     """Loads modules of kernels for the CPU in the background, in this order, until the block ends.
 
     Whoever needs one of them within the block calls :func:`await_loaded` first; otherwise it is compiled twice. Those
-    that have not begun by the end of the block are left out.
+    that have not begun by the end of the block are left out. Such blocks can be nested.
     """
     start_warp()
     with ThreadPoolExecutor(1, thread_name_prefix="oimppi-kernels") as background:
-        own = {module: background.submit(wp.force_load, "cpu", [module]) for module in modules}
+        new = [module for module in modules if module not in _under_way]
+        own = {module: background.submit(wp.force_load, "cpu", [module]) for module in new}
         _under_way.update(own)
         try:
             yield

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Generator, Sequence
-from contextlib import closing, nullcontext, suppress
+from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -81,6 +81,10 @@ class Setup:
         options = {name: value for name, value in fields.items() if name not in own}
         made = replace(self, **own)
         return replace(made, spec=made.spec.changed(**options))
+
+    def loading_kernels(self) -> AbstractContextManager[None]:
+        """Loads the kernels of an episode in the background until the block ends, for one that is made in it."""
+        return loading([*setup_kernels(self.scene, self.config), *step_kernels(self.config, self.spec)])
 
     def episode(self, *, report: Callable[[str], None] = lambda _: None) -> Episode:
         """Makes a new episode, ready to run; ``report`` is called with what is being done if that may take long."""

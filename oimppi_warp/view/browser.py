@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import logging
-from contextlib import redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
 import numpy as np
 
+from oimppi_warp.network import page_url
 from oimppi_warp.scene import Table
 
 Point = tuple[float, float, float]
@@ -32,23 +34,65 @@ def view_of(table: Table, *, eye: Point = EYE, target: Point = TARGET) -> tuple[
     return center + share * (np.array(eye) - _CENTER), center + share * (np.array(target) - _CENTER)
 
 
-def open_viewer(table: Table, *, host: str = "127.0.0.1", port: int = 8080, paused: bool = False) -> Any:
-    """Opens a :class:`newton.viewer.ViewerViser`, on the next free port if the given one is taken.
+class Page:
+    """A page in the browser that says what is being loaded until a viewer draws on it.
 
     Args:
         table: The table that the camera looks at.
         host: Address to listen on.
-        port: First port to try.
-        paused: Whether the viewer starts paused.
-    """
-    from newton.viewer import ViewerViser
+        port: First port to try; if it is taken, the next free one is used.
 
-    logging.getLogger("websockets").setLevel(logging.WARNING)
-    with redirect_stdout(io.StringIO()):  # hides viser's banner; the caller prints the address if needed
-        viewer = ViewerViser(host=host, port=port, paused=paused, label="oimppi", verbose=False)
-    viewer.picking_enabled = False  # picking applies forces to Newton's state, but here the plant moves the bodies
-    camera = viewer.server.initial_camera
-    camera.position, camera.look_at = view_of(table)
-    camera.up = (0.0, 0.0, 1.0)
-    viewer._camera_request = None  # the initial camera is the one above
-    return viewer
+    Attributes:
+        server: The :class:`viser.ViserServer`, which is listening.
+        url: Address of the page.
+    """
+
+    def __init__(self, table: Table, *, host: str = "127.0.0.1", port: int = 8080) -> None:
+        import viser
+
+        logging.getLogger("websockets").setLevel(logging.WARNING)
+        with redirect_stdout(io.StringIO()):  # hides viser's banner; the caller prints the address if needed
+            self.server = viser.ViserServer(host=host, port=port, label="oimppi", verbose=False)
+        self.url = page_url(host, self.server.get_port())
+        self._eye, self._target = view_of(table)
+        self._place(self.server.initial_camera)
+        self._notice = self.server.gui.add_markdown("", order=-20.0, visible=False)
+
+    @contextmanager
+    def saying(self, doing: str) -> Iterator[None]:
+        """Says on the page that something is being done, such as ``loading kernels``."""
+        self._notice.content = f"**{doing[0].upper()}{doing[1:]} ...**"
+        self._notice.visible = True
+        try:
+            yield
+        finally:
+            self._notice.visible = False
+
+    def viewer(self, *, paused: bool = False) -> Any:
+        """Returns a :class:`newton.viewer.ViewerViser` that draws on this page.
+
+        Args:
+            paused: Whether the viewer starts paused.
+        """
+        import viser
+        from newton.viewer import ViewerViser
+
+        new, viser.ViserServer = viser.ViserServer, lambda **_options: self.server  # instead of another server
+        try:
+            viewer = ViewerViser(paused=paused, verbose=False)
+        finally:
+            viser.ViserServer = new
+        viewer.picking_enabled = False  # picking applies forces to Newton's state; here the plant moves the bodies
+        for camera in (self.server.initial_camera, *(each.camera for each in self.server.get_clients().values())):
+            self._place(camera)  # Newton's viewer has moved it
+        viewer._camera_request = None  # later visitors keep the initial camera
+        return viewer
+
+    def _place(self, camera: Any) -> None:
+        """Places a camera in front of the table."""
+        camera.position, camera.look_at = self._eye, self._target
+
+
+def open_viewer(table: Table, *, host: str = "127.0.0.1", port: int = 8080, paused: bool = False) -> Any:
+    """Opens a :class:`newton.viewer.ViewerViser` on a page of its own; the arguments are those of :class:`Page`."""
+    return Page(table, host=host, port=port).viewer(paused=paused)

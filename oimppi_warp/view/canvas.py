@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,22 +50,28 @@ class Canvas:
     Args:
         viewer: One of Newton's viewers.
         thickness: Factor from the line widths in this module to the viewer's unit.
+
+    Attributes:
+        viewer: As above.
     """
 
     def __init__(self, viewer: ViewerBase, *, thickness: float = 1.0) -> None:
-        self._viewer: Any = viewer
+        self.viewer: Any = viewer
         self._thickness = thickness
         self._scene: Scene | None = None
 
+    def show(self, picture: Picture) -> None:
+        """Draws one picture as a frame of its own."""
+        self.viewer.begin_frame(picture.time)
+        self.draw(picture)
+        self.viewer.end_frame()
+
     def draw(self, picture: Picture) -> None:
         """Draws one picture; call it between the viewer's ``begin_frame`` and ``end_frame``."""
-        new = self._scene is None or _model_content(self._scene) != _model_content(picture.scene)
-        # Newton's kernels are loaded here; a planner has compiled some of them like this before.
-        with quick_compilation() if new else nullcontext():
-            if new:
-                self._load(picture.scene)
-            self._posed.pose(picture.joints, picture.object_transform)
-            self._viewer.log_state(self._posed.state)
+        if self._scene is None or _model_content(self._scene) != _model_content(picture.scene):
+            self._load(picture)
+        self._posed.pose(picture.joints, picture.object_transform)
+        self.viewer.log_state(self._posed.state)
         self._scene = picture.scene
         self._draw_goal(picture.scene)
         self._draw_plan(picture)
@@ -74,9 +79,15 @@ class Canvas:
         self._draw_clearance(picture)
         self._draw_kept_apart(picture.kept_apart)
 
-    def _load(self, scene: Scene) -> None:
-        self._posed = PosedScene(scene)
-        self._viewer.set_model(self._posed.model)
+    def _load(self, picture: Picture) -> None:
+        scene = picture.scene
+        with quick_compilation():  # of Newton's kernels; a planner compiles some of them like this, too
+            self._posed = PosedScene(scene)
+            self.viewer.set_model(self._posed.model)
+            self._posed.pose(picture.joints, picture.object_transform)
+            self.viewer.log_state(self._posed.state)
+        with quick_compilation():  # from its second time on, this needs a module that the first time has imported
+            self.viewer.log_state(self._posed.state)
         shape = outline(footprint(scene.object.colliders))
         self._rings = [np.array(ring.coords) for polygon in shapely.get_parts(shape) for ring in _rings(polygon)]
         low, high = height_range(scene.object.colliders)
@@ -122,7 +133,7 @@ class Canvas:
         points = wp.array(shown[:, :3].astype(np.float32), dtype=wp.vec3, device="cpu")
         radii = wp.full(_MAX_CONTACTS, _CONTACT_RADIUS, dtype=float, device="cpu")
         colors = wp.full(_MAX_CONTACTS, wp.vec3(*FORCE), dtype=wp.vec3, device="cpu")
-        self._viewer.log_points("/oimppi/contact/point", points, radii, colors)
+        self.viewer.log_points("/oimppi/contact/point", points, radii, colors)
 
     def _draw_kept_apart(self, nearest: np.ndarray) -> None:
         shown = np.zeros((_MAX_CONTACTS, 2, 3))
@@ -158,7 +169,7 @@ class Canvas:
         starts, ends, colors = (
             wp.array(values, dtype=wp.vec3, device="cpu") for values in (segments[:, 0], segments[:, 1], colors)
         )
-        self._viewer.log_lines(f"/oimppi/{name}", starts, ends, colors, width=width * self._thickness)
+        self.viewer.log_lines(f"/oimppi/{name}", starts, ends, colors, width=width * self._thickness)
 
 
 def _model_content(scene: Scene) -> tuple[object, ...]:

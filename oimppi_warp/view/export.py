@@ -39,10 +39,7 @@ def export_html(replay: Replay, file: Path) -> None:
         record = viewer.server.get_scene_serializer()
         canvas = Canvas(viewer)
         for row in rows_of(replay):
-            picture = replay.picture(row)
-            viewer.begin_frame(picture.time)
-            canvas.draw(picture)
-            viewer.end_frame()
+            canvas.show(replay.picture(row))
             record.insert_sleep(1.0 / FPS)
         write_atomically(file, record.as_html().encode())
     finally:

@@ -37,14 +37,14 @@ class LiveView:
     """Draws a session and passes the user's changes to it.
 
     Args:
-        viewer: Newton's viewer in the browser.
+        canvas: Draws with Newton's viewer in the browser.
         session: The session to show.
     """
 
-    def __init__(self, viewer: Any, session: Session) -> None:
-        self._viewer = viewer
+    def __init__(self, canvas: Canvas, session: Session) -> None:
+        self._viewer = viewer = canvas.viewer
         self._session = session
-        self._canvas = Canvas(viewer)
+        self._canvas = canvas
         self._gui = viewer.server.gui
         self._drawn: Picture | None = None
         self._plotted = -1.0

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import Scene
 
 
@@ -46,3 +47,9 @@ class Picture:
     terms: dict[str, float] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
     status: str = ""
+
+    @classmethod
+    def of_start(cls, scene: Scene) -> Picture:
+        """Returns a picture of arm and object where the scene has them at the start."""
+        transform = planar_transform(scene.start, scene.object.rest_height)
+        return cls(scene, 0.0, scene.robot.start, transform)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -74,14 +73,14 @@ class ReplayView:
     """Plays, scrubs and steps through a record in the browser.
 
     Args:
-        viewer: Newton's viewer in the browser.
+        canvas: Draws with Newton's viewer in the browser.
         replay: The record to show.
     """
 
-    def __init__(self, viewer: Any, replay: Replay) -> None:
-        self._viewer = viewer
+    def __init__(self, canvas: Canvas, replay: Replay) -> None:
+        self._viewer = viewer = canvas.viewer
         self._replay = replay
-        self._canvas = Canvas(viewer)
+        self._canvas = canvas
         self._row = 0.0
         self._drawn = -1
         self._period = float(replay.log.header["control_period"])
@@ -121,9 +120,7 @@ class ReplayView:
         if self.row == self._drawn:
             return
         picture = self._replay.picture(self.row)
-        self._viewer.begin_frame(picture.time)
-        self._canvas.draw(picture)
-        self._viewer.end_frame()
+        self._canvas.show(picture)
         self._slider.value = self.row
         errors = (
             f"{picture.figures['position error [m]']:.3f} m and "

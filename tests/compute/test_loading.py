@@ -48,6 +48,17 @@ def test_a_module_is_loaded_once_it_has_been_waited_for():
     await_loaded([MODULE])  # nothing is under way any more
 
 
+def test_what_an_outer_block_loads_is_not_loaded_again(monkeypatch):
+    loaded = []
+    monkeypatch.setattr(wp, "force_load", lambda _device, modules: loaded.extend(modules))
+    other = wp.get_module(distance.__name__)
+    with loading([MODULE]):
+        with loading([MODULE, other]):
+            await_loaded([MODULE, other])
+        await_loaded([MODULE])
+    assert loaded.count(MODULE) == loaded.count(other) == 1
+
+
 def test_modules_that_have_not_begun_by_the_end_of_the_block_are_left_out(monkeypatch):
     loaded, free = [], threading.Event()
 

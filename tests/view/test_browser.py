@@ -18,9 +18,11 @@ from oimppi_warp.config.presets import best
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.runtime.episode import Episode, Setup
 from oimppi_warp.usd import load_scene
-from oimppi_warp.view.browser import open_viewer
+from oimppi_warp.view.browser import Page, open_viewer, view_of
+from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.export import export
 from oimppi_warp.view.live import LiveView
+from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.replay import Replay, ReplayView
 from oimppi_warp.view.session import Session
 
@@ -96,7 +98,7 @@ def live(device: str):
     setup = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device=device, threads=1))
     session = Session(setup)
     viewer = open_viewer(setup.scene.table, port=8470)
-    served = Served(viewer, LiveView(viewer, session))
+    served = Served(viewer, LiveView(Canvas(viewer), session))
     served.session = session
     yield served
     session.close()
@@ -152,6 +154,25 @@ def test_the_page_is_drawn_without_an_error_and_says_what_goes_on(live, page):
     page.get_by_text("pushing", exact=True).wait_for()
     page.get_by_text("Cost terms of the best sample").wait_for()
     assert page.problems == []
+
+
+def test_a_page_without_a_scene_says_what_it_waits_for_and_then_shows_it_from_the_usual_place(page):
+    scene = load_scene("task02")
+    waiting = Page(scene.table, port=8490)
+    notice = page.get_by_text("Drawing the scene ...", exact=True)
+    try:
+        with waiting.saying("drawing the scene"):
+            page.goto(waiting.url)
+            notice.wait_for()
+            until(lambda: waiting.server.get_clients())
+            Canvas(waiting.viewer()).show(Picture.of_start(scene))
+        until(lambda: scene_is_drawn(picture_of(page, "from_the_start")))
+        (client,) = waiting.server.get_clients().values()
+        until(lambda: np.allclose(client.camera.position, view_of(scene.table)[0], atol=0.01))
+        notice.wait_for(state="hidden")
+        assert page.problems == []
+    finally:
+        waiting.server.stop()
 
 
 def test_pause_pauses_and_step_goes_one_step(live, page):
@@ -255,7 +276,7 @@ def test_the_control_loop_keeps_its_rate_with_a_slow_browser(live, page):
 def test_a_replay_scrubs(record, page):
     replay = Replay(record)
     viewer = open_viewer(replay.scene.table, port=8480, paused=True)
-    view = ReplayView(viewer, replay)
+    view = ReplayView(Canvas(viewer), replay)
     served = Served(viewer, view)
     try:
         page.goto(served.url)
