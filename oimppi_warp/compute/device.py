@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
 
@@ -23,6 +25,8 @@ the size that a GPU would use; see :class:`oimppi_warp.compute.step.Compute`.
 """
 
 
+_NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
+"""What Warp's native library prints on a machine without a driver."""
 _OWN = "oimppi_warp."
 """Beginning of the names of this package's modules."""
 
@@ -32,8 +36,8 @@ def start_warp() -> None:
     """Initialises Warp without its banner and its messages about loaded modules; warnings and errors are still shown.
 
     Only the first call has an effect. To see these messages, set a logger (``wp.set_logger``) or lower
-    ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set the level to ``wp.LOG_INFO`` after it. Without an
-    NVIDIA driver, Warp's native library prints one line about it on stderr, which cannot be turned off.
+    ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set the level to ``wp.LOG_INFO`` after it. On a machine
+    without an NVIDIA device, Warp's line about the missing driver is dropped.
     """
     if wp.config.cuda_output is None:
         # `oimppi warmup --arch` compiles these; with a driver as new as its CUDA toolkit, Warp would look for PTX.
@@ -41,7 +45,31 @@ def start_warp() -> None:
     own = type(wp.get_logger()).__module__.partition(".")[0] == "warp"
     if own and wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
-    wp.init()
+    with nullcontext() if has_nvidia_device() else _without_line(_NO_DRIVER):
+        wp.init()
+
+
+@contextmanager
+def _without_line(dropped: bytes) -> Iterator[None]:
+    """Drops the lines that contain some text from what is written to file descriptor 2, also by native code."""
+    try:
+        before = os.dup(2)
+    except OSError:  # it is closed
+        yield
+        return
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    with tempfile.TemporaryFile() as said:
+        os.dup2(said.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            said.seek(0)
+            for line in said:
+                if dropped not in line:
+                    os.write(2, line)
 
 
 def tell_compilation(say: Callable[[str], None]) -> None:
