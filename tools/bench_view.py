@@ -116,6 +116,11 @@ class Screen:
         self.frames.append((frame["metadata"]["timestamp"], image[:, :SEEN]))
         self._chromium.send("Page.screencastFrameAck", {"sessionId": frame["sessionId"]})
 
+    def close(self) -> None:
+        """Takes no more frames."""
+        self._chromium.remove_listener("Page.screencastFrame", self._take)
+        self._chromium.send("Page.stopScreencast")
+
     def next(self) -> tuple[float, np.ndarray]:
         """Waits for the next frame."""
         known = len(self.frames)
@@ -143,6 +148,7 @@ def measure(scene: str, caches: Path, page: Any) -> None:
             if np.sum(np.abs(image - first).sum(axis=-1) > 60) > MOVED:
                 break
         moving = at - command.began
+        screen.close()
         times = [0.0, *(each for each, _ in command.lines if each <= drawn), drawn]
         silence = max(np.diff(times))
         print(

@@ -72,6 +72,9 @@ def test_the_centre_and_the_inertia_of_an_inertial_turn_with_the_body(tmp_path):
     assert obj.center[:2] == pytest.approx((0.0, 0.0), abs=1e-9)
     assert np.sort(np.diag(obj.inertia)) == pytest.approx((0.001, 0.002, 0.0025))
     assert obj.inertia[2, 2] == pytest.approx(0.001)
+    assert obj.notes[1:] == (
+        "warning: its inertia is 1.6 times the largest that a body of this shape and mass can have",
+    )
     heavy = import_mjcf(tmp_path / "thing.xml", mass=0.6, friction=0.2, lay="as-is")
     assert (heavy.mass, heavy.friction) == (0.6, 0.2)
     assert np.diag(heavy.inertia) == pytest.approx((0.002, 0.004, 0.005))
@@ -171,6 +174,11 @@ REFUSED = {
         '<mujoco><worldbody><body><inertial pos="0.2 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
         '<geom size="0.04"/></body></worldbody></mujoco>',
         "its centre of mass is not within its convex hull",
+    ),
+    "an inertia in g m^2": (
+        '<mujoco><worldbody><body><inertial pos="0 0 0" mass="0.4" diaginertia="1 1 1.2"/>'
+        '<geom type="box" size="0.05 0.04 0.03"/></body></worldbody></mujoco>',
+        "a physically impossible inertia for its size: moments of 2.5, 2.5, 3 kg m^2 per kilogram",
     ),
     "a house": ('<mujoco><worldbody><body><geom type="box" size="5 5 5"/></body></worldbody></mujoco>', "too large"),
     "a crumb": ('<mujoco><worldbody><body><geom size="0.001"/></body></worldbody></mujoco>', "too small"),

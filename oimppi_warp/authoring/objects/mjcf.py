@@ -28,6 +28,10 @@ ALLOWED = "one rigid body: a <body> with geoms, without joints other than a <fre
 HOLLOW = 0.1
 """Share of its convex hull that a mesh may leave empty without a remark."""
 
+_ROUNDED = 0.05
+"""Relative error of a rounded inertia."""
+_OTHER_UNIT = 30.0
+"""Ratio of an inertia to the largest possible one from which on it is in another unit, such as g m^2."""
 _SHAPES = "box, sphere, capsule, cylinder, ellipsoid or mesh"
 
 
@@ -89,7 +93,9 @@ def import_mjcf(
     _check_size(file, union)
     if body.mass > 0.0:
         center, unit_inertia = body.center, body.inertia / body.mass
+        doubts = _check_inertia(file, union, center, unit_inertia)
     else:  # a --mass is that of a uniform solid
+        doubts = ()
         center, unit_inertia = np.asarray(union.center_mass), union.moment_inertia / union.volume
     if mass is None and body.mass <= 0.0:
         raise SceneError(
@@ -103,7 +109,7 @@ def import_mjcf(
     check_height(file, float(union.extents[2]))
     turn = motion[:3, :3]
     size = " x ".join(f"{side:.3g}" for side in union.extents)
-    notes = [done]
+    notes = [done, *doubts]
     for each, share in body.hollow.items():
         notes.append(
             f"warning: the mesh {each} leaves {100 * share:.0f} % of its convex hull empty, and collides as its hull, "
@@ -122,6 +128,33 @@ def import_mjcf(
         notes=tuple(notes),
         color=STEEL,
     )
+
+
+def _check_inertia(file: Path, surface: trimesh.Trimesh, center: np.ndarray, inertia: np.ndarray) -> tuple[str, ...]:
+    """Returns a warning, as notes, if no body of this shape has an inertia, wherever its mass is.
+
+    Args:
+        file: The file.
+        surface: Surface of the body.
+        center: Centre of mass, shape [3] [m].
+        inertia: Inertia about it per kilogram, shape [3, 3] [m^2].
+
+    Raises:
+        SceneError: It is so much larger that it must be in another unit.
+    """
+    largest = 2.0 * float((np.linalg.norm(surface.vertices - center, axis=1) ** 2).max())
+    times = float(np.trace(inertia)) / largest
+    if times > _OTHER_UNIT:
+        moments = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(inertia))
+        raise SceneError(
+            f"the body has a physically impossible inertia for its size: moments of {moments} kg m^2 per kilogram",
+            file=file,
+            allowed=f"moments with a sum of up to {largest:.2g} kg m^2 per kilogram, for this shape",
+            fix="give the <inertial> in kg m^2, or leave it out to have it computed from the shapes",
+        )
+    if times <= 1.0 + _ROUNDED:
+        return ()
+    return (f"warning: its inertia is {times:.2g} times the largest that a body of this shape and mass can have",)
 
 
 def _model(file: Path) -> mujoco.MjModel:
