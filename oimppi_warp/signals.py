@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -41,19 +42,19 @@ def end_like_ctrl_c() -> None:
         if signal.getsignal(each) == signal.SIG_DFL:
             signal.signal(each, interrupt)
 
-    tell, main = sys.unraisablehook, threading.get_ident()
+    tell = sys.unraisablehook
 
     def send_again() -> None:
-        if hasattr(signal, "pthread_kill"):
+        time.sleep(_LATER)  # at once, it would be raised and dropped in the same place
+        main = threading.main_thread().ident
+        if hasattr(signal, "pthread_kill") and main is not None:
             signal.pthread_kill(main, last[0])  # so that the main thread does not go on sleeping
         else:  # on Windows
             _thread.interrupt_main(last[0])
 
     def raise_again(dropped: sys.UnraisableHookArgs) -> None:
         if isinstance(dropped.exc_value, KeyboardInterrupt):
-            later = threading.Timer(_LATER, send_again)  # at once, it would be raised in here
-            later.daemon = True
-            later.start()
+            _thread.start_new_thread(send_again, ())  # a Timer needs locks that this thread may hold
         else:
             tell(dropped)
 

@@ -32,7 +32,9 @@ SIZE = (1000, 700)
 SEEN = 600
 """Width of the part of the page that the panel does not cover [pixels]."""
 MOVED = 150
-"""Pixels that have to change from the first picture on for the arm to count as moving."""
+"""Pixels that have to change from the first picture on for the arm, or its plan, to count as moving."""
+PATIENCE = 120.0
+"""Time without a new frame after which the measurement is given up [s]."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +125,10 @@ class Screen:
 
     def next(self) -> tuple[float, np.ndarray]:
         """Waits for the next frame."""
-        known = len(self.frames)
+        known, end = len(self.frames), time.monotonic() + PATIENCE
         while len(self.frames) == known:
+            if time.monotonic() > end:
+                raise TimeoutError(f"the page has not changed for {PATIENCE:g} s")
             self._page.wait_for_timeout(10)  # frames arrive meanwhile
         return self.frames[known]
 

@@ -21,6 +21,7 @@ from oimppi_warp.network import check_listening
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from oimppi_warp.runtime.episode import Setup
     from oimppi_warp.view.browser import Page
     from oimppi_warp.view.canvas import Canvas
     from oimppi_warp.view.picture import Picture
@@ -70,28 +71,34 @@ class View(TaskOptions):
 
                 replay = Replay(self.replay)
                 _, canvas = self._draw(replay.picture(0), console, stack)
-                view = ReplayView(canvas, replay)
+                ReplayView(canvas, replay).run()
             else:
-                setup, console = self.prepare()
-                from oimppi_warp.compute.device import kernels_are_cached
-                from oimppi_warp.view.picture import Picture
-
-                compiled = kernels_are_cached()
-                # Compiling goes on while the scene is drawn; loading what is compiled would only delay it.
-                with nullcontext() if compiled else setup.loading_kernels():
-                    page, canvas = self._draw(Picture.of_start(setup.scene), console, stack)
-                    with busy(console, "loading the planner"), page.saying("loading the planner"):
-                        from oimppi_warp.view.live import LiveView
-                        from oimppi_warp.view.session import Session
-
-                        session = Session(setup)
-                        stack.callback(session.close)
-                        view = LiveView(canvas, session)
-                if not compiled:  # the address is far up by now
-                    print(f"The planner is ready: {page.url}", flush=True)
-            with suppress(KeyboardInterrupt):
-                view.run()
+                self._live(*self.prepare(), stack)
         return 0
+
+    def _live(self, setup: Setup, console: Console, stack: ExitStack) -> None:
+        """Serves the live view until Ctrl-C; ``stack`` ends session and page."""
+        from oimppi_warp.compute.device import kernels_are_cached
+        from oimppi_warp.view.live import LiveView
+        from oimppi_warp.view.picture import Picture
+        from oimppi_warp.view.session import Session
+
+        if self.run.plant in REAL:  # the push begins when somebody opens the page, so it comes last
+            with busy(console, "loading the planner"):
+                session = Session(setup)
+                stack.callback(session.close)
+            _, canvas = self._draw(session.latest, console, stack)
+        else:
+            compiled = kernels_are_cached()
+            # Compiling goes on while the scene is drawn; loading what is compiled would only delay it.
+            with nullcontext() if compiled else setup.loading_kernels():
+                page, canvas = self._draw(Picture.of_start(setup.scene), console, stack)
+                with busy(console, "loading the planner"), page.saying("loading the planner"):
+                    session = Session(setup)
+                    stack.callback(session.close)
+            if not compiled:  # the address has scrolled away
+                print(f"The planner is ready: {page.url}", flush=True)
+        LiveView(canvas, session).run()
 
     def _draw(self, first: Picture, console: Console, stack: ExitStack) -> tuple[Page, Canvas]:
         """Opens a page, prints its address, and draws the first picture while a browser loads the page.
@@ -99,12 +106,14 @@ class View(TaskOptions):
         Args:
             first: The first picture.
             console: Console for notices.
-            stack: Closes the page at the end.
+            stack: Closes the page at the end, and makes Ctrl-C the way to get there.
         """
         from oimppi_warp.view.browser import Page
 
         page = Page(first.scene.table, host=self.host, port=self.port)
+        stack.callback(page.server.stop)
         self._tell(page.url, page.server.get_port())
+        stack.enter_context(suppress(KeyboardInterrupt))
         with busy(console, "drawing the scene"), page.saying("drawing the scene"):
             from oimppi_warp.view.canvas import Canvas
 

@@ -8,8 +8,8 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import cache
 from pathlib import Path
 
@@ -37,7 +37,7 @@ def start_warp() -> None:
 
     Only the first call has an effect. To see these messages, set a logger (``wp.set_logger``) or lower
     ``wp.config.log_level`` to ``wp.LOG_DEBUG`` before it, or set the level to ``wp.LOG_INFO`` after it. On a machine
-    without an NVIDIA device, Warp's line about the missing driver is dropped.
+    without an NVIDIA device, Warp's line about the missing driver is dropped here.
     """
     if wp.config.cuda_output is None:
         # `oimppi warmup --arch` compiles these; with a driver as new as its CUDA toolkit, Warp would look for PTX.
@@ -52,24 +52,26 @@ def start_warp() -> None:
 @contextmanager
 def _without_line(dropped: bytes) -> Iterator[None]:
     """Drops the lines that contain some text from what is written to file descriptor 2, also by native code."""
-    try:
-        before = os.dup(2)
-    except OSError:  # it is closed
-        yield
-        return
-    if sys.stderr is not None:
-        sys.stderr.flush()
-    with tempfile.TemporaryFile() as said:
+    with ExitStack() as stack:
+        try:
+            before = os.dup(2)
+            stack.callback(os.close, before)
+            said = stack.enter_context(tempfile.TemporaryFile())
+        except OSError:  # it is closed, or there is no folder for temporary files
+            yield
+            return
+        if sys.stderr is not None:
+            sys.stderr.flush()
         os.dup2(said.fileno(), 2)
         try:
             yield
         finally:
             os.dup2(before, 2)
-            os.close(before)
             said.seek(0)
-            for line in said:
-                if dropped not in line:
-                    os.write(2, line)
+            with suppress(OSError):  # nobody reads it any more
+                for line in said:
+                    if dropped not in line:
+                        os.write(2, line)
 
 
 def tell_compilation(say: Callable[[str], None]) -> None:
@@ -225,4 +227,5 @@ def await_loaded(modules: Iterable[wp.Module]) -> None:
     """Waits for those of the modules that are being loaded by :func:`loading`; raises the errors of their compiler."""
     for module in modules:
         if (future := _under_way.get(module)) is not None:
-            future.result()
+            with suppress(CancelledError):  # a block in another thread has ended before it began
+                future.result()

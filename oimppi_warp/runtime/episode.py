@@ -83,7 +83,7 @@ class Setup:
         return replace(made, spec=made.spec.changed(**options))
 
     def loading_kernels(self) -> AbstractContextManager[None]:
-        """Loads the kernels of an episode in the background until the block ends, for one that is made in it."""
+        """Loads the kernels of an episode that is made within this block, in the background until the block ends."""
         return loading([*setup_kernels(self.scene, self.config), *step_kernels(self.config, self.spec)])
 
     def episode(self, *, report: Callable[[str], None] = lambda _: None) -> Episode:

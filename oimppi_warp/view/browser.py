@@ -77,15 +77,22 @@ class Page:
         import viser
         from newton.viewer import ViewerViser
 
+        place = self._place
+
+        class Viewer(ViewerViser):
+            """Newton's viewer with our camera; it has a default of its own for new visitors."""
+
+            def _handle_client_connect(self, client: Any) -> None:
+                place(client.camera)
+
         new, viser.ViserServer = viser.ViserServer, lambda **_options: self.server  # instead of another server
         try:
-            viewer = ViewerViser(paused=paused, verbose=False)
+            viewer = Viewer(paused=paused, verbose=False)
         finally:
             viser.ViserServer = new
         viewer.picking_enabled = False  # picking applies forces to Newton's state; here the plant moves the bodies
         for camera in (self.server.initial_camera, *(each.camera for each in self.server.get_clients().values())):
-            self._place(camera)  # Newton's viewer has moved it
-        viewer._camera_request = None  # later visitors keep the initial camera
+            place(camera)  # Newton's viewer has moved it
         return viewer
 
     def _place(self, camera: Any) -> None:

@@ -86,7 +86,7 @@ class Canvas:
             self.viewer.set_model(self._posed.model)
             self._posed.pose(picture.joints, picture.object_transform)
             self.viewer.log_state(self._posed.state)
-        with quick_compilation():  # from its second time on, this needs a module that the first time has imported
+        with quick_compilation():  # the second call needs a kernel whose module the first call imports
             self.viewer.log_state(self._posed.state)
         shape = outline(footprint(scene.object.colliders))
         self._rings = [np.array(ring.coords) for polygon in shapely.get_parts(shape) for ring in _rings(polygon)]

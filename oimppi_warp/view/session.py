@@ -156,9 +156,7 @@ class Session:
                 self._single = max(self._single - 1, 0) if active else 0
             if not active:
                 self._times.clear()
-                status, scene = self._status(), self._episode.scene
-                if status != self.latest.status or scene is not self.latest.scene:  # otherwise nothing is drawn anew
-                    self.latest = replace(self.latest, status=status, scene=scene)
+                self.latest = replace(self.latest, status=self._status(), scene=self._episode.scene)
                 self._closing.wait(0.02)
                 due = time.perf_counter()
                 continue

@@ -59,6 +59,25 @@ def test_what_an_outer_block_loads_is_not_loaded_again(monkeypatch):
     assert loaded.count(MODULE) == loaded.count(other) == 1
 
 
+def test_who_waits_for_a_module_goes_on_when_the_block_of_another_thread_ends(monkeypatch):
+    free = threading.Event()
+    monkeypatch.setattr(wp, "force_load", lambda _device, modules: free.wait(10.0))
+    other, went_on = wp.get_module(distance.__name__), threading.Event()
+
+    def wait() -> None:
+        await_loaded([MODULE])
+        went_on.set()
+
+    with loading([other, MODULE]):
+        waiting = threading.Thread(target=wait, daemon=True)
+        waiting.start()
+        time.sleep(0.2)
+        assert not went_on.is_set()
+        threading.Timer(0.2, free.set).start()
+    waiting.join(10.0)
+    assert went_on.is_set()
+
+
 def test_modules_that_have_not_begun_by_the_end_of_the_block_are_left_out(monkeypatch):
     loaded, free = [], threading.Event()
 
