@@ -13,7 +13,9 @@ class Thing:
     def __del__(self):
         signal.raise_signal(signal.{name})
 
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under `nohup`
+# The tests may run in the background or under `nohup`, which ignore some.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 end_like_ctrl_c()
 try:
     Thing()
