@@ -85,7 +85,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--python", default="python3.12", help="CPython 3.12 to imitate the other machine with.")
     parser.add_argument("--keep", type=Path, default=ROOT / "build" / "gpu-rehearsal", help="Folder of the pack.")
-    parser.add_argument("--budget", type=float, default=420.0, help="Most time for the check [s].")
+    parser.add_argument("--budget", type=float, default=900.0, help="Most time for the check [s].")
     arguments = parser.parse_args()
     pack = [sys.executable, str(ROOT / "tools" / "gpu_pack.py"), "--rehearsal", "--out", str(arguments.keep)]
     subprocess.run(pack, check=True)
