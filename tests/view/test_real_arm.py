@@ -60,6 +60,7 @@ def test_closing_the_last_browser_stops_the_arm(made, session, monkeypatch):
 
     def tick(_view: LiveView) -> None:
         ticks.append(time.monotonic())
+        assert ticks[-1] - ticks[0] < 60.0, f"the arm does not move: {session.latest.status}, {session.problem}"
         if speed(made) > 0.05 and page.browsers:
             page.browsers = 0
             page.closed = time.monotonic()  # pyright: ignore
