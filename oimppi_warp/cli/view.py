@@ -77,7 +77,7 @@ class View(TaskOptions):
         return 0
 
     def _live(self, setup: Setup, console: Console, stack: ExitStack) -> None:
-        """Serves the live view until Ctrl-C; ``stack`` ends session and page."""
+        """Shows the live view until Ctrl-C; ``stack`` closes session and page at the end."""
         from oimppi_warp.compute.device import kernels_are_cached
         from oimppi_warp.view.live import LiveView
         from oimppi_warp.view.picture import Picture
@@ -106,7 +106,7 @@ class View(TaskOptions):
         Args:
             first: The first picture.
             console: Console for notices.
-            stack: Closes the page at the end, and makes Ctrl-C the way to get there.
+            stack: Closes the page at the end; from here on, it takes Ctrl-C for the end of the view, not for an error.
         """
         from oimppi_warp.view.browser import Page
 

@@ -26,7 +26,7 @@ the size that a GPU would use; see :class:`oimppi_warp.compute.step.Compute`.
 
 
 _NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
-"""What Warp's native library prints on a machine without a driver."""
+"""Part of the line that Warp's native library prints if there is no NVIDIA driver."""
 _OWN = "oimppi_warp."
 """Beginning of the names of this package's modules."""
 

@@ -77,13 +77,11 @@ class Page:
         import viser
         from newton.viewer import ViewerViser
 
-        place = self._place
-
         class Viewer(ViewerViser):
-            """Newton's viewer with our camera; it has a default of its own for new visitors."""
+            """Newton's viewer, but visitors keep the server's initial camera; it would move theirs to its default."""
 
             def _handle_client_connect(self, client: Any) -> None:
-                place(client.camera)
+                pass
 
         new, viser.ViserServer = viser.ViserServer, lambda **_options: self.server  # instead of another server
         try:
@@ -92,7 +90,7 @@ class Page:
             viser.ViserServer = new
         viewer.picking_enabled = False  # picking applies forces to Newton's state; here the plant moves the bodies
         for camera in (self.server.initial_camera, *(each.camera for each in self.server.get_clients().values())):
-            place(camera)  # Newton's viewer has moved it
+            self._place(camera)  # Newton's viewer has moved it
         return viewer
 
     def _place(self, camera: Any) -> None:

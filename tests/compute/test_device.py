@@ -34,7 +34,7 @@ wp.launch(double, dim=3, inputs=[numbers], device="cpu")
 
 
 def said(script: str, folder: Path, *, cache: Path | None = None) -> tuple[str, str]:
-    """What a script prints on its output and its error output."""
+    """Returns what a script prints on stdout and on stderr."""
     (folder / "script.py").write_text(script)
     caches = {} if cache is None else {"WARP_CACHE_PATH": str(cache / "warp"), "OIMPPI_CACHE": str(cache / "fields")}
     command = [sys.executable, str(folder / "script.py")]

@@ -131,7 +131,7 @@ def import_mjcf(
 
 
 def _check_inertia(file: Path, surface: trimesh.Trimesh, center: np.ndarray, inertia: np.ndarray) -> tuple[str, ...]:
-    """Returns a warning, as notes, if no body of this shape has an inertia, wherever its mass is.
+    """Returns a warning, as notes, if an inertia is impossible for this shape, however the mass is distributed.
 
     Args:
         file: The file.
