@@ -53,7 +53,7 @@ class Benchmark:
     """
 
     def __init__(self, scene: Scene, *, repeats: int, quick: bool) -> None:
-        from oimppi_warp.compute.step import core_count
+        from oimppi_warp.compute.device import core_count
         from oimppi_warp.config.presets import best
 
         self.scene = scene
@@ -262,7 +262,7 @@ def machine() -> dict[str, str | int]:
     """Describe the machine on which the measurements are made."""
     import warp as wp
 
-    from oimppi_warp.compute.step import core_count
+    from oimppi_warp.compute.device import core_count
 
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")

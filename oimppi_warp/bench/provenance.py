@@ -31,7 +31,7 @@ def code_content() -> str:
 @cache
 def machine() -> str:
     """Describes this machine's processor, number of cores and system in one line."""
-    from oimppi_warp.compute.step import core_count
+    from oimppi_warp.compute.device import core_count
     from oimppi_warp.system.doctor import processor
 
     return f"{processor()}, {core_count()} cores, {platform.system()} {platform.machine()}"

@@ -8,7 +8,6 @@ the CPU inputs and outputs are in the host's memory, and launches over samples a
 from __future__ import annotations
 
 import math
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +20,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.device import EMULATED_GPU, await_loaded, pick_device, warp_device
+from oimppi_warp.compute.device import EMULATED_GPU, core_count, pick_device, warp_device
+from oimppi_warp.compute.loading import await_loaded
 
 Launch = Callable[[], None]
 """A prepared launch: kernel and arguments are fixed, and a call runs it."""
@@ -227,12 +227,6 @@ class Stopwatch:
         """Returns the ``time.perf_counter`` of the latest run; NaN if there was none since the last call."""
         at, self._at = self._at, math.nan
         return at
-
-
-@lru_cache
-def core_count() -> int:
-    """Returns the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Prepared:

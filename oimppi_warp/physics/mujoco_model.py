@@ -18,7 +18,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from oimppi_warp.compute.cache import cache_folder, content_of_data, make_room, source_content, touch
-from oimppi_warp.compute.device import quick_compilation
+from oimppi_warp.compute.loading import quick_compilation
 from oimppi_warp.physics.newton_model import ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.scene import Scene
 

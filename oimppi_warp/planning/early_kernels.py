@@ -6,7 +6,8 @@ from typing import Any
 
 import warp as wp
 
-from oimppi_warp.compute.device import known_modules, pick_device
+from oimppi_warp.compute.device import pick_device
+from oimppi_warp.compute.loading import known_modules
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config, Sampling
 from oimppi_warp.kernels.fields import cost_to_go, distance, stance

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from oimppi_warp.compute.device import await_loaded, loading
-from oimppi_warp.compute.step import core_count
+from oimppi_warp.compute.device import core_count
+from oimppi_warp.compute.loading import await_loaded, loading
 from oimppi_warp.config.overrides import validate
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config

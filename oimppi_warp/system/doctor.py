@@ -15,8 +15,7 @@ from typing import Any
 import warp as wp
 
 from oimppi_warp.compute.cache import cache_folder
-from oimppi_warp.compute.device import has_nvidia_device, kernels_are_cached, old_driver, start_warp
-from oimppi_warp.compute.step import core_count
+from oimppi_warp.compute.device import core_count, has_nvidia_device, kernels_are_cached, old_driver, start_warp
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import COST_TERMS, ENGINES, METHODS, OPTIMIZERS, PLANTS, SHAPES
 from oimppi_warp.registry import Registry

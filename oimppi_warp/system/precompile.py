@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from oimppi_warp.compute.device import EMULATED_GPU, known_modules, start_warp
+from oimppi_warp.compute.device import EMULATED_GPU, start_warp
+from oimppi_warp.compute.loading import known_modules
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.settings import Config
 from oimppi_warp.planning.factory import make_planner

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 import warp as wp
 
-from oimppi_warp.compute.device import quick_compilation
+from oimppi_warp.compute.loading import quick_compilation
 from oimppi_warp.geometry.feasibility import object_outline
 from oimppi_warp.geometry.footprint import footprint, height_range, outline
 from oimppi_warp.observation import planar_pose

@@ -8,7 +8,7 @@ import time
 import pytest
 import warp as wp
 
-from oimppi_warp.compute.device import await_loaded, known_modules, loading, quick_compilation
+from oimppi_warp.compute.loading import await_loaded, known_modules, loading, quick_compilation
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.kernels.fields import cost_to_go, distance
