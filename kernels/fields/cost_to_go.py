@@ -105,14 +105,18 @@ def sweep_to_go(
     clearance: PoseField,
     travel: TravelCost,
     direction: int,
-    # out:
+    # in and out:
     to_go: wp.array3d[float],
+    stale: wp.array3d[wp.uint8],
+    # out:
     change: wp.array[float],
 ):
     """Runs one Gauss-Seidel sweep of shortest paths over the 26 neighbours, in one of 8 directions (one thread).
 
     Sweeps in alternating directions propagate paths along the whole grid at once (fast sweeping, Zhao 2005), where
-    parallel relaxation would take one pass per cell. ``change`` [1] is the largest improvement.
+    parallel relaxation would take one pass per cell. ``stale`` marks the nodes of which a neighbour has improved since
+    they were last computed, before the first sweep all; others are skipped, since they cannot improve (Bak, McLaughlin
+    and Renzi 2010). ``change`` [1] is the largest improvement.
     """
     nt = to_go.shape[0]
     nx = to_go.shape[1]
@@ -126,6 +130,9 @@ def sweep_to_go(
             i = sweep_order(nx, b, (direction >> 1) & 1)
             for c in range(ny):
                 j = sweep_order(ny, c, (direction >> 2) & 1)
+                if stale[t, i, j] == wp.uint8(0):
+                    continue
+                stale[t, i, j] = wp.uint8(0)
                 old = to_go[t, i, j]
                 at = clearance.origin + step * wp.vec2(float(i), float(j))
                 here = cost_per_metre(travel, clearance.values[t, i, j], wp.length(at))
@@ -143,8 +150,19 @@ def sweep_to_go(
                                         across = float(dx * dx + dy * dy) * step * step
                                         length = wp.sqrt(across + float(dt * dt) * turn * turn)
                                         best = wp.min(best, there + here * length)
-                largest = wp.max(largest, old - best)
-                to_go[t, i, j] = best
+                if best < old:
+                    largest = wp.max(largest, old - best)
+                    to_go[t, i, j] = best
+                    for dt in range(-1, 2):
+                        tt = (t + dt + nt) % nt
+                        for dx in range(-1, 2):
+                            ii = i + dx
+                            if ii >= 0 and ii < nx:
+                                for dy in range(-1, 2):
+                                    jj = j + dy
+                                    if jj >= 0 and jj < ny:
+                                        stale[tt, ii, jj] = wp.uint8(1)
+                    stale[t, i, j] = wp.uint8(0)
     change[0] = largest
 
 

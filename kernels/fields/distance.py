@@ -89,48 +89,88 @@ def piece_distance(a: Pieces, i: int, pose_a: wp.vec3, b: Pieces, j: int, pose_b
 
 
 @wp.func
-def clearance_of(
-    body: Pieces, obstacles: Pieces, table_lower: wp.vec2, table_upper: wp.vec2, pose: wp.vec3, furthest: float
-) -> float:
-    """Returns phi_2, the body's clearance at a pose to obstacles and to the table's edge, at most ``furthest`` [m].
-
-    ``phi_2(x_o)`` is the gap of object and environment in equation 4; it may not become negative.
-    """
+def obstacle_clearance(body: Pieces, obstacles: Pieces, pose: wp.vec3, furthest: float) -> float:
+    """Returns the body's clearance to obstacles at a pose, at most ``furthest`` [m]."""
     rest = wp.vec3(0.0, 0.0, 0.0)
     c = wp.cos(pose[2])
     s = wp.sin(pose[2])
     clearance = furthest
     for a in range(body.radius.shape[0]):
         center = rotate(c, s, body.center[a]) + wp.vec2(pose[0], pose[1])
-        for v in range(body.first[a], body.first[a + 1]):
-            q = rotate(c, s, body.vertices[v]) + wp.vec2(pose[0], pose[1])
-            edge = wp.min(wp.min(q[0] - table_lower[0], table_upper[0] - q[0]),
-                          wp.min(q[1] - table_lower[1], table_upper[1] - q[1]))  # fmt: skip
-            clearance = wp.min(clearance, edge - body.radius[a])
         for b in range(obstacles.radius.shape[0]):
             if wp.length(center - obstacles.center[b]) - body.reach[a] - obstacles.reach[b] < clearance:
                 clearance = wp.min(clearance, piece_distance(body, a, pose, obstacles, b, rest))
     return clearance
 
 
+@wp.func
+def edge_clearance(body: Pieces, table_lower: wp.vec2, table_upper: wp.vec2, pose: wp.vec3, furthest: float) -> float:
+    """Returns the body's clearance to the table's edge at a pose, at most ``furthest`` [m]; negative beyond it."""
+    c = wp.cos(pose[2])
+    s = wp.sin(pose[2])
+    clearance = furthest
+    for a in range(body.radius.shape[0]):
+        for v in range(body.first[a], body.first[a + 1]):
+            q = rotate(c, s, body.vertices[v]) + wp.vec2(pose[0], pose[1])
+            edge = wp.min(wp.min(q[0] - table_lower[0], table_upper[0] - q[0]),
+                          wp.min(q[1] - table_lower[1], table_upper[1] - q[1]))  # fmt: skip
+            clearance = wp.min(clearance, edge - body.radius[a])
+    return clearance
+
+
+@wp.func
+def node_at(n: int, columns: int, layers: int) -> wp.vec3i:
+    """Returns the indices of the n-th node of a grid with these numbers of columns and layers (the last two axes)."""
+    row = n / layers
+    return wp.vec3i(row / columns, row % columns, n % layers)
+
+
+@wp.func
+def node_pose(origin: wp.vec2, step: float, node: wp.vec3i, turns: int) -> wp.vec3:
+    """Returns the pose of a node of a pose field with ``turns`` nodes of yaw."""
+    yaw = 2.0 * PI * float(node[0]) / float(turns)
+    return wp.vec3(origin[0] + step * float(node[1]), origin[1] + step * float(node[2]), yaw)
+
+
 @wp.kernel
-def object_clearance(
+def object_obstruction(
     # in:
+    first: int,
     body: Pieces,
     obstacles: Pieces,
-    table_lower: wp.vec2,
-    table_upper: wp.vec2,
     origin: wp.vec2,
     step: float,
     furthest: float,
     # out:
     values: wp.array3d[float],
 ):
-    """Computes ``phi_2(x_o)``, the gap of object and environment in equation 4, at the nodes of a pose field [m]."""
-    t, i, j = wp.tid()
-    yaw = 2.0 * PI * float(t) / float(values.shape[0])
-    pose = wp.vec3(origin[0] + step * float(i), origin[1] + step * float(j), yaw)
-    values[t, i, j] = clearance_of(body, obstacles, table_lower, table_upper, pose, furthest)
+    """Computes the object's clearance to obstacles, the table's edge aside, at the nodes of a pose field [m]."""
+    at = node_at(first + wp.tid(), values.shape[1], values.shape[2])
+    pose = node_pose(origin, step, at, values.shape[0])
+    values[at[0], at[1], at[2]] = obstacle_clearance(body, obstacles, pose, furthest)
+
+
+@wp.kernel
+def object_clearance(
+    # in:
+    first: int,
+    body: Pieces,
+    obstruction: wp.array3d[float],
+    table_lower: wp.vec2,
+    table_upper: wp.vec2,
+    origin: wp.vec2,
+    step: float,
+    # out:
+    values: wp.array3d[float],
+):
+    """Computes ``phi_2(x_o)``, the gap of object and environment in equation 4, at the nodes of a pose field [m].
+
+    ``obstruction`` is the gap to obstacles, by :func:`object_obstruction`; the table's edge is added.
+    """
+    at = node_at(first + wp.tid(), values.shape[1], values.shape[2])
+    pose = node_pose(origin, step, at, values.shape[0])
+    known = obstruction[at[0], at[1], at[2]]
+    values[at[0], at[1], at[2]] = edge_clearance(body, table_lower, table_upper, pose, known)
 
 
 @wp.kernel
@@ -145,14 +185,16 @@ def pose_clearance(
     # out:
     values: wp.array[float],
 ):
-    """Computes phi_2 at poses, by :func:`clearance_of`. Shapes: ``poses`` and ``values`` [pose]."""
+    """Computes phi_2 at poses. Shapes: ``poses`` and ``values`` [pose]."""
     n = wp.tid()
-    values[n] = clearance_of(body, obstacles, table_lower, table_upper, poses[n], furthest)
+    edge = edge_clearance(body, table_lower, table_upper, poses[n], furthest)
+    values[n] = obstacle_clearance(body, obstacles, poses[n], edge)
 
 
 @wp.kernel
 def space_distance(
     # in:
+    first: int,
     mesh: wp.uint64,
     origin: wp.vec3,
     step: float,
@@ -161,11 +203,11 @@ def space_distance(
     values: wp.array3d[float],
 ):
     """Computes the signed distance to a closed mesh at the nodes of a space field, cut off at ``furthest`` [m]."""
-    i, j, k = wp.tid()
-    p = origin + step * wp.vec3(float(i), float(j), float(k))
+    at = node_at(first + wp.tid(), values.shape[1], values.shape[2])
+    p = origin + step * wp.vec3(float(at[0]), float(at[1]), float(at[2]))
     hit = wp.mesh_query_point_sign_winding_number(mesh, p, furthest)
     distance = furthest
     if hit.result:
         nearest = wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v)
         distance = wp.min(hit.sign * wp.length(p - nearest), furthest)
-    values[i, j, k] = distance
+    values[at[0], at[1], at[2]] = distance

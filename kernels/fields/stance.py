@@ -48,6 +48,7 @@ class StanceField:
 @wp.kernel
 def compute_stance(
     # in:
+    first: int,
     body: PlanarField,
     places: wp.array[wp.vec2],
     costs: wp.array2d[float],
@@ -63,7 +64,7 @@ def compute_stance(
     Shapes: ``places`` [place]: tool positions in contact, in the object's frame [m], ``costs`` [direction, place]: what
     each adds to the way [m], ``values`` [direction, nx, ny].
     """
-    d = wp.tid()
+    d = first + wp.tid()
     nx = values.shape[1]
     ny = values.shape[2]
     for i in range(nx):

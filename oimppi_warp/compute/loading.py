@@ -1,17 +1,22 @@
-"""Loading of modules of kernels: without optimization, or in the background."""
+"""Loading of modules of kernels: without optimization, in the background, or compiled by another process."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from glob import escape
+from pathlib import Path
 
 import warp as wp
 
-from oimppi_warp.compute.device import start_warp
+from oimppi_warp.compute.build_process import BuildProcess, Modules
+from oimppi_warp.compute.device import core_count, start_warp
 
 _OWN = "oimppi_warp."
 """Beginning of the names of this package's modules."""
+_HASH = 7 * "[0-9a-f]"
+"""Pattern of the end of a module's folder in Warp's cache."""
 
 
 def known_modules() -> dict[str, wp.Module]:
@@ -47,16 +52,30 @@ _under_way: dict[wp.Module, Future[None]] = {}
 
 
 @contextmanager
-def loading(modules: Sequence[wp.Module]) -> Iterator[None]:
+def loading(modules: Sequence[wp.Module], *, elsewhere: Modules = tuple) -> Iterator[None]:
     """Loads modules of kernels for the CPU in the background, in this order, until the block ends.
 
     Whoever needs one of them within the block calls :func:`await_loaded` first; otherwise it is compiled twice. Those
     that have not begun by the end of the block are left out. Such blocks can be nested.
+
+    Args:
+        modules: The modules.
+        elsewhere: Returns further modules, which are loaded after these. If there is no version of them in Warp's
+            cache, another process compiles them meanwhile.
     """
     start_warp()
+    last = elsewhere()
     with ThreadPoolExecutor(1, thread_name_prefix="oimppi-kernels") as background:
-        new = [module for module in modules if module not in _under_way]
-        own = {module: background.submit(wp.force_load, "cpu", [module]) for module in new}
+        new = [module for module in (*modules, *last) if module not in _under_way]
+        # A second process gains nothing on one core, and costs the time of its imports.
+        begin = core_count() > 1 and any(module in new and not _is_cached(module) for module in last)
+        process = BuildProcess(elsewhere) if begin else None
+
+        def load(module: wp.Module) -> None:
+            if process is None or module not in last or process.wait():
+                wp.force_load("cpu", [module])
+
+        own = {module: background.submit(load, module) for module in new}
         _under_way.update(own)
         try:
             yield
@@ -64,6 +83,14 @@ def loading(modules: Sequence[wp.Module]) -> Iterator[None]:
             for module, future in own.items():
                 future.cancel()
                 _under_way.pop(module, None)
+            if process is not None:
+                process.stop()
+
+
+def _is_cached(module: wp.Module) -> bool:
+    """Returns whether Warp's cache contains some version of a module."""
+    folder = wp.config.kernel_cache_dir
+    return folder is not None and any(Path(folder).glob(f"wp_{escape(module.name)}_{_HASH}"))
 
 
 def await_loaded(modules: Iterable[wp.Module]) -> None:

@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import shapely
@@ -21,6 +21,7 @@ import warp as wp
 
 from oimppi_warp.compute.cache import cached, content_of
 from oimppi_warp.compute.device import start_warp
+from oimppi_warp.compute.step import Compute
 from oimppi_warp.geometry.footprint import (
     LimitSurface,
     Piece,
@@ -133,8 +134,7 @@ def build_geometry(scene: Scene, device: str) -> Geometry:
     surface = limit_surface(scene.object)
     body, pieces, top = _footprints(scene, surface)
     obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
-    clearance = _clearance_field(body, pieces, scene, device, edge=True)
-    obstruction = _clearance_field(body, pieces, scene, device, edge=False)
+    clearance, obstruction = _pose_fields(body, pieces, scene, device)
     size = max(float(np.linalg.norm(piece.vertices, axis=1).max()) + piece.radius for piece in body)
     space, space_top = _space_field(obstacles, scene, device)
     return Geometry(
@@ -223,42 +223,48 @@ def _shifted(piece: Piece, offset: np.ndarray) -> Piece:
     return Piece(piece.vertices + offset, piece.radius)
 
 
-def _clearance_field(
-    body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str, *, edge: bool
-) -> PoseField:
+def _pose_fields(
+    body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str
+) -> tuple[PoseField, PoseField]:
+    """Returns phi_2, and the clearance to obstacles alone."""
     lower, upper = np.array(scene.table.lower), np.array(scene.table.upper)
     reach = stretched_length(scene.robot)
     first = np.maximum(lower, -reach)
-    count = np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1
-    lower, upper = object_bounds(scene) if edge else (lower - 10.0, upper + 10.0)
+    shape = (YAW_NODES, *(np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1))
+    lower, upper = object_bounds(scene)
+    grid = [wp.vec2(*first), STEP]
 
-    def compute() -> np.ndarray:
-        values = wp.zeros((YAW_NODES, *count), dtype=float, device="cpu")
-        wp.launch(
-            kernels.object_clearance,
-            dim=values.shape,
-            inputs=[
-                pack_pieces(body, "cpu"),
-                pack_pieces(obstacles, "cpu"),
-                wp.vec2(*lower),
-                wp.vec2(*upper),
-                wp.vec2(*first),
-                STEP,
-                FURTHEST,
-            ],
-            outputs=[values],
-            device="cpu",
-        )
+    def obstruction() -> np.ndarray:
+        values = wp.zeros(shape, dtype=float, device="cpu")
+        inputs = [pack_pieces(body, "cpu"), pack_pieces(obstacles, "cpu"), *grid, FURTHEST]
+        _at_nodes(kernels.object_obstruction, inputs, values)
+        return values.numpy()
+
+    def clearance() -> np.ndarray:
+        values = wp.zeros(shape, dtype=float, device="cpu")
+        inputs = [pack_pieces(body, "cpu"), wp.array(gap, dtype=float, device="cpu"), wp.vec2(*lower), wp.vec2(*upper)]
+        _at_nodes(kernels.object_clearance, [*inputs, *grid], values)
         return values.numpy()
 
     shapes = [x for piece in (*body, *obstacles) for x in (piece.vertices, piece.radius)]
-    content = content_of(*shapes, len(body), lower, upper, first, count, STEP, YAW_NODES, FURTHEST)
+    content = [*shapes, len(body), first, shape, STEP, FURTHEST]
+    gap = cached("obstruction", content_of(*content), obstruction)
+    phi2 = cached("phi2", content_of(*content, lower, upper), clearance)
+    return _pose_field(phi2, first, device), _pose_field(gap, first, device)
+
+
+def _pose_field(values: np.ndarray, origin: np.ndarray, device: str) -> PoseField:
     field = PoseField()
-    field.values = wp.array(cached("phi2" if edge else "obstruction", content, compute), dtype=float, device=device)
-    field.origin = wp.vec2(*first)
+    field.values = wp.array(values, dtype=float, device=device)
+    field.origin = wp.vec2(*origin)
     field.inv_step = 1.0 / STEP
     field.inv_yaw_step = YAW_NODES / (2.0 * np.pi)
     return field
+
+
+def _at_nodes(kernel: wp.Kernel, inputs: list[Any], values: wp.array) -> None:
+    """Runs a kernel for each node of a grid on the CPU, distributed among threads."""
+    Compute("cpu").launch_samples(kernel, values.size, inputs, [values])()
 
 
 def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:
@@ -307,7 +313,7 @@ def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[
             support_winding_number=True,
         )
         inputs = [closed.id, wp.vec3(*lower), SPACE_STEP, FURTHEST]
-        wp.launch(kernels.space_distance, dim=values.shape, inputs=inputs, outputs=[values], device="cpu")
+        _at_nodes(kernels.space_distance, inputs, values)
         return values.numpy()
 
     content = content_of(*(part for core in cores for part in core), lower, count, SPACE_STEP, FURTHEST)

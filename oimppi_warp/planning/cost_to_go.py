@@ -74,11 +74,12 @@ def build_to_go(
             first, size = _box_around(host, pose, yaw_length)
             inputs = [host, travel, wp.vec3(*pose), _NEAR, float(length), wp.vec3i(*first)]
             wp.launch(kernels.seed_to_go, dim=size, inputs=inputs, outputs=[to_go], device="cpu")
+        stale = wp.full(host.values.shape, 1, dtype=wp.uint8, device="cpu")
         change = wp.zeros(1, dtype=float, device="cpu")
         improvement = np.full(8, np.inf)
         for sweep in range(_SWEEPS):
             inputs = [host, travel, sweep % 8]
-            wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go, change], device="cpu")
+            wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go, stale, change], device="cpu")
             improvement[sweep % 8] = change.numpy()[0]
             if improvement.max() < _SETTLED:
                 break

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any
 
 import warp as wp
 
 from oimppi_warp.compute.device import pick_device
-from oimppi_warp.compute.loading import known_modules
+from oimppi_warp.compute.loading import known_modules, loading
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config, Sampling
 from oimppi_warp.kernels.fields import cost_to_go, distance, stance
@@ -22,13 +24,25 @@ from oimppi_warp.planning.engines.cost_terms import weighted_terms
 from oimppi_warp.scene import Scene
 
 
-def setup_kernels(scene: Scene, config: Config) -> list[wp.Module]:
-    """Returns the modules of the kernels that run on the CPU while planner and estimator are made.
+def loading_early(scene: Scene, config: Config, spec: RunSpec) -> AbstractContextManager[None]:
+    """Loads, in the background until the block ends, the kernels of an episode that is made within it.
+
+    Those that are compiled when the planner is warmed up are missing: they are not known before there is a planner.
 
     Args:
         scene: The task.
         config: All settings.
+        spec: The options of the run; ``device``, ``method`` and ``engine`` are used.
+
+    Raises:
+        DeviceError: There is no such device.
     """
+    modules = [*setup_kernels(scene, config), *step_kernels(config, spec)]
+    return loading(modules, elsewhere=partial(rollout_kernels, config, spec))
+
+
+def setup_kernels(scene: Scene, config: Config) -> list[wp.Module]:
+    """Returns the modules of the kernels that run on the CPU while planner and estimator are made."""
     fields = [known_modules()[module.__name__] for module in (distance, stance, cost_to_go)]
     kernels = [make_track_object(scene.robot.chain)]
     if config.robot.controls == "tool":
@@ -37,28 +51,28 @@ def setup_kernels(scene: Scene, config: Config) -> list[wp.Module]:
 
 
 def step_kernels(config: Config, spec: RunSpec) -> list[wp.Module]:
-    """Returns the modules of the kernels of a control step on the CPU, as far as they are known before the planner is.
-
-    One that is missing here is compiled when the planner is warmed up.
-
-    Args:
-        config: All settings.
-        spec: The options of the run; ``device``, ``method`` and ``engine`` are used.
-
-    Raises:
-        DeviceError: There is no such device.
-    """
+    """Returns the modules of the kernels of a control step on the CPU, without those of :func:`rollout_kernels`."""
     if pick_device(spec.device) != "cpu":
         return []
     kernels: list[Any] = []
     if spec.method != "mppi":
         kernels += [*_of_optimizer(config.object.optimizer, 3), object_rollout]
-    if config.robot.controls == "tool" and spec.engine in ("auto", "quasistatic"):
+    if _has_upright_rollout(config, spec):
         kernels += [*_of_optimizer(config.robot.optimizer, 3), allowed_velocity]
-        added = tuple((term.name, term.function) for term in weighted_terms(config.cost))
-        # It comes last, since Warp compiles nothing else beside a module whose flags set options of LLVM.
-        kernels.append(make_upright_rollout(added))
     return list(dict.fromkeys(kernel.module for kernel in kernels))
+
+
+def rollout_kernels(config: Config, spec: RunSpec) -> list[wp.Module]:
+    """Returns the module of the robot level's rollout on the CPU, which takes longest to compile."""
+    if pick_device(spec.device) != "cpu" or not _has_upright_rollout(config, spec):
+        return []
+    added = tuple((term.name, term.function) for term in weighted_terms(config.cost))
+    return [make_upright_rollout(added).module]
+
+
+def _has_upright_rollout(config: Config, spec: RunSpec) -> bool:
+    """Returns whether the planner rolls out an arm that holds its tool upright, with the quasi-static engine."""
+    return config.robot.controls == "tool" and spec.engine in ("auto", "quasistatic")
 
 
 def _of_optimizer(settings: Sampling, size: int) -> list[Any]:

@@ -7,6 +7,7 @@ import shapely
 import warp as wp
 
 from oimppi_warp.compute.cache import cached, content_of
+from oimppi_warp.compute.step import Compute
 from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.geometry.footprint import LimitSurface, footprint, outline
 from oimppi_warp.kernels.fields.stance import StanceField, compute_stance
@@ -116,7 +117,7 @@ def build_stance(scene: Scene, geometry: Geometry, w_theta: float, device: str) 
             _STEP,
             _SWEEPS,
         ]
-        wp.launch(compute_stance, dim=len(motions), inputs=inputs, outputs=[values], device="cpu")
+        Compute("cpu").launch_samples(compute_stance, len(motions), inputs, [values])()
         return values.numpy()
 
     content = content_of(body.values.numpy(), body.origin, body.inv_step, places, costs, tool, half, _STEP, _SWEEPS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -11,10 +11,9 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from oimppi_warp.compute.device import core_count
-from oimppi_warp.compute.loading import await_loaded, loading
+from oimppi_warp.compute.loading import await_loaded
 from oimppi_warp.config.overrides import validate
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
@@ -23,7 +22,7 @@ from oimppi_warp.geometry.feasibility import check_task
 from oimppi_warp.geometry.fields import ExactClearance
 from oimppi_warp.geometry.kinematics import tip_frame
 from oimppi_warp.observation import Observation, planar_transform
-from oimppi_warp.planning.early_kernels import setup_kernels, step_kernels
+from oimppi_warp.planning.early_kernels import loading_early, setup_kernels
 from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.planning.resolve import entries_used, resolve
@@ -84,7 +83,7 @@ class Setup:
 
     def loading_kernels(self) -> AbstractContextManager[None]:
         """Loads the kernels of an episode that is made within this block, in the background until the block ends."""
-        return loading([*setup_kernels(self.scene, self.config), *step_kernels(self.config, self.spec)])
+        return loading_early(self.scene, self.config, self.spec)
 
     def episode(self, *, report: Callable[[str], None] = lambda _: None) -> Episode:
         """Makes a new episode, ready to run; ``report`` is called with what is being done if that may take long."""
@@ -139,12 +138,11 @@ class Episode:
         if spec.threads is None and spec.mode == "realtime":
             spec = replace(spec, threads=max(core_count() - 1, 1))  # one is left for the plant
         self.scene = scene
-        early = setup_kernels(scene, config)
         # In a first run, these kernels are compiled while Newton's are, and while fields are computed.
-        with loading([*early, *step_kernels(config, spec)]):
+        with loading_early(scene, config, spec):
             self.plant: Plant = make_plant(scene, config, spec) if plant is None else plant
             try:
-                self._make(scene, config, spec, passed=plant is not None, early=early, report=report)
+                self._make(scene, config, spec, passed=plant is not None, report=report)
             except BaseException:
                 if isinstance(self.plant, RealPlant):
                     self.plant.close()
@@ -157,11 +155,10 @@ class Episode:
         spec: RunSpec,
         *,
         passed: bool,
-        early: Sequence[wp.Module],
         report: Callable[[str], None],
     ) -> None:
         """Makes everything else, once there is a plant."""
-        await_loaded(early)
+        await_loaded(setup_kernels(scene, config))
         if has_own_world(self.plant):
             x, y, yaw = map(float, self.plant.observe().object_pose)
             scene = scene.with_start((x, y, yaw))

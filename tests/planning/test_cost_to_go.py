@@ -100,17 +100,47 @@ def test_a_pose_where_the_arm_pushes_badly_is_far_away_unless_the_goal_is_there_
     assert far == pytest.approx(near) if outwards else far > 2.0 * near
 
 
-def test_sweeping_no_further_changes_a_cost_to_go_that_is_done(device: str):
-    field = field_of(walled())
-    to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device=device)
+def travel_cost() -> kernels.TravelCost:
+    """Costs like those of :func:`build_to_go` with its default ring."""
     travel = kernels.TravelCost()
     travel.yaw_length, travel.comfort, travel.crowded, travel.blocked = YAW_LENGTH, 0.02, 10.0, 120.0
     travel.ring_inner, travel.ring_outer, travel.far = 0.0, 1e3, 10.0
-    change = wp.zeros(1, dtype=float, device=device)
+    return travel
+
+
+def sweep(field, direction: int, to_go: wp.array, stale: wp.array) -> float:
+    """Sweeps once and returns the largest improvement."""
+    change = wp.zeros(1, dtype=float, device=to_go.device)
+    inputs = [field, travel_cost(), direction]
+    wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go, stale, change], device=to_go.device)
+    return float(change.numpy()[0])
+
+
+def test_sweeping_no_further_changes_a_cost_to_go_that_is_done(device: str):
+    field = field_of(walled())
+    to_go = build_to_go(field, np.array([0.03, 0.04, 0.0]), yaw_length=YAW_LENGTH, device=device)
     for direction in range(8):
-        inputs = [field, travel, direction]
-        wp.launch(kernels.sweep_to_go, dim=1, inputs=inputs, outputs=[to_go.values, change], device=device)
-        assert change.numpy()[0] < 1e-3
+        stale = wp.full(to_go.values.shape, 1, dtype=wp.uint8, device=device)
+        assert sweep(field, direction, to_go.values, stale) < 1e-3
+
+
+@pytest.mark.parametrize("seeds", [1, 5])
+def test_skipping_the_nodes_whose_neighbours_have_not_improved_changes_nothing(seeds: int):
+    random = np.random.default_rng(seeds)
+    field = field_of(walled())
+    start = np.full(field.values.shape, 1e6, dtype=np.float32)
+    for _ in range(seeds):
+        start[tuple(random.integers(0, start.shape))] = random.uniform(0.0, 0.1)
+    skipping, complete = (wp.array(start, dtype=float, device="cpu") for _ in range(2))
+    stale = wp.full(start.shape, 1, dtype=wp.uint8, device="cpu")
+    visited = 0
+    for number in range(16):
+        visited += int(stale.numpy().sum())
+        every = wp.full(start.shape, 1, dtype=wp.uint8, device="cpu")
+        assert sweep(field, number % 8, skipping, stale) == sweep(field, number % 8, complete, every)
+        np.testing.assert_array_equal(skipping.numpy(), complete.numpy())
+    assert (skipping.numpy() < 1e5).all()
+    assert visited < 0.5 * 16 * start.size
 
 
 def test_a_cost_to_go_belongs_to_its_goal(cache, device):
