@@ -60,15 +60,15 @@ def loading(modules: Sequence[wp.Module], *, elsewhere: Modules = tuple) -> Iter
 
     Args:
         modules: The modules.
-        elsewhere: Returns further modules, which are loaded after these. If there is no version of them in Warp's
-            cache, another process compiles them meanwhile.
+        elsewhere: Returns further modules, which are loaded after these. If Warp's cache has no version of any of
+            them, another process compiles them meanwhile.
     """
     start_warp()
     last = elsewhere()
     with ThreadPoolExecutor(1, thread_name_prefix="oimppi-kernels") as background:
         new = [module for module in (*modules, *last) if module not in _under_way]
         # A second process gains nothing on one core, and costs the time of its imports.
-        begin = core_count() > 1 and any(module in new and not _is_cached(module) for module in last)
+        begin = core_count() > 1 and not {*last}.isdisjoint(new) and not any(_is_cached(module) for module in last)
         process = BuildProcess(elsewhere) if begin else None
 
         def load(module: wp.Module) -> None:

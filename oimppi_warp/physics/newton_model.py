@@ -67,7 +67,7 @@ class NewtonModel:
     """A scene as a Newton model, with the indices of joints and object in its first world.
 
     Attributes:
-        model: The model; its ``joint_q`` holds the start of the episode.
+        model: The model; its ``joint_q`` holds the start of the episode, but ``body_q`` is not computed from it.
         joint_coords: Indices of the arm's joints in ``joint_q``, from base to flange, shape [dof].
         joint_dofs: Their indices in ``joint_qd``, shape [dof].
         link_bodies: Bodies of the arm's moving links, shape [dof].
@@ -142,9 +142,9 @@ def build_model(scene: Scene, *, worlds: int | None = None, device: str = "cpu")
     if worlds is not None:
         one, builder = builder, new_builder()
         builder.replicate(one, worlds)
-    model = builder.finalize(device=device)
-    newton.eval_fk(model, model.joint_q, model.joint_qd, model)  # pyright: ignore[reportArgumentType]
-    return NewtonModel(model=model, **found)
+    # Few bodies are checked in Python, so that no kernel has to be compiled for them.
+    builder.validate_inertia_detailed = worlds is None
+    return NewtonModel(model=builder.finalize(device=device), **found)
 
 
 def _add_robot(builder: newton.ModelBuilder, robot: Robot) -> tuple[dict[str, int], list[int]]:

@@ -21,8 +21,13 @@ class World:
 
     @cached_property
     def newton(self) -> NewtonModel:
-        """Returns the Newton model of the scene."""
-        return build_model(self.scene)
+        """Returns the Newton model of the scene, with the poses of its bodies at the start."""
+        import newton
+
+        built = build_model(self.scene)
+        model = built.model
+        newton.eval_fk(model, model.joint_q, model.joint_qd, model)  # pyright: ignore[reportArgumentType]
+        return built
 
     @cached_property
     def mujoco(self) -> MujocoModel:

@@ -14,6 +14,7 @@ import numpy as np
 
 from oimppi_warp.compute.device import core_count
 from oimppi_warp.compute.loading import await_loaded
+from oimppi_warp.config.fields import about
 from oimppi_warp.config.overrides import validate
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
@@ -52,8 +53,6 @@ from oimppi_warp.scene import Scene
 
 _REFERENCE_EVERY = 10
 """Interval at which object plans that change in every step are logged, in steps."""
-_SHORTEST_PERIOD, _LONGEST_PERIOD = 0.001, 1.0
-"""Control periods of a plant that can be planned for [s], as for the setting control_period."""
 _LONGEST_LATENCY = 1.0
 """Longest latency of a plant that can be planned for [s]."""
 _FALLEN = 0.05
@@ -419,9 +418,10 @@ def check_plant(plant: Plant, spec: RunSpec, *, passed: bool) -> None:
     """
     period: Any = getattr(plant, "control_period", None)
     usable = isinstance(period, int | float | np.floating) and not isinstance(period, bool)
-    if not (usable and _SHORTEST_PERIOD <= float(period) <= _LONGEST_PERIOD):
+    bounds = about(Config.__dataclass_fields__["control_period"])
+    if not (usable and bounds.low <= float(period) <= bounds.high):
         given = "no control_period" if period is None else f"a control_period of {period}"
-        allowed = f"the duration of a command in seconds, {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g}, such as 0.05"
+        allowed = f"the duration of a command in seconds, {bounds.low:g} to {bounds.high:g}, such as 0.05"
         raise ConfigError(f"the plant {type(plant).__name__} has {given}\n  allowed: {allowed}")
     if spec.friction is not None and passed:
         raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")

@@ -12,7 +12,7 @@ from oimppi_warp.compute.loading import await_loaded, known_modules, loading, qu
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.kernels.fields import cost_to_go, distance
-from oimppi_warp.planning.early_kernels import rollout_kernels, setup_kernels, step_kernels
+from oimppi_warp.planning.early_kernels import setup_kernels, step_kernels
 from oimppi_warp.planning.factory import make_planner
 from oimppi_warp.registries import METHODS
 from oimppi_warp.runtime.estimator import Estimator
@@ -109,7 +109,7 @@ def test_an_error_of_the_compiler_is_raised_where_the_module_is_needed(monkeypat
 @pytest.mark.parametrize("method", METHODS)
 def test_a_run_with_the_default_settings_compiles_nothing_that_was_not_begun_early(method):
     scene, config, spec = load_scene("task02"), best(method), RunSpec(method=method, device="cpu", engine="quasistatic")
-    early = {*setup_kernels(scene, config), *step_kernels(config, spec), *rollout_kernels(config, spec)}
+    early = {*setup_kernels(scene, config), *step_kernels(config, spec)}
     for module in known_modules().values():
         module.unload()
     make_planner(scene, config, spec).warm_up()
