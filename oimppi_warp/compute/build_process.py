@@ -41,11 +41,11 @@ class BuildProcess:
         with suppress(OSError, pickle.PicklingError, AttributeError, TypeError):  # the last three: it cannot be pickled
             task = pickle.dumps(_settings()) + pickle.dumps(modules)
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__],
+                [sys.executable, "-P", "-m", __name__],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
                 start_new_session=True,  # Ctrl-C is for this process, which stops the other one
             )
             assert self._process.stdin is not None
@@ -80,7 +80,9 @@ def _settings() -> dict[str, Any]:
 def main() -> None:
     """Compiles what is described on the standard input, and prints Warp's messages about it."""
     start_warp()
-    vars(wp.config).update(pickle.load(sys.stdin.buffer), log_level=wp.LOG_INFO)
+    for name, value in pickle.load(sys.stdin.buffer).items():
+        setattr(wp.config, name, value)
+    wp.config.log_level = wp.LOG_INFO
     modules: Modules = pickle.load(sys.stdin.buffer)  # this imports the kernels, which read the settings
     wp.force_load("cpu", list(modules()))
 

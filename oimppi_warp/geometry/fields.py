@@ -262,7 +262,7 @@ def _pose_field(values: np.ndarray, origin: np.ndarray, device: str) -> PoseFiel
     return field
 
 
-def _at_nodes(kernel: wp.Kernel, inputs: list[Any], values: wp.array) -> None:
+def _at_nodes(kernel: Any, inputs: list[Any], values: wp.array) -> None:
     """Runs a kernel for each node of a grid on the CPU, distributed among threads."""
     Compute("cpu").launch_samples(kernel, values.size, inputs, [values])()
 

@@ -55,6 +55,14 @@ def test_what_another_process_compiles_is_only_loaded_here(kernel_cache, said):
     assert [line.split(" in ")[0] for line in said] == [f"compiled {MODULE.name} for cpu"]
 
 
+def test_it_imports_nothing_from_the_working_directory(kernel_cache, tmp_path_factory, monkeypatch):
+    folder = tmp_path_factory.mktemp("work")
+    (folder / "pickle.py").write_text("raise RuntimeError('not the library')\n")
+    monkeypatch.chdir(folder)
+    assert BuildProcess(modules.small).wait()
+    assert len(objects(kernel_cache)) == 1
+
+
 def test_it_compiles_with_the_settings_of_this_process(kernel_cache, monkeypatch):
     before = MODULE.get_module_hash(1)
     monkeypatch.setattr(wp.config, "verify_fp", True)
