@@ -115,8 +115,8 @@ def sweep_to_go(
 
     Sweeps in alternating directions propagate paths along the whole grid at once (fast sweeping, Zhao 2005), where
     parallel relaxation would take one pass per cell. ``stale`` marks the nodes of which a neighbour has improved since
-    they were last computed, before the first sweep all; others are skipped, since they cannot improve (Bak, McLaughlin
-    and Renzi 2010). ``change`` [1] is the largest improvement.
+    they were last computed; before the first sweep, all nodes are marked. Unmarked nodes cannot improve and are
+    skipped (Bak, McLaughlin and Renzi 2010). ``change`` [1] is the largest improvement.
     """
     nt = to_go.shape[0]
     nx = to_go.shape[1]

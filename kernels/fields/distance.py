@@ -165,7 +165,8 @@ def object_clearance(
 ):
     """Computes ``phi_2(x_o)``, the gap of object and environment in equation 4, at the nodes of a pose field [m].
 
-    ``obstruction`` is the gap to obstacles, by :func:`object_obstruction`; the table's edge is added.
+    It is the smaller of two gaps: that to obstacles (``obstruction``, by :func:`object_obstruction`), and that to the
+    table's edge.
     """
     at = node_at(first + wp.tid(), values.shape[1], values.shape[2])
     pose = node_pose(origin, step, at, values.shape[0])

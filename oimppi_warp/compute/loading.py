@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
 from pathlib import Path
 
 import warp as wp
 
-from oimppi_warp.compute.build_process import BuildProcess, Modules
+from oimppi_warp.compute.build_process import BuildProcess, ModuleSource
 from oimppi_warp.compute.device import core_count, start_warp
 
 _OWN = "oimppi_warp."
@@ -52,39 +52,46 @@ _under_way: dict[wp.Module, Future[None]] = {}
 
 
 @contextmanager
-def loading(modules: Sequence[wp.Module], *, elsewhere: Modules = tuple) -> Iterator[None]:
+def loading(modules: Sequence[wp.Module], *, by_other_process: ModuleSource = tuple) -> Iterator[None]:
     """Loads modules of kernels for the CPU in the background, in this order, until the block ends.
 
     Whoever needs one of them within the block calls :func:`await_loaded` first; otherwise it is compiled twice. Those
-    that have not begun by the end of the block are left out. Such blocks can be nested.
+    that are not being loaded by the end of the block are left out. Such blocks can be nested.
 
     Args:
         modules: The modules.
-        elsewhere: Returns further modules, which are loaded after these. If Warp's cache has no version of any of
-            them, another process compiles them meanwhile.
+        by_other_process: Returns further modules, which are loaded after these. In a first run, when Warp's cache has
+            no version of some of them, another process compiles them meanwhile; if there is only one core, it would
+            gain nothing. After an update, when there are earlier versions, they are compiled here.
     """
     start_warp()
-    last = elsewhere()
-    with ThreadPoolExecutor(1, thread_name_prefix="oimppi-kernels") as background:
+    last = by_other_process()
+    with ExitStack() as stack:
+        background = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="oimppi-kernels"))
         new = [module for module in (*modules, *last) if module not in _under_way]
-        # A second process gains nothing on one core, and costs the time of its imports.
-        begin = core_count() > 1 and not {*last}.isdisjoint(new) and not any(_is_cached(module) for module in last)
-        process = BuildProcess(elsewhere) if begin else None
+        own: dict[wp.Module, Future[None]] = {}
+        stack.callback(_leave_out, own)
+        worthwhile = core_count() > 1 and wp.config.cache_kernels
+        if worthwhile and any(module in new and not _is_cached(module) for module in last):
+            process = BuildProcess(by_other_process)
+            stack.callback(process.stop)
+        else:
+            process = None
 
         def load(module: wp.Module) -> None:
             if process is None or module not in last or process.wait():
                 wp.force_load("cpu", [module])
 
-        own = {module: background.submit(load, module) for module in new}
-        _under_way.update(own)
-        try:
-            yield
-        finally:
-            for module, future in own.items():
-                future.cancel()
-                _under_way.pop(module, None)
-            if process is not None:
-                process.stop()
+        for module in new:
+            own[module] = _under_way[module] = background.submit(load, module)
+        yield
+
+
+def _leave_out(loads: dict[wp.Module, Future[None]]) -> None:
+    """Cancels those loads that have not begun, and forgets all."""
+    for module, future in loads.items():
+        future.cancel()
+        _under_way.pop(module, None)
 
 
 def _is_cached(module: wp.Module) -> bool:

@@ -145,6 +145,13 @@ class Compute:
             await_loaded(modules)
             wp.force_load(self.device, list(modules), max_workers=self.threads)
 
+    def run(self, launch: Launch) -> None:
+        """Loads the kernels of a launch and runs it once, outside of a step."""
+        self.load([launch])
+        for each in _kernel_launches([launch]):
+            each.prepare()  # here, since threads that load a module at the same time would each compile it
+        launch()
+
     def step(self, launches: Sequence[Launch], *, one_graph: bool = True, upload: bool = True) -> Step:
         """Prepares a step.
 

@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import shapely
@@ -128,15 +128,22 @@ def planar_field_at(field: PlanarField, point: np.ndarray, values: np.ndarray) -
     return float(low + (x - i) * (high - low))
 
 
-def build_geometry(scene: Scene, device: str) -> Geometry:
-    """Builds all distance fields of a scene on a device, or reads them from the cache."""
+def build_geometry(scene: Scene, device: str, *, threads: int | None = None) -> Geometry:
+    """Builds all distance fields of a scene, or reads them from the cache.
+
+    Args:
+        scene: The task.
+        device: Warp device of the fields.
+        threads: Number of threads on the CPU, which computes them; ``None``: the number of cores.
+    """
     start_warp()
+    cpu = Compute("cpu", threads=threads)
     surface = limit_surface(scene.object)
     body, pieces, top = _footprints(scene, surface)
     obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
-    clearance, obstruction = _pose_fields(body, pieces, scene, device)
+    clearance, obstruction = _pose_fields(body, pieces, scene, device, cpu)
     size = max(float(np.linalg.norm(piece.vertices, axis=1).max()) + piece.radius for piece in body)
-    space, space_top = _space_field(obstacles, scene, device)
+    space, space_top = _space_field(obstacles, scene, device, cpu)
     return Geometry(
         surface, top, size, clearance, obstruction, _body_field(body, scene.robot.tool_radius, device), space, space_top
     )
@@ -224,7 +231,7 @@ def _shifted(piece: Piece, offset: np.ndarray) -> Piece:
 
 
 def _pose_fields(
-    body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str
+    body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str, cpu: Compute
 ) -> tuple[PoseField, PoseField]:
     """Returns phi_2, and the clearance to obstacles alone."""
     lower, upper = np.array(scene.table.lower), np.array(scene.table.upper)
@@ -237,13 +244,13 @@ def _pose_fields(
     def obstruction() -> np.ndarray:
         values = wp.zeros(shape, dtype=float, device="cpu")
         inputs = [pack_pieces(body, "cpu"), pack_pieces(obstacles, "cpu"), *grid, FURTHEST]
-        _at_nodes(kernels.object_obstruction, inputs, values)
+        cpu.run(cpu.launch_samples(kernels.object_obstruction, values.size, inputs, [values]))
         return values.numpy()
 
     def clearance() -> np.ndarray:
         values = wp.zeros(shape, dtype=float, device="cpu")
         inputs = [pack_pieces(body, "cpu"), wp.array(gap, dtype=float, device="cpu"), wp.vec2(*lower), wp.vec2(*upper)]
-        _at_nodes(kernels.object_clearance, [*inputs, *grid], values)
+        cpu.run(cpu.launch_samples(kernels.object_clearance, values.size, [*inputs, *grid], [values]))
         return values.numpy()
 
     shapes = [x for piece in (*body, *obstacles) for x in (piece.vertices, piece.radius)]
@@ -260,11 +267,6 @@ def _pose_field(values: np.ndarray, origin: np.ndarray, device: str) -> PoseFiel
     field.inv_step = 1.0 / STEP
     field.inv_yaw_step = YAW_NODES / (2.0 * np.pi)
     return field
-
-
-def _at_nodes(kernel: Any, inputs: list[Any], values: wp.array) -> None:
-    """Runs a kernel for each node of a grid on the CPU, distributed among threads."""
-    Compute("cpu").launch_samples(kernel, values.size, inputs, [values])()
 
 
 def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:
@@ -285,7 +287,7 @@ def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarF
     return field
 
 
-def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[SpaceField, float]:
+def _space_field(obstacles: list[Collider], scene: Scene, device: str, cpu: Compute) -> tuple[SpaceField, float]:
     field = SpaceField()
     field.inv_step = 1.0 / SPACE_STEP
     field.outside = FURTHEST
@@ -313,7 +315,7 @@ def _space_field(obstacles: list[Collider], scene: Scene, device: str) -> tuple[
             support_winding_number=True,
         )
         inputs = [closed.id, wp.vec3(*lower), SPACE_STEP, FURTHEST]
-        _at_nodes(kernels.space_distance, inputs, values)
+        cpu.run(cpu.launch_samples(kernels.space_distance, values.size, inputs, [values]))
         return values.numpy()
 
     content = content_of(*(part for core in cores for part in core), lower, count, SPACE_STEP, FURTHEST)

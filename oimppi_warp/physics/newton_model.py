@@ -67,7 +67,8 @@ class NewtonModel:
     """A scene as a Newton model, with the indices of joints and object in its first world.
 
     Attributes:
-        model: The model; its ``joint_q`` holds the start of the episode, but ``body_q`` is not computed from it.
+        model: The model; its ``joint_q`` holds the start of the episode. Of the poses in ``body_q``, only the object's
+            is that of the start; ``newton.eval_fk`` computes the others.
         joint_coords: Indices of the arm's joints in ``joint_q``, from base to flange, shape [dof].
         joint_dofs: Their indices in ``joint_qd``, shape [dof].
         link_bodies: Bodies of the arm's moving links, shape [dof].
@@ -142,7 +143,7 @@ def build_model(scene: Scene, *, worlds: int | None = None, device: str = "cpu")
     if worlds is not None:
         one, builder = builder, new_builder()
         builder.replicate(one, worlds)
-    # Few bodies are checked in Python, so that no kernel has to be compiled for them.
+    # A single world has few bodies: to check their inertia in Python saves compiling a kernel.
     builder.validate_inertia_detailed = worlds is None
     return NewtonModel(model=builder.finalize(device=device), **found)
 

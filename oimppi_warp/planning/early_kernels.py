@@ -27,7 +27,7 @@ from oimppi_warp.scene import Scene
 def loading_early(scene: Scene, config: Config, spec: RunSpec) -> AbstractContextManager[None]:
     """Loads, in the background until the block ends, the kernels of an episode that is made within it.
 
-    Those that are compiled when the planner is warmed up are missing: they are not known before there is a planner.
+    Kernels that are known only once there is a planner are left out; they are compiled when it is warmed up.
 
     Args:
         scene: The task.
@@ -37,9 +37,10 @@ def loading_early(scene: Scene, config: Config, spec: RunSpec) -> AbstractContex
     Raises:
         DeviceError: There is no such device.
     """
+    flagged = partial(kernels_with_own_flags, config, spec)
+    left_out = {*flagged()}
     modules = [*setup_kernels(scene, config), *step_kernels(config, spec)]
-    own_flags = partial(kernels_with_own_flags, config, spec)
-    return loading([module for module in modules if module not in own_flags()], elsewhere=own_flags)
+    return loading([module for module in modules if module not in left_out], by_other_process=flagged)
 
 
 def setup_kernels(scene: Scene, config: Config) -> list[wp.Module]:
@@ -69,8 +70,8 @@ def step_kernels(config: Config, spec: RunSpec) -> list[wp.Module]:
 def kernels_with_own_flags(config: Config, spec: RunSpec) -> list[wp.Module]:
     """Returns those of :func:`step_kernels` that have compiler flags of their own.
 
-    They share no precompiled header with the others, so that another process can compile them at no extra cost. They
-    take half of the time.
+    They share no precompiled header with the others, so that it costs little to have another process compile them. They
+    take about half of the time that all kernels of the package do.
     """
     return [module for module in step_kernels(config, spec) if module.options["cpu_compiler_flags"]]
 

@@ -92,7 +92,7 @@ class Planner:
         self.engine = engine
         self.engine_reason = ""
         self.compute = compute
-        self.geometry = build_geometry(scene, compute.device)
+        self.geometry = build_geometry(scene, compute.device, threads=compute.threads)
         self.goal = to_center(self.geometry.surface, np.array(scene.goal))
         level = config.robot
         draws = draw(level.uncertainty, samples=level.optimizer.samples, seed=seed)

@@ -76,15 +76,19 @@ class Outline:
         return best
 
 
-def build_stance(scene: Scene, geometry: Geometry, w_theta: float, device: str) -> StanceField:
+def build_stance(
+    scene: Scene, geometry: Geometry, w_theta: float, device: str, *, threads: int | None = None
+) -> StanceField:
     """Builds the stance field on a device, or reads it from the cache.
 
     Args:
         scene: The task.
         geometry: Shapes of the scene.
         w_theta: Square of the length that a radian of yaw counts as [m^2/rad^2]; 0 if the yaw does not matter.
-        device: Warp device.
+        device: Warp device of the field.
+        threads: Number of threads on the CPU, which computes it; ``None``: the number of cores.
     """
+    cpu = Compute("cpu", threads=threads)
     length = yaw_length_of(geometry.surface, w_theta)
     rim = Outline(scene, geometry.surface, yaw_length=length)
     tool = scene.robot.tool_radius
@@ -117,7 +121,7 @@ def build_stance(scene: Scene, geometry: Geometry, w_theta: float, device: str) 
             _STEP,
             _SWEEPS,
         ]
-        Compute("cpu").launch_samples(compute_stance, len(motions), inputs, [values])()
+        cpu.run(cpu.launch_samples(compute_stance, len(motions), inputs, [values]))
         return values.numpy()
 
     content = content_of(body.values.numpy(), body.origin, body.inv_step, places, costs, tool, half, _STEP, _SWEEPS)

@@ -42,6 +42,21 @@ def test_launches_over_samples_see_what_those_before_them_wrote(threads: int, ne
     np.testing.assert_array_equal(again.numpy(), np.arange(COUNT, dtype=np.float32) ** 2 + 2.0)
 
 
+def test_a_kernel_that_threads_run_at_once_is_compiled_once(tmp_path, monkeypatch):
+    from warp._src import build
+
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    compiled, build_cpu = [], build.build_cpu
+    monkeypatch.setattr(build, "build_cpu", lambda *given, **also: compiled.append(given) or build_cpu(*given, **also))
+    square.module.unload()
+    compute = Compute("cpu", threads=4)
+    numbers = wp.array(np.arange(COUNT), dtype=float, device="cpu")
+    squares = wp.zeros(COUNT, dtype=float, device="cpu")
+    compute.run(compute.launch_samples(square, COUNT, [numbers], [squares]))
+    np.testing.assert_array_equal(squares.numpy(), np.arange(COUNT, dtype=np.float32) ** 2)
+    assert len(compiled) == 1
+
+
 def test_threads_meet_once_for_launches_over_the_same_samples(monkeypatch):
     compute = Compute("cpu", threads=2)
     numbers = wp.array(np.arange(COUNT), dtype=float, device="cpu")

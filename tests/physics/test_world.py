@@ -12,7 +12,7 @@ from oimppi_warp.geometry.footprint import rotation_matrix
 from oimppi_warp.geometry.kinematics import link_frames
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.physics import mujoco_model as module
-from oimppi_warp.physics.newton_model import DRIVE_GAIN, ROLES
+from oimppi_warp.physics.newton_model import DRIVE_GAIN, ROLES, build_model
 from oimppi_warp.physics.world import World
 from oimppi_warp.usd import load_scene
 
@@ -106,6 +106,22 @@ def test_masses_and_limits_are_those_of_the_scene(name):
 @pytest.mark.parametrize("name", SCENES)
 def test_shapes_stand_where_the_scene_has_them(name):
     assert_shapes_agree(load_scene(name))
+
+
+def test_the_bodies_of_newtons_model_stand_where_they_start(world):
+    built = world.newton
+    poses = built.model.body_q.numpy()
+    start = planar_transform(world.scene.start, world.scene.object.rest_height)
+    assert poses[built.object_body][:3] == pytest.approx(start[:3], abs=FLOAT32)
+    _, positions = link_frames(world.scene.robot, np.array(world.scene.robot.start))
+    np.testing.assert_allclose(poses[built.link_bodies][:, :3], positions, atol=FLOAT32)
+
+
+def test_one_world_and_batched_worlds_have_the_same_bodies(world):
+    one, two = (build_model(world.scene, worlds=worlds).model for worlds in (None, 2))
+    for name in ("body_mass", "body_com", "body_inertia", "body_inv_inertia"):
+        single, batched = getattr(one, name).numpy(), getattr(two, name).numpy()
+        np.testing.assert_array_equal(batched.reshape(2, *single.shape), np.stack([single, single]))
 
 
 def test_every_pair_of_shapes_has_the_friction_of_the_scene(world):

@@ -131,12 +131,12 @@ def test_skipping_the_nodes_whose_neighbours_have_not_improved_changes_nothing(s
     start = np.full(field.values.shape, 1e6, dtype=np.float32)
     for _ in range(seeds):
         start[tuple(random.integers(0, start.shape))] = random.uniform(0.0, 0.1)
-    skipping, complete = (wp.array(start, dtype=float, device="cpu") for _ in range(2))
-    stale = wp.full(start.shape, 1, dtype=wp.uint8, device="cpu")
+    skipping, complete = (wp.array(start, dtype=float, device=DEVICE) for _ in range(2))
+    stale = wp.full(start.shape, 1, dtype=wp.uint8, device=DEVICE)
     visited = 0
     for number in range(16):
         visited += int(stale.numpy().sum())
-        every = wp.full(start.shape, 1, dtype=wp.uint8, device="cpu")
+        every = wp.full(start.shape, 1, dtype=wp.uint8, device=DEVICE)
         assert sweep(field, number % 8, skipping, stale) == sweep(field, number % 8, complete, every)
         np.testing.assert_array_equal(skipping.numpy(), complete.numpy())
     assert (skipping.numpy() < 1e5).all()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import time
+
 import warp as wp
 
+from oimppi_warp.kernels.optimizers.cem import select_elites
 from oimppi_warp.kernels.optimizers.update import weigh_samples
 
 
@@ -13,17 +16,26 @@ def small() -> list[wp.Module]:
 
 
 def slow() -> list[wp.Module]:
-    """Modules that are never found."""
-    import time
-
-    time.sleep(60.0)
-    return []
+    """The same module, after a minute in another process."""
+    if _elsewhere():
+        time.sleep(60.0)
+    return small()
 
 
 def failing() -> list[wp.Module]:
-    """Raises an error in another process, but not in that of the tests."""
-    import __main__
-
-    if (__main__.__spec__ and __main__.__spec__.name) == "oimppi_warp.compute.build_process":
+    """The same module, but an error in another process."""
+    if _elsewhere():
         raise RuntimeError("the other process")
     return small()
+
+
+def different() -> list[wp.Module]:
+    """Another module in another process."""
+    return [select_elites.module] if _elsewhere() else small()
+
+
+def _elsewhere() -> bool:
+    """Whether this is the process that compiles, not that of the tests."""
+    import __main__
+
+    return __main__.__spec__ is not None and __main__.__spec__.name == "oimppi_warp.compute.build_process"

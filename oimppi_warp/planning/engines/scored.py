@@ -44,7 +44,7 @@ class ScoredDynamics(RobotDynamics):
         packed.yaw_length = task.yaw_length
         packed.stance = no_stance(device)
         if task.cost.w_stance > 0.0:
-            packed.stance = build_stance(scene, geometry, task.cost.w_theta, device)
+            packed.stance = build_stance(scene, geometry, task.cost.w_theta, device, threads=task.compute.threads)
         packed.goal = self._goal.array
         packed.reference = self.reference.array
         packed.waypoint = self.waypoint.array
