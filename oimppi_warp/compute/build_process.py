@@ -65,13 +65,13 @@ class BuildProcess:
 
     def wait(self) -> bool:
         """Waits for the end of the process, and passes on Warp's messages. Returns ``False`` if it was stopped."""
-        if self._process is not None:
+        if self._process is not None and self._process.returncode is None:
             assert self._process.stdout is not None
-            for line in self._process.stdout:
-                if wp.config.log_level <= wp.LOG_INFO:
-                    wp.get_logger().info(line.decode(errors="replace").rstrip())
+            with self._process.stdout as lines:
+                for line in lines:
+                    if wp.config.log_level <= wp.LOG_INFO:
+                        wp.get_logger().info(line.decode(errors="replace").rstrip())
             self._process.wait()
-            self._process.stdout.close()
         return not self._stopped
 
     def stop(self) -> None:

@@ -15,7 +15,7 @@ import warp as wp
 from support import modules
 
 from oimppi_warp.compute import loading as loading_module
-from oimppi_warp.compute.build_process import BuildProcess
+from oimppi_warp.compute.build_process import BuildProcess, ModuleSource
 from oimppi_warp.compute.device import CompileNotice, start_warp
 from oimppi_warp.compute.loading import await_loaded, loading
 from oimppi_warp.config.presets import best
@@ -54,6 +54,15 @@ def built_here(monkeypatch) -> list[str]:
     return files
 
 
+def built(source: ModuleSource) -> bool:
+    """Has another process compile modules, and returns whether it was not stopped."""
+    process = BuildProcess(source)
+    try:
+        return process.wait()
+    finally:
+        process.stop()
+
+
 def compiled(cache: Path) -> list[str]:
     """Folders of the compiled modules in a cache."""
     return [path.parent.name for path in cache.glob("*/*.o")]
@@ -75,12 +84,23 @@ def test_what_another_process_compiles_is_only_loaded_here(kernel_cache, built_h
     assert [line.split(" in ")[0] for line in said] == [f"compiled {MODULE.name} for cpu"]
 
 
+def test_several_modules_are_waited_for_one_after_the_other(kernel_cache, built_here):
+    wanted = modules.two()
+    for module in wanted:
+        module.unload()
+    with loading([], by_other_process=modules.two):
+        await_loaded(wanted)
+        assert all(module.execs for module in wanted)
+    assert built_here == []
+    wanted[1].unload()
+
+
 def test_it_imports_nothing_that_this_process_would_not(kernel_cache, tmp_path_factory, monkeypatch):
     folder = tmp_path_factory.mktemp("work")
     (folder / "pickle.py").write_text("raise RuntimeError('not the library')\n")
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
-    assert BuildProcess(modules.small).wait()
+    assert built(modules.small)
     assert len(compiled(kernel_cache)) == 1
 
 
@@ -90,7 +110,7 @@ def test_it_compiles_with_the_settings_of_this_process(kernel_cache, monkeypatch
     monkeypatch.setattr(wp.config, "verify_fp", True)
     MODULE.mark_modified()
     assert MODULE.get_module_identifier(1) != before
-    assert BuildProcess(modules.small).wait()
+    assert built(modules.small)
     assert compiled(kernel_cache) == [MODULE.get_module_identifier(1)]
 
 
@@ -124,7 +144,8 @@ def test_the_process_ends_with_the_block_that_an_error_leaves(kernel_cache, buil
     assert built_here == []
 
 
-def test_the_process_ends_with_the_one_that_has_started_it():
+def test_the_process_ends_with_the_one_that_has_started_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     script = (
         "import os, time\n"
         "from support import modules\n"

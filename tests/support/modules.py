@@ -15,6 +15,11 @@ def small() -> list[wp.Module]:
     return [weigh_samples.module]
 
 
+def two() -> list[wp.Module]:
+    """Two modules."""
+    return [*small(), select_elites.module]
+
+
 def slow() -> list[wp.Module]:
     """The same module, after a minute in another process."""
     if _elsewhere():
