@@ -99,6 +99,20 @@ def sweep_order(n: int, m: int, backward: int) -> int:
     return out
 
 
+@wp.func
+def mark_neighbours(stale: wp.array3d[wp.uint8], t: int, i: int, j: int):
+    """Marks the 26 neighbours of a node."""
+    nt = stale.shape[0]
+    for dt in range(-1, 2):  # constant bounds: such loops are unrolled, which is faster
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                ii = i + dx
+                jj = j + dy
+                if ii >= 0 and ii < stale.shape[1] and jj >= 0 and jj < stale.shape[2]:
+                    stale[(t + dt + nt) % nt, ii, jj] = wp.uint8(1)
+    stale[t, i, j] = wp.uint8(0)
+
+
 @wp.kernel
 def sweep_to_go(
     # in:
@@ -153,16 +167,7 @@ def sweep_to_go(
                 if best < old:
                     largest = wp.max(largest, old - best)
                     to_go[t, i, j] = best
-                    for dt in range(-1, 2):
-                        tt = (t + dt + nt) % nt
-                        for dx in range(-1, 2):
-                            ii = i + dx
-                            if ii >= 0 and ii < nx:
-                                for dy in range(-1, 2):
-                                    jj = j + dy
-                                    if jj >= 0 and jj < ny:
-                                        stale[tt, ii, jj] = wp.uint8(1)
-                    stale[t, i, j] = wp.uint8(0)
+                    mark_neighbours(stale, t, i, j)
     change[0] = largest
 
 

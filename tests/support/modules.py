@@ -40,7 +40,7 @@ def different() -> list[wp.Module]:
 
 
 def _elsewhere() -> bool:
-    """Whether this is the process that compiles, not that of the tests."""
+    """Returns whether this code runs in a build process, instead of the process of the tests."""
     import __main__
 
     return __main__.__spec__ is not None and __main__.__spec__.name == "oimppi_warp.compute.build_process"
