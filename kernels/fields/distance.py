@@ -126,9 +126,9 @@ def node_at(n: int, columns: int, layers: int) -> wp.vec3i:
 
 
 @wp.func
-def node_pose(origin: wp.vec2, step: float, node: wp.vec3i, turns: int) -> wp.vec3:
-    """Returns the pose of a node of a pose field with ``turns`` nodes of yaw."""
-    yaw = 2.0 * PI * float(node[0]) / float(turns)
+def node_pose(origin: wp.vec3, step: float, node: wp.vec3i, turns: int) -> wp.vec3:
+    """Returns the pose of a node of a pose field with ``turns`` nodes of yaw, the first of them at ``origin``."""
+    yaw = origin[2] + 2.0 * PI * float(node[0]) / float(turns)
     return wp.vec3(origin[0] + step * float(node[1]), origin[1] + step * float(node[2]), yaw)
 
 
@@ -138,16 +138,20 @@ def object_obstruction(
     first: int,
     body: Pieces,
     obstacles: Pieces,
-    origin: wp.vec2,
+    origin: wp.vec3,
     step: float,
     furthest: float,
-    # out:
+    # in and out:
     values: wp.array3d[float],
 ):
-    """Computes the object's clearance to obstacles, the table's edge aside, at the nodes of a pose field [m]."""
+    """Computes the object's clearance to obstacles, the table's edge aside, at the nodes of a pose field [m].
+
+    Nodes at which ``values`` holds an estimate of ``furthest`` or more, positive or negative, keep it.
+    """
     at = node_at(first + wp.tid(), values.shape[1], values.shape[2])
-    pose = node_pose(origin, step, at, values.shape[0])
-    values[at[0], at[1], at[2]] = obstacle_clearance(body, obstacles, pose, furthest)
+    if wp.abs(values[at[0], at[1], at[2]]) < furthest:
+        pose = node_pose(origin, step, at, values.shape[0])
+        values[at[0], at[1], at[2]] = obstacle_clearance(body, obstacles, pose, furthest)
 
 
 @wp.kernel
@@ -158,7 +162,7 @@ def object_clearance(
     obstruction: wp.array3d[float],
     table_lower: wp.vec2,
     table_upper: wp.vec2,
-    origin: wp.vec2,
+    origin: wp.vec3,
     step: float,
     # out:
     values: wp.array3d[float],

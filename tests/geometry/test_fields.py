@@ -14,11 +14,13 @@ from support.small_tasks import block, box, post, shipped, task
 
 from oimppi_warp.geometry.fields import (
     FURTHEST,
+    NEGLIGIBLE,
     STEP,
     YAW_NODES,
     ExactClearance,
     Geometry,
     build_geometry,
+    conservative,
     from_center,
     pose_field_at,
     to_center,
@@ -95,19 +97,55 @@ def test_phi_2_is_the_distance_that_shapely_finds(name, geometry):
 
 
 @pytest.mark.parametrize("name", ["task02", "task05"])
-def test_phi_2_is_exact_at_its_nodes(name, geometry):
+def test_phi_2_is_exact_at_most_nodes_and_never_too_large_at_the_others(name, geometry):
     scene, made = shipped(name), geometry(name)
     grid = pose_grid(made.clearance)
     random = np.random.default_rng(4)
-    checked = 0
+    lowered = []
     for index in random.integers(0, grid.values.shape, size=(600, 3)):
         value = grid.values[tuple(index)]
         if 0.0 < value < 0.9 * FURTHEST:
             pose = grid.origin + grid.step * index
-            expected = exact_clearance(scene, from_center(made.surface, pose))
-            assert value == pytest.approx(expected, abs=LENGTH_TOLERANCE)
-            checked += 1
-    assert checked > 40
+            lowered.append(exact_clearance(scene, from_center(made.surface, pose)) - value)
+    assert len(lowered) > 40
+    assert np.min(lowered) > -LENGTH_TOLERANCE
+    assert np.quantile(lowered, 0.7) < 0.0003
+    assert np.max(lowered) < INTERPOLATION_ERROR
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_phi_2_shows_no_more_room_than_there_is(name, geometry):
+    made, exact = geometry(name), ExactClearance(shipped(name))
+    values = made.clearance.values.numpy()
+    grid = pose_grid(made.clearance)
+    upper = grid.origin + grid.step * (np.array(grid.values.shape) - 1)
+    poses = np.random.default_rng(9).uniform(grid.origin, upper, size=(100_000, 3))
+    found = np.array([pose_field_at(made.clearance, pose, values) for pose in poses])
+    near = np.abs(found) < 0.02
+    actual = np.array([exact.at(from_center(made.surface, pose)) for pose in poses[near]])
+    too_much = found[near] - actual
+    assert len(actual) > 5_000
+    assert np.quantile(too_much, 0.999) < 0.0003
+    assert np.max(too_much) < 0.001
+
+
+def test_a_corners_clearance_is_lowered_where_interpolation_would_show_too_much():
+    def distance(estimate: np.ndarray, shift: np.ndarray, furthest: float) -> np.ndarray:
+        del furthest
+        _, x, y = np.indices(estimate.shape) + shift.reshape(3, 1, 1, 1)
+        return STEP * np.hypot(x - 5.3, y - 4.6)  # to a corner between the nodes, without a turn
+
+    exact = distance(np.zeros((4, 12, 12)), np.zeros(3), np.inf)
+    lowered = conservative(exact, distance)
+    middle = distance(exact, np.array([0.0, 0.5, 0.5]), np.inf)[0, :-1, :-1]
+
+    def interpolated(values: np.ndarray) -> np.ndarray:
+        return (values[0, :-1, :-1] + values[0, 1:, :-1] + values[0, :-1, 1:] + values[0, 1:, 1:]) / 4.0
+
+    assert np.max(interpolated(exact) - middle) > 0.002
+    assert np.max(interpolated(lowered) - middle) < NEGLIGIBLE + 1e-9
+    assert np.max(lowered - exact) <= 0.0
+    assert np.max(exact[0, 8:, 8:] - lowered[0, 8:, 8:]) < 0.0003  # four steps from the corner: almost linear
 
 
 @pytest.mark.parametrize("name", SCENES)
