@@ -46,9 +46,9 @@ YAW_NODES = 72
 FURTHEST = 0.15
 """Distance at which the fields are cut off [m]."""
 TIGHT = 0.03
-"""Clearance, and depth of penetration, up to which phi_2 is kept from showing more room than there is [m]."""
+"""Clearance, and depth of penetration, up to which phi_2 is not overestimated [m]."""
 NEGLIGIBLE = 0.0001
-"""Room that phi_2 may show too much: between two nodes of yaw, a long object's corner moves on an arc of it [m]."""
+"""Overestimate of phi_2 that is not removed: that of a corner which moves on an arc between two nodes of yaw [m]."""
 BODY_STEP = 0.002
 """Grid step of the object's own distance field [m]."""
 NEAR = 0.05
@@ -271,12 +271,12 @@ def _pose_fields(
 
 
 def conservative(values: np.ndarray, clearance: Callable[[np.ndarray, np.ndarray, float], np.ndarray]) -> np.ndarray:
-    """Returns a clearance's nodes lowered until interpolation shows no more room than there is, shape [yaw, x, y] [m].
+    """Returns the nodes of a clearance, lowered so that interpolation does not overestimate it, shape [yaw, x, y] [m].
 
-    Around a corner the clearance is convex over the poses, and interpolation overestimates it there, by up to 4 mm on
-    this grid. The overestimate is computed half-way between the nodes: along the edges of the cells first, then on
-    their faces, then at their centres. The nodes that take part in an interpolation are lowered by its overestimate,
-    except for a negligible part.
+    Around a corner the clearance is convex over the poses, and interpolation overestimates it, by up to 4 mm on this
+    grid. The overestimate is computed half-way between nodes: along the edges of the cells first, then on their faces,
+    then at their centres. All nodes that an interpolation uses are lowered by its overestimate, except for a negligible
+    part.
 
     Args:
         values: Clearance at the nodes, shape [yaw, x, y] [m].
