@@ -29,7 +29,7 @@ def print_summary(log: EpisodeLog, metrics: Metrics, record: Path | None) -> Non
     """
     from rich.markup import escape
 
-    from oimppi_warp.geometry.fields import FURTHEST
+    from oimppi_warp.geometry.pose_grid import FURTHEST
 
     run, any_yaw = metrics.run, log.header["tolerance"]["yaw"] is None
     clearance = f"at least {1000 * metrics.min_clearance_m:.1f} mm"

@@ -37,7 +37,7 @@ def source_content(*places: str) -> bytes:
 
 def content_of(*parts: object) -> str:
     """Returns a hash of arrays and numbers, and of the code that computes fields."""
-    digest = hashlib.sha256(source_content("kernels/fields", "kernels/geometry.py", "geometry/fields.py"))
+    digest = hashlib.sha256(source_content("kernels/fields", "kernels/geometry.py", "geometry/pose_grid.py"))
     for part in parts:
         digest.update(np.ascontiguousarray(np.asarray(part, dtype=np.float64).round(9) + 0.0).tobytes())
         digest.update(b"|")

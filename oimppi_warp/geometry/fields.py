@@ -9,9 +9,7 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
@@ -33,22 +31,13 @@ from oimppi_warp.geometry.footprint import (
     limit_surface,
     outline,
 )
+from oimppi_warp.geometry.pose_grid import FURTHEST, PoseGrid, pack_pieces
 from oimppi_warp.geometry.reach import object_bounds, stretched_length
 from oimppi_warp.kernels.fields import distance as kernels
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.kernels.upright_step import ASIDE
 from oimppi_warp.scene import Collider, Scene
 
-STEP = 0.01
-"""Grid step of phi_2 [m]."""
-YAW_NODES = 72
-"""Nodes of phi_2 over a full turn (5 degrees)."""
-FURTHEST = 0.15
-"""Distance at which the fields are cut off [m]."""
-TIGHT = 0.03
-"""Clearance, and depth of penetration, up to which phi_2 is not overestimated [m]."""
-NEGLIGIBLE = 0.0001
-"""Overestimate of phi_2 that is not removed: that of a corner which moves on an arc between two nodes of yaw [m]."""
 BODY_STEP = 0.002
 """Grid step of the object's own distance field [m]."""
 NEAR = 0.05
@@ -146,12 +135,29 @@ def build_geometry(scene: Scene, device: str, *, threads: int | None = None) -> 
     surface = limit_surface(scene.object)
     body, pieces, top = _footprints(scene, surface)
     obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
-    clearance, obstruction = _pose_fields(body, pieces, scene, device, cpu)
+    grid = PoseGrid(body, pieces, scene, cpu)
+    gap = grid.obstruction()
+    clearance, obstruction = (grid.field(values, device) for values in (grid.clearance(gap), gap))
     size = max(float(np.linalg.norm(piece.vertices, axis=1).max()) + piece.radius for piece in body)
     space, space_top = _space_field(obstacles, scene, device, cpu)
     return Geometry(
         surface, top, size, clearance, obstruction, _body_field(body, scene.robot.tool_radius, device), space, space_top
     )
+
+
+def exact_nodes(scene: Scene) -> np.ndarray:
+    """Returns phi_2 at the nodes of its grid, without what keeps the field from overestimating it between them [m].
+
+    Args:
+        scene: The task.
+
+    Returns:
+        Shape [yaw, x, y], at the nodes of ``build_geometry(scene, ...).clearance``.
+    """
+    start_warp()
+    body, pieces, _ = _footprints(scene, limit_surface(scene.object))
+    grid = PoseGrid(body, pieces, scene, Compute("cpu"))
+    return grid.with_edge(grid.distance())
 
 
 class ExactClearance:
@@ -204,24 +210,6 @@ def _translated(pose: np.ndarray, offset: np.ndarray) -> np.ndarray:
     return moved
 
 
-def pack_pieces(pieces: Iterable[Piece], device: str) -> kernels.Pieces:
-    """Packs convex pieces for the kernels, as arrays on a device."""
-    pieces = list(pieces)
-    centers = np.array([piece.vertices.mean(axis=0) for piece in pieces]).reshape(-1, 2)
-    radii = [
-        np.linalg.norm(piece.vertices - center, axis=1).max() + piece.radius
-        for piece, center in zip(pieces, centers, strict=True)
-    ]
-    packed = kernels.Pieces()
-    vertices = np.concatenate([piece.vertices for piece in pieces]) if pieces else np.zeros((0, 2))
-    packed.vertices = wp.array(vertices, dtype=wp.vec2, device=device)
-    packed.first = wp.array(np.cumsum([0, *(len(piece.vertices) for piece in pieces)]), dtype=int, device=device)
-    packed.center = wp.array(centers, dtype=wp.vec2, device=device)
-    packed.reach = wp.array(np.array(radii, dtype=np.float32), dtype=float, device=device)
-    packed.radius = wp.array(np.array([piece.radius for piece in pieces], np.float32), dtype=float, device=device)
-    return packed
-
-
 def _footprints(scene: Scene, surface: LimitSurface) -> tuple[list[Piece], tuple[Piece, ...], float]:
     """Returns the pieces of the object around its friction centre and of what it may meet, and its top's height [m]."""
     body = [_shifted(piece, -surface.center) for piece in footprint(scene.object.colliders)]
@@ -233,84 +221,6 @@ def _footprints(scene: Scene, surface: LimitSurface) -> tuple[list[Piece], tuple
 
 def _shifted(piece: Piece, offset: np.ndarray) -> Piece:
     return Piece(piece.vertices + offset, piece.radius)
-
-
-def _pose_fields(
-    body: list[Piece], obstacles: tuple[Piece, ...], scene: Scene, device: str, cpu: Compute
-) -> tuple[PoseField, PoseField]:
-    """Returns phi_2, and the clearance to obstacles alone."""
-    lower, upper = np.array(scene.table.lower), np.array(scene.table.upper)
-    reach = stretched_length(scene.robot)
-    first = np.maximum(lower, -reach)
-    shape = (YAW_NODES, *(np.floor((np.minimum(upper, reach) - first) / STEP + 1e-6).astype(int) + 1))
-    lower, upper = object_bounds(scene)
-
-    def obstruction() -> np.ndarray:
-        packed = [pack_pieces(body, "cpu"), pack_pieces(obstacles, "cpu")]
-
-        def compute(estimate: np.ndarray, shift: np.ndarray, furthest: float) -> np.ndarray:
-            values = wp.array(estimate, dtype=float, device="cpu")
-            inputs = [*packed, _pose_of_first_node(first, shift), STEP, furthest]
-            cpu.run(cpu.launch_samples(kernels.object_obstruction, values.size, inputs, [values]))
-            return values.numpy()
-
-        return conservative(compute(np.zeros(shape), np.zeros(3), FURTHEST), compute)
-
-    def clearance() -> np.ndarray:
-        values = wp.zeros(shape, dtype=float, device="cpu")
-        inputs = [pack_pieces(body, "cpu"), wp.array(gap, dtype=float, device="cpu"), wp.vec2(*lower), wp.vec2(*upper)]
-        inputs += [_pose_of_first_node(first, np.zeros(3)), STEP]
-        cpu.run(cpu.launch_samples(kernels.object_clearance, values.size, inputs, [values]))
-        return values.numpy()
-
-    shapes = [x for piece in (*body, *obstacles) for x in (piece.vertices, piece.radius)]
-    content = [*shapes, len(body), first, shape, STEP, FURTHEST]
-    gap = cached("obstruction", content_of(*content), obstruction)
-    phi2 = cached("phi2", content_of(*content, lower, upper), clearance)
-    return _pose_field(phi2, first, device), _pose_field(gap, first, device)
-
-
-def conservative(values: np.ndarray, clearance: Callable[[np.ndarray, np.ndarray, float], np.ndarray]) -> np.ndarray:
-    """Returns the nodes of a clearance, lowered so that interpolation does not overestimate it, shape [yaw, x, y] [m].
-
-    Around a corner the clearance is convex over the poses, and interpolation overestimates it, by up to 4 mm on this
-    grid. The overestimate is computed half-way between nodes: along the edges of the cells first, then on their faces,
-    then at their centres. All nodes that an interpolation uses are lowered by its overestimate, except for a negligible
-    part.
-
-    Args:
-        values: Clearance at the nodes, shape [yaw, x, y] [m].
-        clearance: Computes the clearance on a grid that is shifted by fractions of a step (yaw, x, y), at the nodes
-            where an estimate is smaller than a limit, positive or negative; elsewhere it returns the estimate.
-    """
-    values = values.copy()
-    for toward in sorted(itertools.product((0, 1), repeat=3), key=sum)[1:]:
-        axes = np.flatnonzero(toward)
-        between = values
-        for axis in axes:
-            between = 0.5 * (between + np.roll(between, -1, axis))
-        excess = np.maximum(between - clearance(between, 0.5 * np.array(toward), TIGHT) - NEGLIGIBLE, 0.0)
-        for axis in axes:
-            if axis > 0:  # the yaw is periodic; x and y are not
-                excess[(slice(None),) * axis + (-1,)] = 0.0
-            excess = np.maximum(excess, np.roll(excess, 1, axis))
-        values -= excess
-    return values
-
-
-def _pose_of_first_node(origin: np.ndarray, shift: np.ndarray) -> wp.vec3:
-    """Returns the pose of a grid's first node, shifted by parts of a step in (yaw, x, y)."""
-    yaw, x, y = shift * (2.0 * np.pi / YAW_NODES, STEP, STEP)
-    return wp.vec3(origin[0] + x, origin[1] + y, yaw)
-
-
-def _pose_field(values: np.ndarray, origin: np.ndarray, device: str) -> PoseField:
-    field = PoseField()
-    field.values = wp.array(values, dtype=float, device=device)
-    field.origin = wp.vec2(*origin)
-    field.inv_step = 1.0 / STEP
-    field.inv_yaw_step = YAW_NODES / (2.0 * np.pi)
-    return field
 
 
 def _body_field(pieces: list[Piece], tool_radius: float, device: str) -> PlanarField:

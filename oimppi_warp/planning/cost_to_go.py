@@ -8,8 +8,9 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.compute.cache import cached, content_of
-from oimppi_warp.geometry.fields import STEP, pose_field_at
+from oimppi_warp.geometry.fields import pose_field_at
 from oimppi_warp.geometry.footprint import wrap_angle
+from oimppi_warp.geometry.pose_grid import STEP
 from oimppi_warp.kernels.fields import cost_to_go as kernels
 from oimppi_warp.kernels.geometry import PoseField
 

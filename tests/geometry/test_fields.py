@@ -13,19 +13,16 @@ from support.reference import INTERPOLATION_ERROR, LENGTH_TOLERANCE, piece_dista
 from support.small_tasks import block, box, post, shipped, task
 
 from oimppi_warp.geometry.fields import (
-    FURTHEST,
-    NEGLIGIBLE,
-    STEP,
-    YAW_NODES,
     ExactClearance,
     Geometry,
     build_geometry,
-    conservative,
+    exact_nodes,
     from_center,
     pose_field_at,
     to_center,
 )
 from oimppi_warp.geometry.footprint import collider_mesh, footprint, outline
+from oimppi_warp.geometry.pose_grid import FURTHEST, NEGLIGIBLE, STEP, YAW_NODES, conservative
 from oimppi_warp.geometry.reach import stretched_length
 from oimppi_warp.scene import Collider, Scene
 
@@ -111,6 +108,22 @@ def test_phi_2_is_exact_at_most_nodes_and_never_too_large_at_the_others(name, ge
     assert np.min(lowered) > -LENGTH_TOLERANCE
     assert np.quantile(lowered, 0.7) < 0.0003
     assert np.max(lowered) < INTERPOLATION_ERROR
+
+
+@pytest.mark.parametrize("name", ["task02", "task05"])
+def test_the_exact_nodes_are_what_shapely_finds(name, geometry):
+    scene, made = shipped(name), geometry(name)
+    values, grid = exact_nodes(scene), pose_grid(made.clearance)
+    assert values.shape == made.clearance.values.shape
+    random = np.random.default_rng(4)
+    checked = 0
+    for yaw, x, y in random.integers(0, values.shape, size=(600, 3)):
+        if 0.0 < values[yaw, x, y] < 0.9 * FURTHEST:
+            pose = grid.origin + grid.step * [x, y, yaw]
+            expected = exact_clearance(scene, from_center(made.surface, pose))
+            assert values[yaw, x, y] == pytest.approx(expected, abs=LENGTH_TOLERANCE)
+            checked += 1
+    assert checked > 40
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -29,8 +29,9 @@ from support.small_tasks import (
 )
 
 from oimppi_warp.config.settings import ObjectCost, RobotCost
-from oimppi_warp.geometry.fields import pack_pieces, pose_field_at
+from oimppi_warp.geometry.fields import pose_field_at
 from oimppi_warp.geometry.footprint import Piece
+from oimppi_warp.geometry.pose_grid import pack_pieces
 from oimppi_warp.kernels.costs.stage_costs import TERMS
 from oimppi_warp.kernels.geometry import PlanarField, PoseField, SpaceField
 from oimppi_warp.kernels.pushing import ObjectModel

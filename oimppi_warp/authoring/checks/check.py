@@ -72,7 +72,7 @@ def _task_errors(scene: Scene) -> Iterator[SceneError]:
 
 def _too_large(scene: Scene) -> Iterator[SceneError]:
     """Yields an error if the part of the table within reach is too large for the planner's fields to fit in memory."""
-    from oimppi_warp.geometry.fields import STEP, YAW_NODES
+    from oimppi_warp.geometry.pose_grid import STEP, YAW_NODES
     from oimppi_warp.geometry.reach import stretched_length
 
     reach = stretched_length(scene.robot)

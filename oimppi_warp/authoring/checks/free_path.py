@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from oimppi_warp.geometry.feasibility import fixed_outlines, object_outline
-from oimppi_warp.geometry.fields import Geometry, from_center, to_center
+from oimppi_warp.geometry.fields import Geometry, exact_nodes, from_center, to_center
 from oimppi_warp.geometry.reach import reach_of
 from oimppi_warp.scene import PlanarPose, Scene
 
@@ -57,7 +57,7 @@ class FreePaths:
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         self._scene, self._surface = scene, geometry.surface
         field = geometry.clearance
-        values = np.asarray(field.values.numpy(), dtype=float)
+        values = exact_nodes(scene).astype(float)
         self._origin = np.array([0.0, *field.origin])
         self._step = 1.0 / np.array([field.inv_yaw_step, field.inv_step, field.inv_step])
         x, y = (self._origin[i] + self._step[i] * np.arange(values.shape[i]) for i in (1, 2))
