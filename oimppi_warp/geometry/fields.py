@@ -136,8 +136,7 @@ def build_geometry(scene: Scene, device: str, *, threads: int | None = None) -> 
     body, pieces, top = _footprints(scene, surface)
     obstacles = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
     grid = PoseGrid(body, pieces, scene, cpu)
-    gap = grid.obstruction()
-    clearance, obstruction = (grid.field(values, device) for values in (grid.clearance(gap), gap))
+    clearance, obstruction = (grid.field(values, device) for values in (grid.clearance(), grid.obstruction))
     size = max(float(np.linalg.norm(piece.vertices, axis=1).max()) + piece.radius for piece in body)
     space, space_top = _space_field(obstacles, scene, device, cpu)
     return Geometry(
@@ -146,7 +145,7 @@ def build_geometry(scene: Scene, device: str, *, threads: int | None = None) -> 
 
 
 def exact_nodes(scene: Scene) -> np.ndarray:
-    """Returns phi_2 at the nodes of its grid, without what keeps the field from overestimating it between them [m].
+    """Returns the exact phi_2 at the nodes of its grid, from which the planner's field differs at corners [m].
 
     Args:
         scene: The task.
@@ -156,8 +155,7 @@ def exact_nodes(scene: Scene) -> np.ndarray:
     """
     start_warp()
     body, pieces, _ = _footprints(scene, limit_surface(scene.object))
-    grid = PoseGrid(body, pieces, scene, Compute("cpu"))
-    return grid.with_edge(grid.distance())
+    return PoseGrid(body, pieces, scene, Compute("cpu")).exact()
 
 
 class ExactClearance:

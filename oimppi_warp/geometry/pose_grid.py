@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -52,31 +53,36 @@ class PoseGrid:
         shapes = [x for piece in (*body, *obstacles) for x in (piece.vertices, piece.radius)]
         self._content = [*shapes, len(body), self.origin, self._shape, STEP, FURTHEST]
 
-    def distance(self) -> np.ndarray:
-        """Returns the clearance to obstacles alone, exact at the nodes."""
+    def exact(self) -> np.ndarray:
+        """Returns phi_2, exact at the nodes but overestimated between them."""
+        return self._with_edge(self._distance())
 
-        def compute() -> np.ndarray:
-            return self._distance(np.zeros(self._shape), np.zeros(3), FURTHEST)
-
-        return cached("distance", content_of(*self._content), compute)
-
+    @cached_property
     def obstruction(self) -> np.ndarray:
         """Returns the clearance to obstacles alone, not overestimated between the nodes."""
         content = content_of(*self._content, TIGHT, NEGLIGIBLE)
-        return cached("obstruction", content, lambda: conservative(self.distance(), self._distance))
+        return cached("obstruction", content, lambda: conservative(self._distance(), self._compute))
 
-    def with_edge(self, gap: np.ndarray) -> np.ndarray:
+    def clearance(self) -> np.ndarray:
+        """Returns phi_2, not overestimated between the nodes."""
+        content = content_of(*self._content, TIGHT, NEGLIGIBLE, *self._bounds)
+        return cached("phi2", content, lambda: self._with_edge(self.obstruction))
+
+    def _distance(self) -> np.ndarray:
+        """Returns the clearance to obstacles alone, exact at the nodes."""
+
+        def compute() -> np.ndarray:
+            return self._compute(np.zeros(self._shape), np.zeros(3), FURTHEST)
+
+        return cached("distance", content_of(*self._content), compute)
+
+    def _with_edge(self, gap: np.ndarray) -> np.ndarray:
         """Returns the smaller one of a clearance to obstacles and that to the table's edge."""
         values = wp.zeros(self._shape, dtype=float, device="cpu")
         known = wp.array(gap, dtype=float, device="cpu")
         inputs = [self._body, known, *(wp.vec2(*corner) for corner in self._bounds), self._first(np.zeros(3)), STEP]
         self._cpu.run(self._cpu.launch_samples(kernels.object_clearance, values.size, inputs, [values]))
         return values.numpy()
-
-    def clearance(self, obstruction: np.ndarray) -> np.ndarray:
-        """Returns phi_2, given :meth:`obstruction`."""
-        content = content_of(*self._content, TIGHT, NEGLIGIBLE, *self._bounds)
-        return cached("phi2", content, lambda: self.with_edge(obstruction))
 
     def field(self, values: np.ndarray, device: str) -> PoseField:
         """Returns values at the nodes as a field on a device."""
@@ -87,7 +93,7 @@ class PoseGrid:
         field.inv_yaw_step = YAW_NODES / (2.0 * np.pi)
         return field
 
-    def _distance(self, estimate: np.ndarray, shift: np.ndarray, furthest: float) -> np.ndarray:
+    def _compute(self, estimate: np.ndarray, shift: np.ndarray, furthest: float) -> np.ndarray:
         """Computes the clearance to obstacles for :func:`conservative`."""
         values = wp.array(estimate, dtype=float, device="cpu")
         inputs = [self._body, self._obstacles, self._first(shift), STEP, furthest]
