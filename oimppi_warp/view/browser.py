@@ -19,6 +19,8 @@ EYE, TARGET = (1.7, -0.95, 1.15), (0.42, 0.12, 0.05)
 """Position of the camera, and the point it looks at [m], for the table of the shipped arms."""
 _CENTER, _SIDE = np.array([0.375, 0.0, 0.0]), 1.6
 """Centre and longer side of that table [m]."""
+_FIELD_OF_VIEW = np.radians(45.0)
+"""Vertical field of view of the camera [rad]; the default of Newton's own window."""
 
 
 def view_of(table: Table, *, eye: Point = EYE, target: Point = TARGET) -> tuple[np.ndarray, np.ndarray]:
@@ -54,8 +56,9 @@ class Page:
         with redirect_stdout(io.StringIO()):  # hides viser's banner; the caller prints the address if needed
             self.server = viser.ViserServer(host=host, port=port, label="oimppi", verbose=False)
         self.url = page_url(host, self.server.get_port())
-        self._eye, self._target = view_of(table)
-        self._place(self.server.initial_camera)
+        camera = self.server.initial_camera
+        camera.position, camera.look_at = view_of(table)
+        camera.fov = _FIELD_OF_VIEW
         self._notice = self.server.gui.add_markdown("", order=-20.0, visible=False)
 
     @contextmanager
@@ -78,9 +81,13 @@ class Page:
         from newton.viewer import ViewerViser
 
         class Viewer(ViewerViser):
-            """Newton's viewer, but visitors keep the server's initial camera; it would move theirs to its default."""
+            """Newton's viewer, but the page's camera stays; it would move everybody's to its own default.
 
-            def _handle_client_connect(self, client: Any) -> None:
+            Moving a visitor's camera there and back is no way out: viser sends nothing for a camera that it
+            believes to be there already, and the page may just have told it so.
+            """
+
+            def _reset_camera_to_default(self, up_axis: int) -> None:
                 pass
 
         new, viser.ViserServer = viser.ViserServer, lambda **_options: self.server  # instead of another server
@@ -89,13 +96,7 @@ class Page:
         finally:
             viser.ViserServer = new
         viewer.picking_enabled = False  # picking applies forces to Newton's state; here the plant moves the bodies
-        for camera in (self.server.initial_camera, *(each.camera for each in self.server.get_clients().values())):
-            self._place(camera)  # Newton's viewer has moved it
         return viewer
-
-    def _place(self, camera: Any) -> None:
-        """Places a camera in front of the table."""
-        camera.position, camera.look_at = self._eye, self._target
 
 
 def open_viewer(table: Table, *, host: str = "127.0.0.1", port: int = 8080, paused: bool = False) -> Any:

@@ -78,6 +78,18 @@ def scene_is_drawn(image):
     return np.mean(np.abs(left - left[0]).sum(axis=1) > 30) > 0.05
 
 
+def messages_to(client):
+    """The messages that a client is sent from now on, as a list that grows."""
+    sent, send = [], client._websock_connection.queue_message
+
+    def record(message):
+        sent.append(message)
+        send(message)
+
+    client._websock_connection.queue_message = record
+    return sent
+
+
 class Served:
     """A view that is drawn by a thread, as the command's main thread would."""
 
@@ -165,10 +177,12 @@ def test_a_page_without_a_scene_says_what_it_waits_for_and_then_shows_it_from_th
             page.goto(waiting.url)
             notice.wait_for()
             until(lambda: waiting.server.get_clients())
+            (client,) = waiting.server.get_clients().values()
+            sent = messages_to(client)
             Canvas(waiting.viewer()).show(Picture.of_start(scene))
         until(lambda: scene_is_drawn(picture_of(page, "from_the_start")))
-        (client,) = waiting.server.get_clients().values()
         until(lambda: np.allclose(client.camera.position, view_of(scene.table)[0], atol=0.01))
+        assert not [it for it in sent if "Camera" in type(it).__name__], "a camera that is moved may not come back"
         notice.wait_for(state="hidden")
         assert page.problems == []
     finally:
