@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
 from pathlib import Path
+from typing import Any
 
 import warp as wp
 
@@ -27,24 +28,32 @@ def known_modules() -> dict[str, wp.Module]:
 
 
 @contextmanager
-def quick_compilation() -> Iterator[None]:
+def quick_compilation(*, without_gradients: Collection[str] = ()) -> Iterator[None]:
     """Compiles without optimization those kernels of other packages that are loaded meanwhile.
 
     It takes less than half of the time, and suits kernels that run once. The packages must have been imported. Modules
     that were loaded so stay as they are for the rest of the process.
+
+    Args:
+        without_gradients: Names of modules whose kernels nobody differentiates: their backward passes, which are more
+            than half of the work, are not compiled.
     """
-    others = [
-        module
-        for name, module in known_modules().items()
+    known = known_modules()
+    quick: dict[str, dict[str, Any]] = {
+        name: {"optimization_level": 0}
+        for name, module in known.items()
         if not name.startswith(_OWN) and module.options["optimization_level"] is None
-    ]
-    for module in others:
-        module.options["optimization_level"] = 0
+    }
+    for name in known.keys() & without_gradients:
+        quick.setdefault(name, {})["enable_backward"] = False
+    before = {name: {option: known[name].options[option] for option in options} for name, options in quick.items()}
+    for name, options in quick.items():
+        known[name].options.update(options)
     try:
         yield
     finally:
-        for module in others:
-            module.options["optimization_level"] = None
+        for name, options in before.items():
+            known[name].options.update(options)
 
 
 _under_way: dict[wp.Module, Future[None]] = {}

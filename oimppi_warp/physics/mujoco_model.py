@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 SENSED = ((("object",), ("obstacle", "base")), (("arm", "tool"), ("obstacle", "table")))
 """Pairs of moving and static roles whose contact forces are sensed: the paper's lambda_2 and lambda_3."""
 
+_CONVERSION = "newton._src.solvers.mujoco.kernels"
+"""Module of the kernels that convert to MuJoCo's model and state, through which Newton computes no gradients."""
+
 
 @dataclass(frozen=True, eq=False)
 class MujocoModel:
@@ -76,7 +79,7 @@ def translate_scene(scene: Scene, *, sensing: bool) -> MujocoModel:
         pass  # missing or truncated: make it again
     from newton.solvers import SolverMuJoCo  # noqa: F401  (its kernels must be known)
 
-    with quick_compilation():  # Newton's kernels run once here
+    with quick_compilation(without_gradients=[_CONVERSION]):  # Newton's kernels run once here
         made = _translate(build_model(_at_zero(scene)), sensing=sensing)
     with suppress(OSError):  # an unwritable cache costs time, but not the run
         _save(made, file)

@@ -37,6 +37,18 @@ def test_only_kernels_of_other_packages_are_compiled_without_optimization():
     assert levels() == before
 
 
+def test_backward_passes_are_left_out_of_named_modules_only():
+    import newton.solvers  # noqa: F401
+
+    name = "newton._src.solvers.mujoco.kernels"  # which a first run needs
+    backward = {it: module.options["enable_backward"] for it, module in known_modules().items()}
+    with quick_compilation(without_gradients=[name]):
+        during = {it: module.options["enable_backward"] for it, module in known_modules().items()}
+    assert backward[name]
+    assert during == {**backward, name: False}
+    assert backward == {it: module.options["enable_backward"] for it, module in known_modules().items()}
+
+
 MODULE = wp.get_module(cost_to_go.__name__)
 
 
