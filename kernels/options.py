@@ -20,26 +20,23 @@ changes nothing on the CPU.
 """
 
 
-def fast(*, inlined: bool = False) -> dict[str, Any]:
+def fast() -> dict[str, Any]:
     """Returns options for ``wp.set_module_options``: no backward pass, fused products and sums, fast math on a GPU.
 
-    Args:
-        inlined: Whether every function is inlined into its kernel, since a call copies its structs through memory. It
-            takes longer to compile.
+    On the CPU every function is inlined into its kernel, since a call copies its structs through memory. The flags are
+    the same for all of these kernels: Warp makes a precompiled header for each set of flags.
     """
-    flags = wp.config.cpu_compiler_flags or ""
-    if inlined:
-        flags = re.sub(r"-mllvm=-inline-threshold=\d+", "", flags) + f" -mllvm=-inline-threshold={INLINE_THRESHOLD}"
-    return {"enable_backward": False, "fast_math": FAST_MATH, "cpu_compiler_flags": f"{flags} -ffp-contract=fast"}
+    flags = re.sub(r"-mllvm=-inline-threshold=\d+", "", wp.config.cpu_compiler_flags or "")
+    flags = f"{flags} -mllvm=-inline-threshold={INLINE_THRESHOLD} -ffp-contract=fast"
+    return {"enable_backward": False, "fast_math": FAST_MATH, "cpu_compiler_flags": flags}
 
 
-def fast_module(name: str, *, inlined: bool = False) -> str:
+def fast_module(name: str) -> str:
     """Returns the name of a kernel's own module, ``oimppi_warp.kernels.{name}``, which has the options of :func:`fast`.
 
     Args:
         name: The module's name within the package.
-        inlined: As for :func:`fast`.
     """
     module = f"oimppi_warp.kernels.{name}"
-    wp.set_module_options(fast(inlined=inlined), module)
+    wp.set_module_options(fast(), module)
     return module

@@ -110,9 +110,9 @@ def module_of(name: str, extra: ExtraTerms) -> dict[str, Any]:
     With extra terms, the module's name contains their names and ends with a hash of everything that is compiled.
     """
     if not extra:
-        return {"module": fast_module(name, inlined=True)}
+        return {"module": fast_module(name)}
     name = "_".join((name, *(key for key, _ in extra)))
-    return {"name": name, "module": "unique", "module_options": fast(inlined=True)}
+    return {"name": name, "module": "unique", "module_options": fast()}
 
 
 def compose(terms: Sequence[wp.Function], extra: ExtraTerms) -> wp.Function:

@@ -56,7 +56,7 @@ class BuildProcess:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": paths, "TMPDIR": self._temporary},
-                start_new_session=True,  # Ctrl-C is for this process, which stops the other one
+                process_group=0,  # Ctrl-C is for this process, which stops the other one
             )
             assert self._process.stdin is not None
             # It stays open: when this process ends, however it does, so does the other one.

@@ -62,7 +62,7 @@ def step_kernels(config: Config, spec: RunSpec) -> list[wp.Module]:
     if config.robot.controls == "tool" and spec.engine in ("auto", "quasistatic"):
         kernels += [*_of_optimizer(config.robot.optimizer, 3), allowed_velocity]
         added = tuple((term.name, term.function) for term in weighted_terms(config.cost))
-        # It comes last, since Warp compiles nothing else beside a module whose flags set options of LLVM.
+        # It comes last, since it takes longest, and Warp compiles nothing else meanwhile if its flags set LLVM's.
         kernels.append(make_upright_rollout(added))
     return list(dict.fromkeys(kernel.module for kernel in kernels))
 
