@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import cast
 
 import numpy as np
@@ -74,10 +75,43 @@ class Geometry:
         """Returns phi_2 at a pose [3] of the friction centre, looked up as the kernels do, on the host [m]."""
         return pose_field_at(self.clearance, pose, self._clearance_values)
 
+    def obstruction_at(self, poses: np.ndarray) -> np.ndarray:
+        """Returns phi_2 without the table's edge at poses [..., 3] of the friction centre, on the host, [...] [m]."""
+        field = self.obstruction
+        turns = poses[..., 2] / (2.0 * math.pi) % 1.0 * (len(self._obstruction_values) - 1)
+        nodes = (poses[..., :2] - np.array(field.origin)) * field.inv_step
+        return multilinear(self._obstruction_values, np.concatenate([turns[..., None], nodes], axis=-1))
+
     @cached_property
     def _clearance_values(self) -> np.ndarray:
         """Returns the values of phi_2's nodes on the host."""
         return self.clearance.values.numpy()
+
+    @cached_property
+    def _obstruction_values(self) -> np.ndarray:
+        """Returns the values of the other field's nodes on the host; the first yaw is repeated after the last."""
+        values = self.obstruction.values.numpy()
+        return np.concatenate([values, values[:1]])
+
+
+def multilinear(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Interpolates values on a regular grid linearly along each axis; beyond the grid, its border counts.
+
+    Args:
+        values: Values at the nodes, an array of d axes.
+        at: Points, in grid steps from the first node, shape [..., d].
+
+    Returns:
+        Shape [...].
+    """
+    at = np.clip(at, 0.0, np.array(values.shape) - 1.0)
+    node = np.minimum(at.astype(int), np.array(values.shape) - 2)
+    share = at - node
+    found = np.zeros(at.shape[:-1])
+    for corner in product((0, 1), repeat=values.ndim):
+        weight = np.where(corner, share, 1.0 - share).prod(axis=-1)
+        found += weight * values[tuple(np.moveaxis(node + corner, -1, 0))]
+    return found
 
 
 def pose_field_at(field: PoseField, pose: np.ndarray, values: np.ndarray | None = None) -> float:

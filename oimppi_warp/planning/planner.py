@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from functools import cached_property
+from functools import cached_property, partial
 from weakref import ref
 
 import numpy as np
@@ -19,6 +19,7 @@ from oimppi_warp.errors import ObservationError
 from oimppi_warp.geometry.fields import build_geometry, from_center, to_center
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.geometry.reach import can_lift
+from oimppi_warp.kernels.rollouts.object import take_detour
 from oimppi_warp.kernels.upright_step import allowed_velocity
 from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
 from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
@@ -56,8 +57,9 @@ class Planner:
     :meth:`object_statistics` are called once more when a plan's details are read, which may be in another thread and at
     the beginning of the next plan or episode. A method is a
     subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`, :meth:`tracked`,
-    :meth:`to_go_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the launches of a step before
-    the robot level go into ``object_launches`` in its constructor. It is registered in
+    :meth:`to_go_from`, :meth:`to_goal_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the
+    launches of a step before the robot level go into ``object_launches`` in its constructor. While an object that made
+    no headway is pushed from elsewhere, the push takes the reference's place. The method is registered in
     :data:`oimppi_warp.registries.METHODS`.
 
     Args:
@@ -155,6 +157,12 @@ class Planner:
         ]
         self._trace_launches = [self._rollouts.trace(followed, self.optimizer.costs)]
         self._command_launches: list[Launch] = []
+        reference = self.dynamics.reference
+        self._detour = compute.input(len(reference.host), wp.vec3)
+        self._on_detour = compute.input(1, int)
+        self._detour_launch = compute.launch(
+            take_detour, len(reference.host), [self._detour.array, self._on_detour.array], [reference.array]
+        )
         self.pace = compute.input(1, float)
         self.pace.host[0] = 1.0
         # The command's step has its own inputs and outputs: they are written while the step before it runs.
@@ -176,6 +184,7 @@ class Planner:
             w_theta=config.cost.w_theta,
             height=height,
             period=config.control_period,
+            arm_clearance=None if upright is None else upright.clearance_at,
         )
         self._tracked = self.goal[None]
         self._latest: ref[Later] | None = None  # weak: it refers to this planner
@@ -183,7 +192,7 @@ class Planner:
     @cached_property
     def steps(self) -> tuple[Step, Step, Step]:
         """Returns the steps of a plan: both levels; the command as the arm may follow it; the trace of the nominal."""
-        levels = [*self.object_launches, *self._robot_launches]
+        levels = [*self.object_launches, self._detour_launch, *self._robot_launches]
         self.compute.load([*levels, *self._command_launches, *self._trace_launches])
         captured = self.dynamics.one_graph and self.optimizer.one_graph and self.object_one_graph
         return (
@@ -243,8 +252,12 @@ class Planner:
         self._settle()
         pose = to_center(self.geometry.surface, observation.object_pose)
         tip = tip_frame(self.scene.robot, observation.joint_position)[1]
-        waypoint = self._repositioner.waypoint(tip, pose, self.tracked(), self.to_go_from(pose))
+        waypoint = self._repositioner.waypoint(tip, pose, self.to_go_from, self.to_goal_from)
         self.dynamics.waypoint.host[0] = waypoint
+        detour = self._repositioner.detour(len(self._detour.host))
+        self._on_detour.host[0] = detour is not None
+        if detour is not None:
+            self._detour.host[:] = detour
         self.pace.host[0] = self._repositioner.pace
         self._rollouts.set_state(observation, self.goal)
         repositioning = bool(waypoint[3] > 0.0)
@@ -262,7 +275,7 @@ class Planner:
         levels.wait()
         self.dynamics.check()
         trace.begin()
-        details = Later(self._details)
+        details = Later(partial(self._details, detour))
         self._latest = ref(details)
         if self.optimizer.found().lost >= self.optimizer.settings.samples:
             return Plan(
@@ -277,8 +290,8 @@ class Planner:
         if details is not None:
             details()
 
-    def _details(self) -> PlanDetails:
-        """Returns the details of the latest plan."""
+    def _details(self, detour: np.ndarray | None) -> PlanDetails:
+        """Returns the details of the latest plan, made with the method's own reference or a detour, shape [n, 3]."""
         with using_gpu:
             self.steps[-1].wait()
             trace = self.dynamics.traced()
@@ -289,7 +302,7 @@ class Planner:
                 terms=trace.terms,
                 tips=trace.tips,
                 object_poses=from_center(surface, trace.poses),
-                reference=from_center(surface, self.tracked()),
+                reference=from_center(surface, self.tracked() if detour is None else detour),
             )
 
     def samples(self, count: int) -> Samples:
@@ -351,6 +364,10 @@ class Planner:
         if self._to_go is not None:
             return to_go_at(self._to_go, self._to_go_values, pose, self.goal, self.config.object.yaw_length)
         return distance(pose, self.goal, self.config.object.yaw_length)
+
+    def to_goal_from(self, pose: np.ndarray) -> float:
+        """Returns the same distance [m], without regard to a plan that the object follows."""
+        return self.to_go_from(pose)
 
     def object_statistics(self) -> Update | None:
         """Returns the statistics of the object level's update in the latest step; ``None`` if it did not plan."""

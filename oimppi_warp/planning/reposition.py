@@ -1,10 +1,11 @@
-"""Repositioning of the tool: an object that makes no headway is pushed from another side. Not in the paper.
+"""Repositioning: an object that makes no headway is let go, and pushed from another place. Not in the paper.
 
-The robot level looks about a second ahead, so it pushes from the tool's position, or from around the next corner. An
-object wedged between an obstacle and the tool may have to be pushed from its other side, two seconds away. The planner
-therefore monitors the object's headway. When there is none, it chooses the point of the outline where a push comes
-closest to the motion of the reference, and leads the tip there along waypoints: over the object, or around it if the
-robot cannot lift its tool.
+The robot level looks about a second ahead, so it pushes from the tool's position, or from around the next corner. The
+object level does not know which pushes are possible: an object may be wedged, or the arm would have to reach behind it,
+close to its own base. The planner therefore monitors the object's headway. When there is none, it chooses, among the
+pushes that are possible (``planning/pushes.py``), the one that leaves the least way to go. It leads the tip to where
+that push begins: over the object, or around it if the robot cannot lift its tool. Then the robot level follows the push
+instead of its reference.
 
 Before that, the reference slows down. It moves faster than a wedged object can, and a reference that is far ahead cuts
 corners: it asks for a push around the corner, where the object first has to be turned, or pushed aside.
@@ -13,6 +14,7 @@ corners: it asks for a push around the corner, where the object first has to be 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import shapely
@@ -21,6 +23,8 @@ from oimppi_warp.config.settings import Reposition
 from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.geometry.footprint import footprint, outline, planar_points, wrap_angle
 from oimppi_warp.geometry.reach import can_lift, highest_tip, reach_of
+from oimppi_warp.planning.progress import poses_at
+from oimppi_warp.planning.pushes import SPACING, Push, Pushes
 from oimppi_warp.planning.stance import Outline, yaw_length_of
 from oimppi_warp.scene import Scene
 
@@ -37,28 +41,26 @@ _ABOVE = 0.035
 """Height of the tip above the object's top while it crosses it [m]."""
 _REACHED = 0.02
 """Distance at which a waypoint is reached [m]."""
-_SAME_SIDE = 0.06
-"""Tool positions closer together than this count as the same side of the object [m]."""
-_AHEAD = 15
-"""Steps along the reference that give the desired motion."""
 _MARGIN = 0.004
-"""Gap between the tool and an obstacle below which a position is blocked [m]."""
+"""Gap between tool or arm and an obstacle below which a position is blocked [m]."""
 _ROOM = 0.01
 """Distance to the edge of the tip's reach below which a position is blocked [m]."""
-_BLOCKED = 10.0
-"""Subtracted from the score of a blocked side, which puts it below every other; scores are cosines."""
+_SPEED = 0.1
+"""Speed of the object along a push, a radian counted as its ``yaw_length`` [m/s]."""
+_ARRIVED = 0.01
+"""Distance from the end of a push at which it is over [m]."""
 _SHARE = 0.1
 """Share of the remaining distance that is headway where it is less than the setting."""
 _PATIENCE = 1.0
 """Time without headway after which the reference slows down [s]."""
 _RECOVERY = 2.0
 """Factor by which headway speeds the reference up again."""
-_REMEMBERED = 8
-"""Number of tried sides at which all but the latest two are forgotten, so that they may be tried again."""
+_REMEMBERED = 6
+"""Number of tried places beyond which all but the latest two are forgotten, so that they may be tried again."""
 
 
 class Repositioner:
-    """Monitors the object's progress; without it, slows the reference, and leads the tip to another side of the object.
+    """Monitors the object's progress; without it, slows the reference, and then has the object pushed from elsewhere.
 
     Args:
         scene: The task.
@@ -67,57 +69,83 @@ class Repositioner:
         w_theta: Square of the length that a radian of yaw counts as [m^2/rad^2]; 0 if the yaw does not matter.
         height: Height of the tip while it pushes [m].
         period: Control period [s].
+        arm_clearance: Function of tip positions [n, 2] at that height that returns the clearance of arm and tool, [n]
+            [m]; ``None`` if it is not known.
 
     Attributes:
         pace: Number of steps along the reference that should be made per control step, 1 or less.
     """
 
     def __init__(
-        self, scene: Scene, geometry: Geometry, settings: Reposition, *, w_theta: float, height: float, period: float
+        self,
+        scene: Scene,
+        geometry: Geometry,
+        settings: Reposition,
+        *,
+        w_theta: float,
+        height: float,
+        period: float,
+        arm_clearance: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> None:
         self._settings = settings
-        self._turn = w_theta > 0.0
         self._period = period
         self._radius = scene.robot.tool_radius
         self._heights = (height, geometry.top + _ABOVE)
         self._lifts, self._over = can_lift(scene.robot), highest_tip(scene.robot) >= self._heights[1]
         self._reach = reach_of(scene.robot)
-        self._outline = Outline(scene, geometry.surface, yaw_length=yaw_length_of(geometry.surface, w_theta))
-        self._sides = self._outline.beside(self._radius + _GAP)  # tool positions, object frame
+        self._arm_clearance = arm_clearance
+        self._yaw_length = yaw_length_of(geometry.surface, w_theta)
+        self._outline = Outline(scene, geometry.surface, yaw_length=self._yaw_length)
         blocks = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
         self._blocks = outline(footprint((*blocks, *scene.robot.base.colliders), lower=height, upper=geometry.top))
+        self._pushes = Pushes(geometry, self._outline, radius=self._radius, gap=_GAP, blocked=self._blocked)
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the progress made, the waypoints and the sides tried before."""
+        """Forgets the progress made, the waypoints, the push and the places tried before."""
         self.pace = 1.0
         self._pushed = False  # the arm is still on its way to the object
         self._least = math.inf
+        self._forgets_below = math.inf  # way to go at which places may be tried again
         self._stalled = 0.0
         self._time_left = 0.0
         self._waypoints: list[np.ndarray] = []
+        self._push: Push | None = None
+        self._along = 0  # index of the pose of the push that the object is nearest to
         self._tried: list[np.ndarray] = []
 
-    def waypoint(self, tip: np.ndarray, pose: np.ndarray, reference: np.ndarray, to_go: float) -> np.ndarray:
+    def waypoint(
+        self,
+        tip: np.ndarray,
+        pose: np.ndarray,
+        to_go_from: Callable[[np.ndarray], float],
+        to_goal_from: Callable[[np.ndarray], float] | None = None,
+    ) -> np.ndarray:
         """Returns the tip's waypoint in this control step.
 
         Args:
             tip: Position, shape [3] [m].
             pose: Pose of the object's friction centre, shape [3].
-            reference: Reference poses from now on, at full pace, shape [n, 3].
-            to_go: Distance that the object still has to go [m].
+            to_go_from: Function of such a pose that returns the distance that the object still has to go [m].
+            to_goal_from: The same without regard to a plan that the object follows, by which pushes are chosen once one
+                has brought no headway: it may be the plan that cannot be followed. ``None``: ``to_go_from``.
 
         Returns:
             (x, y, z [m], weight [1/m^2]); :data:`NO_WAYPOINT` while the object makes headway.
         """
+        to_go = to_go_from(pose)
         known = all(map(math.isfinite, [to_go, *tip.tolist(), *pose.tolist()]))
         if self._settings.stall_seconds <= 0.0 or not known:
             return NO_WAYPOINT
         if self._waypoints:
             return self._next_waypoint(tip, to_go)
+        if self._push is not None:
+            self._follow(self._push, pose)
         if to_go < self._least - min(self._settings.headway, _SHARE * self._least):
             if math.isfinite(self._least):
                 self._pushed = True
+            if to_go < self._forgets_below:
+                self._forgets_below = to_go - self._settings.headway
                 self._tried.clear()
             self._least, self._stalled = to_go, 0.0
             self.pace = min(1.0, _RECOVERY * self.pace)
@@ -126,9 +154,24 @@ class Repositioner:
             self._slow_down()
         if self._stalled >= self._settings.stall_seconds:
             self._pushed = True
-            self._choose(tip, pose, reference)
+            self._choose(tip, pose, to_goal_from if self._tried and to_goal_from else to_go_from)
             self._least, self._stalled = to_go, 0.0
         return NO_WAYPOINT
+
+    def detour(self, steps: int) -> np.ndarray | None:
+        """Returns the poses of the push to follow from now on, one per control step; ``None`` if there is none.
+
+        Args:
+            steps: Number of poses.
+
+        Returns:
+            Poses of the object's friction centre, shape [steps, 3] [m, m, rad].
+        """
+        if self._push is None or self._waypoints:
+            return None
+        path = self._push.path
+        at = self._along + _SPEED * self._period / SPACING * np.arange(steps)
+        return poses_at(path, np.minimum(at, len(path) - 1.0))
 
     def _slow_down(self) -> None:
         """Lowers the pace after a time without headway, at a rate that would stop the reference at repositioning."""
@@ -136,32 +179,38 @@ class Repositioner:
         self.pace = min(self.pace, max(1.0 - waited, self._settings.least_pace))
 
     def _next_waypoint(self, tip: np.ndarray, to_go: float) -> np.ndarray:
-        """Advances to the next waypoint when one is reached; gives up on timeout."""
+        """Advances to the next waypoint when one is reached; gives up on timeout. The push follows the last."""
         self._time_left -= self._period
         if np.linalg.norm(tip - self._waypoints[0]) < _REACHED:
             self._waypoints.pop(0)
         if self._time_left <= 0.0:
             self._waypoints.clear()
+        if not self._waypoints:
+            self._time_left = self._settings.longest_seconds
         self._least, self._stalled = to_go, 0.0
         return np.append(self._waypoints[0], self._settings.w_waypoint) if self._waypoints else NO_WAYPOINT
 
-    def _choose(self, tip: np.ndarray, pose: np.ndarray, reference: np.ndarray) -> None:
-        """Chooses a side, and the waypoints that lead there."""
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        move = reference[min(max(round(_AHEAD * self.pace), 1), len(reference) - 1)] - pose
-        wanted = np.array([c * move[0] + s * move[1], c * move[1] - s * move[0], self._turn * wrap_angle(move[2])])
-        positions = planar_points(pose, self._sides)
-        score = self._outline.alignment(wanted) - _BLOCKED * self._blocked(positions)
-        self._tried.append(self._sides[np.argmin(np.linalg.norm(positions - tip[:2], axis=1))])
-        for side in self._tried:
-            score -= np.linalg.norm(self._sides - side, axis=1) < _SAME_SIDE
-        best = int(np.argmax(score))
-        self._tried.append(self._sides[best])
+    def _follow(self, push: Push, pose: np.ndarray) -> None:
+        """Notes how far along a push the object is; ends it when it is over, or on timeout."""
+        self._time_left -= self._period
+        away = push.path - pose
+        away[:, 2] = self._yaw_length * wrap_angle(away[:, 2])
+        distances = np.linalg.norm(away, axis=1)
+        self._along = int(np.argmin(distances))
+        if self._along == len(distances) - 1 or distances[-1] < _ARRIVED or self._time_left <= 0.0:
+            self._push = None
+
+    def _choose(self, tip: np.ndarray, pose: np.ndarray, to_go_from: Callable[[np.ndarray], float]) -> None:
+        """Chooses a push, and the waypoints that lead to its beginning."""
+        self._push, self._along = self._pushes.best(pose, to_go_from, self._tried), 0
+        if self._push is None:
+            return
+        self._tried.append(self._push.place)
         if len(self._tried) > _REMEMBERED:
             self._tried = self._tried[-2:]
 
         low, high = self._heights
-        target = positions[best]
+        target = planar_points(pose, self._push.place)[0]
         body = shapely.affinity.translate(
             shapely.affinity.rotate(self._outline.shape, pose[2], origin=(0.0, 0.0), use_radians=True), pose[0], pose[1]
         )
@@ -209,7 +258,11 @@ class Repositioner:
         return min(paths, key=lambda path: path[:2])[2]
 
     def _blocked(self, positions: np.ndarray) -> np.ndarray:
-        """Returns whether tool positions, shape [n, 2] [m], are next to an obstacle or at the edge of reach."""
+        """Returns whether tool or arm are next to an obstacle or at the edge of reach at tool positions [n, 2] [m]."""
         points = shapely.points(positions)
-        near = shapely.distance(points, self._blocks) < self._radius + _MARGIN if self._blocks else False
-        return near | (self._reach.margin(positions) < _ROOM)
+        blocked = self._reach.margin(positions) < _ROOM
+        if self._blocks:
+            blocked |= shapely.distance(points, self._blocks) < self._radius + _MARGIN
+        if self._arm_clearance is not None:
+            blocked |= self._arm_clearance(positions) < _MARGIN
+        return blocked

@@ -133,3 +133,7 @@ class SequentialPlanner(Planner):
         A radian of yaw counts as the setting ``object.yaw_length``.
         """
         return super().to_go_from(pose) if self._follower is None else self._follower.to_go_from(pose)
+
+    def to_goal_from(self, pose: np.ndarray) -> float:
+        """Returns the distance [m] to the goal from a planar pose, shape [3], without regard to the object plan."""
+        return self._object.to_go_from(pose)

@@ -66,14 +66,24 @@ class Outline:
         """
         wanted = motions * self._metric
         wanted = wanted / np.maximum(np.linalg.norm(wanted, axis=-1, keepdims=True), 1e-9)
-        tangents = np.column_stack([-self.normals[:, 1], self.normals[:, 0]])
         best = np.full((*wanted.shape[:-1], len(self.points)), -1.0)
-        for share in np.linspace(-self._friction, self._friction, 5):
-            force = self.normals + share * tangents
-            torque = self.points[:, 0] * force[:, 1] - self.points[:, 1] * force[:, 0]
-            twist = np.column_stack([force, torque]) * self._mobility * self._metric
-            best = np.maximum(best, wanted @ (twist / np.linalg.norm(twist, axis=1)[:, None]).T)
+        for share in np.linspace(-1.0, 1.0, 5):
+            best = np.maximum(best, wanted @ (self.twists(share) * self._metric).T)
         return best
+
+    def twists(self, share: float) -> np.ndarray:
+        """Returns the object's twists ``D w`` under a push at each point, in its axes, shape [n, 3] [m, m, rad].
+
+        Their length is 1 m, where a radian counts as ``yaw_length``.
+
+        Args:
+            share: Tangential force, as a share of the largest that friction allows, from -1 to 1.
+        """
+        tangents = np.column_stack([-self.normals[:, 1], self.normals[:, 0]])
+        force = self.normals + share * self._friction * tangents
+        torque = self.points[:, 0] * force[:, 1] - self.points[:, 1] * force[:, 0]
+        twist = np.column_stack([force, torque]) * self._mobility
+        return twist / np.linalg.norm(twist * self._metric, axis=1)[:, None]
 
 
 def build_stance(

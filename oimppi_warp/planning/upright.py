@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -17,7 +18,7 @@ import warp as wp
 from oimppi_warp.compute.cache import cached, content_of_data, source_content
 from oimppi_warp.config.settings import RobotLevel
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.geometry.fields import Geometry
+from oimppi_warp.geometry.fields import Geometry, multilinear
 from oimppi_warp.geometry.kinematics import pack_arm, tip_frame
 from oimppi_warp.geometry.postures import STEP, Postures, halved, postures_of
 from oimppi_warp.geometry.reach import can_lift, tip_rates
@@ -61,6 +62,22 @@ class UprightModel:
 
     packed: UprightArm
     postures: Postures
+
+    def clearance_at(self, positions: np.ndarray) -> np.ndarray:
+        """Returns the clearance of arm and tool with the tip at positions [n, 2] at the height of pushing [n] [m].
+
+        It is at most the distance to the border of the tip's reach, and negative beyond.
+        """
+        field = self.packed.clearance
+        at = np.column_stack([positions, np.full(len(positions), self.packed.height)])
+        at = (at - np.array(field.origin)) * field.inv_step
+        inside = ((at >= 0.0) & (at <= np.array(self._clearance_values.shape) - 1.0)).all(axis=-1)
+        return np.where(inside, multilinear(self._clearance_values, at), field.outside)
+
+    @cached_property
+    def _clearance_values(self) -> np.ndarray:
+        """Returns the values of the clearance's nodes on the host."""
+        return self.packed.clearance.values.numpy()
 
 
 def build_upright(
