@@ -48,6 +48,7 @@ class Entry:
         methods: Names of methods; by default all registered ones.
         trials: Number of trials per task and method.
         first: Number of the first trial. The lowest numbers use the scene's own starts; all other starts are drawn.
+        beside: If given, all starts are drawn at this distance from an obstacle or the robot's base, from and to [m].
         run: Options of all runs. Its seed is the one from which the trials' seeds are derived, its method is replaced
             by each of ``methods``; its engine is never ``"auto"``, which depends on the load of the machine.
         settings: Settings of all runs.
@@ -58,6 +59,7 @@ class Entry:
     methods: tuple[str, ...] = field(default_factory=lambda: tuple(METHODS))
     trials: int = 10
     first: int = 0
+    beside: tuple[float, float] | None = None
     run: RunSpec = RUN
     settings: SettingsRequest = SETTINGS
     label: str = ""
@@ -305,6 +307,16 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
         ),
         "trials": _integer(1, MOST_TRIALS),
         "first": _integer(0, NUMBERS - 1),
+        "beside": (
+            lambda value: (
+                isinstance(value, list)
+                and len(value) == 2
+                and _number(value[0])
+                and _number(value[1])
+                and 0 <= value[0] < value[1]
+            ),
+            "two distances [m], the second larger, like [0.0005, 0.002]",
+        ),
         "preset": _one_of(PRESETS),
         "engine": _one_of(ENGINES),
         "device": (lambda value: isinstance(value, str), '"cpu", "cuda:0", ... or "auto"'),

@@ -189,7 +189,7 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
             content = scene_content(scene.file)
             for number in entry.numbers:
                 seed = trial_seed(entry.run.seed, number)
-                start = scene.start if starts_itself(entry.run.plant) else _start(scene, number, seed)
+                start = scene.start if starts_itself(entry.run.plant) else _start(scene, number, seed, entry.beside)
                 for method in entry.methods:
                     run = replace(entry.run, method=method, seed=seed)
                     trials.append(Trial(name, path, content, number, start, run, entry.settings))
@@ -206,9 +206,11 @@ def _scene_path(suite: Suite, task: str) -> str:
     return os.path.relpath(beside) if meant else task
 
 
-def _start(scene: Scene, number: int, seed: int) -> PlanarPose:
-    from oimppi_warp.geometry.feasibility import sample_start
+def _start(scene: Scene, number: int, seed: int, beside: tuple[float, float] | None) -> PlanarPose:
+    from oimppi_warp.geometry.feasibility import sample_beside, sample_start
 
+    if beside is not None:
+        return sample_beside(scene, seed, beside)
     if number < len(scene.starts):
         x, y, yaw = map(float, scene.starts[number])
         return x, y, yaw

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import shapely
@@ -19,6 +19,9 @@ START_CLEARANCE = 0.045
 
 MAX_DRAWS = 2000
 """Largest number of starts drawn before giving up."""
+
+_APPROACHES = 6
+"""Number of moves that bring a drawn start to its distance from an obstacle; which point is nearest changes."""
 
 
 def check_task(scene: Scene) -> None:
@@ -97,18 +100,10 @@ def sample_start(scene: Scene, seed: int) -> PlanarPose:
     if position == 0.0 and yaw == 0.0:
         return scene.start
     random = np.random.default_rng(seed)
-    reach = reach_of(scene.robot)
-    outlines = [other for _, _, other in fixed_outlines(scene)]
-    tool = _tool(scene)
-    if tool is not None:
-        outlines.append(tool)
+    fits = _roomy_starts(scene, START_CLEARANCE)
     for _ in range(MAX_DRAWS):
-        x, y, angle = np.asarray(scene.start) + random.uniform(-1.0, 1.0, 3) * (position, position, yaw)
-        pose = (round(float(x), 4), round(float(y), 4), round(float(angle), 4))
-        shape = object_outline(scene, pose)
-        behind = reach.margin(shapely.get_coordinates(shape)).min() >= 2.0 * scene.robot.tool_radius
-        free = all(shapely.distance(shape, other) >= START_CLEARANCE for other in outlines)
-        if free and behind and shapely.covers(_table(scene), shape):
+        pose = _rounded(np.asarray(scene.start) + random.uniform(-1.0, 1.0, 3) * (position, position, yaw))
+        if fits(pose):
             return pose
     raise SceneError(
         f"none of {MAX_DRAWS} starts drawn around ({scene.start[0]:.3g}, {scene.start[1]:.3g}) is free and within "
@@ -117,6 +112,70 @@ def sample_start(scene: Scene, seed: int) -> PlanarPose:
         allowed=f"{START_CLEARANCE:g} m of clearance around the object, and the whole object {_reach_text(scene)}",
         fix="give a start, or reduce oimppi:spread",
     )
+
+
+def sample_beside(scene: Scene, seed: int, gap: tuple[float, float]) -> PlanarPose:
+    """Draws a start beside an obstacle or the robot's base; the same seed gives the same start.
+
+    The object is anywhere on the table, with any yaw, and as for :func:`sample_start` otherwise.
+
+    Args:
+        scene: The task.
+        seed: An integer, zero or more.
+        gap: Least and largest distance to the nearest obstacle or the base [m].
+
+    Returns:
+        Planar pose of the object's frame: x, y, yaw [m, m, rad].
+
+    Raises:
+        SceneError: None of :data:`MAX_DRAWS` draws is such a start.
+    """
+    random = np.random.default_rng(seed)
+    fixed = shapely.union_all([other for _, _, other in fixed_outlines(scene)])
+    fits = _roomy_starts(scene, 0.0)
+    for _ in range(MAX_DRAWS):
+        corners = [(*corner, side * np.pi) for corner, side in ((scene.table.lower, -1.0), (scene.table.upper, 1.0))]
+        pose, wanted = random.uniform(*corners), random.uniform(*gap)
+        for _ in range(_APPROACHES):
+            line = shapely.shortest_line(object_outline(scene, _rounded(pose)), fixed)
+            if line is None or shapely.length(line) == 0.0:
+                break
+            if gap[0] <= shapely.length(line) <= gap[1] and fits(_rounded(pose)):
+                return _rounded(pose)
+            begin, end = shapely.get_coordinates(line)
+            pose[:2] += (1.0 - wanted / shapely.length(line)) * (end - begin)
+    raise SceneError(
+        f"none of {MAX_DRAWS} starts drawn is free and {gap[0]:g} to {gap[1]:g} m from an obstacle or the base",
+        file=scene.file,
+        allowed=f"a table with room beside an obstacle or the base, for the whole object {_reach_text(scene)}",
+        fix="leave `beside` out for this scene, or give it wider limits",
+    )
+
+
+def _rounded(pose: np.ndarray) -> PlanarPose:
+    """Returns a pose with four digits behind the point."""
+    return round(float(pose[0]), 4), round(float(pose[1]), 4), round(float(pose[2]), 4)
+
+
+def _roomy_starts(scene: Scene, clearance: float) -> Callable[[PlanarPose], bool]:
+    """Returns a test for starts: on the table, in reach with room for the tool behind, and free.
+
+    Args:
+        scene: The task.
+        clearance: Least clearance to obstacles and the robot's base [m]; to the tool it is :data:`START_CLEARANCE`.
+    """
+    reach, table, tool = reach_of(scene.robot), _table(scene), _tool(scene)
+    outlines = [(other, clearance) for _, _, other in fixed_outlines(scene)]
+    if tool is not None:
+        outlines.append((tool, START_CLEARANCE))
+
+    def fits(pose: PlanarPose) -> bool:
+        shape = object_outline(scene, pose)
+        behind = reach.margin(shapely.get_coordinates(shape)).min() >= 2.0 * scene.robot.tool_radius
+        free = all(shapely.distance(shape, other) >= least for other, least in outlines)
+        return bool(free and behind and shapely.covers(table, shape))
+
+    return fits
 
 
 def object_outline(scene: Scene, pose: PlanarPose) -> shapely.Geometry:

@@ -13,7 +13,14 @@ import pytest
 import shapely
 from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
-from oimppi_warp.geometry.feasibility import START_CLEARANCE, check_task, object_outline, sample_start
+from oimppi_warp.geometry.feasibility import (
+    START_CLEARANCE,
+    check_task,
+    fixed_outlines,
+    object_outline,
+    sample_beside,
+    sample_start,
+)
 from oimppi_warp.geometry.footprint import core_points, footprint, height_range, limit_surface, outline, rotation_matrix
 from oimppi_warp.geometry.kinematics import link_frames, tip_frame
 from oimppi_warp.geometry.reach import can_lift, reach_of
@@ -117,6 +124,20 @@ def test_a_drawn_start_leaves_room_to_the_tool(scenes):
     for seed in range(20):
         shape = object_outline(scene, sample_start(scene, seed))
         assert shapely.distance(shape, shapely.Point(tip[:2])) >= START_CLEARANCE
+
+
+@pytest.mark.parametrize("name", ["task01", "task03", "lab02"])
+def test_a_start_beside_something_is_as_near_as_asked_and_can_be_pushed_from(scenes, name):
+    scene, found = scenes[name], set()
+    for seed in range(12):
+        start = sample_beside(scene, seed, (0.001, 0.003))
+        check_task(scene.with_start(start))
+        shape = object_outline(scene, start)
+        away = {path: shapely.distance(shape, other) for _, path, other in fixed_outlines(scene)}
+        assert 0.001 <= min(away.values()) <= 0.003
+        found.add(min(away, key=away.__getitem__))
+        assert start == sample_beside(scene, seed, (0.001, 0.003))
+    assert len(found) > 1 or name == "task01", "not only beside the base, which is all there is on task01"
 
 
 def obstacle_boxes(scene):

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from support.sample_results import changed, make_trial
 
 from oimppi_warp.bench.suite import SUITES, Entry, Suite, _keys, load_suite, shipped_suites
 from oimppi_warp.bench.trial import make_trials, trial_seed
 from oimppi_warp.config.run_spec import LARGEST_SEED
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.geometry.feasibility import fixed_outlines, object_outline
 from oimppi_warp.usd import load_scene
 
 SMALL = """
@@ -30,7 +32,18 @@ def suite_of(folder: Path, text: str) -> Suite:
 
 def test_the_shipped_suites_have_the_trials_that_they_promise():
     found = {suite.name: suite for suite in shipped_suites()}
-    assert set(found) == {"ablation", "best-sim", "disturbed", "exact", "lab", "paper-sim", "pusht", "smoke", "tippy"}
+    assert set(found) == {
+        "ablation",
+        "best-sim",
+        "cornered",
+        "disturbed",
+        "exact",
+        "lab",
+        "paper-sim",
+        "pusht",
+        "smoke",
+        "tippy",
+    }
     for name, preset in (("paper-sim", "paper"), ("best-sim", "best")):
         trials, scenes = make_trials(found[name])
         assert len(trials) == 6 * 3 * 10
@@ -39,6 +52,12 @@ def test_the_shipped_suites_have_the_trials_that_they_promise():
     exact, _ = make_trials(found["exact"])
     assert len(exact) == 5 * 3 * 20 and {trial.number for trial in exact} == set(range(1000, 1020))
     assert all(trial.config.episode.exact for trial in exact)
+    cornered, scenes = make_trials(found["cornered"])
+    assert len(cornered) == 4 * 2 * 10
+    for trial in cornered:
+        scene = scenes[trial.task]
+        away = [shapely.distance(object_outline(scene, trial.start), at) for _, _, at in fixed_outlines(scene)]
+        assert 0.0005 <= min(away) <= 0.002
     lab, _ = make_trials(found["lab"])
     assert all(trial.real_time and trial.run.plant == "lab" for trial in lab)
     assert lab[0].config.preset == "lab"
@@ -224,7 +243,7 @@ def test_a_suite_with_disturbances_says_them_and_keeps_them_in_its_results(tmp_p
     (entry,) = load_suite(file).entries
     assert entry.run.friction == 0.25 and entry.run.knock == (5, 3, 0.3)
     assert entry.row()["knock"] == [5, 3, 0.3]
-    for line in ("friction = 0", "knock = [5, 3]"):
+    for line in ("friction = 0", "knock = [5, 3]", "beside = [0.002, 0.001]", "beside = 0.002"):
         file.write_text(SMALL + line)
         with pytest.raises(ConfigError, match="cannot be used"):
             load_suite(file)
@@ -301,7 +320,7 @@ def test_a_part_of_a_suite_can_be_run():
 
 
 def test_suites_are_package_data():
-    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 9
+    assert sorted(path.suffix for path in SUITES.iterdir() if path.is_file()) == [".toml"] * 10
     import tomllib
 
     project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())

@@ -18,6 +18,7 @@ from oimppi_warp.geometry.fields import (
     build_geometry,
     exact_nodes,
     from_center,
+    multilinear,
     pose_field_at,
     to_center,
 )
@@ -140,6 +141,21 @@ def test_phi_2_shows_no_more_room_than_there_is(name, geometry):
     assert len(actual) > 5_000
     assert np.quantile(too_much, 0.999) < 0.0003
     assert np.max(too_much) < 0.001
+
+
+def test_many_poses_at_once_are_looked_up_as_one_is(geometry):
+    made = geometry("task02")
+    field, values = made.obstruction, made.obstruction.values.numpy()
+    poses = np.random.default_rng(5).uniform((-0.9, -1.2, -9.0), (1.3, 1.2, 9.0), size=(40, 50, 3))
+    expected = [pose_field_at(field, pose, values) for pose in poses.reshape(-1, 3)]
+    np.testing.assert_allclose(made.obstruction_at(poses), np.reshape(expected, (40, 50)), atol=1e-4)
+    assert float(made.obstruction_at(poses[0, 0])) == pytest.approx(expected[0], abs=1e-4)
+
+
+def test_values_are_linear_between_nodes_and_held_beyond_them():
+    values = np.array([[0.0, 1.0, 2.0], [10.0, 11.0, 12.0]])
+    at = np.array([[0.5, 0.25], [1.0, 2.0], [-3.0, 0.5], [0.25, 7.0]])
+    np.testing.assert_allclose(multilinear(values, at), [5.25, 12.0, 0.5, 4.5])
 
 
 def test_a_corners_clearance_is_lowered_where_interpolation_would_show_too_much():

@@ -520,6 +520,33 @@ def test_a_reference_that_is_set_by_a_method_advances_at_the_pace():
     np.testing.assert_array_equal(planner.tracked(), path)
 
 
+@pytest.mark.parametrize("method", ["mppi", "cloi", "soi"])
+def test_a_push_takes_the_place_of_the_reference_while_it_lasts(method: str, device: str):
+    scene = shipped("task02")
+    planner = make_planner(scene, SMALL, method=method, device=device, seed=3)
+    seen = observe(scene)
+    planner.start(seen)
+    own = planner.plan(seen).reference
+    steps = len(planner.dynamics.reference.host)
+    push = planner.goal + 0.001 * np.arange(steps)[:, None]
+    planner._repositioner.detour = lambda count: push[:count]
+    np.testing.assert_allclose(planner.plan(seen).reference, from_center(planner.geometry.surface, push))
+    np.testing.assert_allclose(planner.dynamics.reference.array.numpy(), push, atol=1e-6)
+    planner._repositioner.detour = lambda count: None
+    np.testing.assert_allclose(planner.plan(seen).reference[0], own[0], atol=0.02)
+    assert np.abs(planner.dynamics.reference.array.numpy()[5] - push[5]).max() > 0.002
+
+
+def test_the_way_to_the_goal_is_that_without_the_plan():
+    planner = make(shipped("task02"), "soi")
+    planner.start(observe(planner.scene))
+    ahead = planner._path[len(planner._path) // 2]
+    assert planner.to_go_from(ahead) < 0.7 * planner.to_goal_from(ahead), "a metre along the plan counts as half"
+    for method in ("cloi", "mppi"):
+        other = make(shipped("task02"), method)
+        assert other.to_goal_from(ahead) == other.to_go_from(ahead)
+
+
 def test_a_reference_is_held_at_its_end():
     scene = shipped("task01")
     planner = make(scene, "mppi")

@@ -101,6 +101,15 @@ def test_the_clearance_is_that_of_the_arm_which_is_negative_out_of_reach():
     assert reference.space_field(model.packed.clearance, np.array([0.72, 0.0, 0.02])) < 0.0
 
 
+def test_the_clearance_at_the_height_of_pushing_is_looked_up_for_many_places_at_once():
+    model = upright_model(task(box(0.45, 0.1, (0.1, 0.1, 0.2))))
+    places = np.random.default_rng(2).uniform(-0.9, 0.9, size=(300, 2))
+    expected = [reference.space_field(model.packed.clearance, np.append(place, HEIGHT)) for place in places]
+    np.testing.assert_allclose(model.clearance_at(places), expected, atol=1e-4)
+    close, far, ahead = model.clearance_at(np.array([[0.15, 0.0], [2.0, 0.0], [0.3, -0.2]]))
+    assert close < 0.0 and far < 0.0 < ahead, "neither behind the arm's base nor out of its reach"
+
+
 def test_the_servo_holds_the_tool_upright_and_at_its_height_on_the_plant():
     scene = replace(shipped("task01"), start=(0.5, 0.45, 0.0))
     plant, follow = ideal_plant(scene, Config()), Follower(scene)
