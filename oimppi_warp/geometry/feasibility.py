@@ -133,9 +133,9 @@ def sample_beside(scene: Scene, seed: int, gap: tuple[float, float]) -> PlanarPo
     random = np.random.default_rng(seed)
     fixed = shapely.union_all([other for _, _, other in fixed_outlines(scene)])
     fits = _roomy_starts(scene, 0.0)
+    lower, upper = np.array([*scene.table.lower, -np.pi]), np.array([*scene.table.upper, np.pi])
     for _ in range(MAX_DRAWS):
-        corners = [(*corner, side * np.pi) for corner, side in ((scene.table.lower, -1.0), (scene.table.upper, 1.0))]
-        pose, wanted = random.uniform(*corners), random.uniform(*gap)
+        pose, wanted = random.uniform(lower, upper), random.uniform(*gap)
         for _ in range(_APPROACHES):
             line = shapely.shortest_line(object_outline(scene, _rounded(pose)), fixed)
             if line is None or shapely.length(line) == 0.0:
