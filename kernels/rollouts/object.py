@@ -87,20 +87,6 @@ def follow_path(
 
 
 @wp.kernel
-def take_detour(
-    # in:
-    detour: wp.array[wp.vec3],
-    taken: wp.array[int],
-    # out:
-    reference: wp.array[wp.vec3],
-):
-    """Replaces the reference by a detour if it is taken. Shapes: ``detour`` [n], ``taken`` [1], ``reference`` [n]."""
-    if taken[0] != 0:
-        i = wp.tid()
-        reference[i] = detour[i]
-
-
-@wp.kernel
 def end_at_goal(
     # in:
     goal: wp.array[wp.vec3],

@@ -313,9 +313,9 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
                 and len(value) == 2
                 and _number(value[0])
                 and _number(value[1])
-                and 0 <= value[0] < value[1]
+                and 0 <= value[0] < value[1] < 10
             ),
-            "two distances [m], the second larger, like [0.0005, 0.002]",
+            "two distances below 10 m, the second larger, like [0.0005, 0.002]",
         ),
         "preset": _one_of(PRESETS),
         "engine": _one_of(ENGINES),

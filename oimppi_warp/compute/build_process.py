@@ -56,7 +56,9 @@ class BuildProcess:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": paths, "TMPDIR": self._temporary},
-                process_group=0,  # Ctrl-C is for this process, which stops the other one
+                # Ctrl-C is for this process, which stops the other one. A session of its own would get as much of the
+                # cores as this process with all its threads.
+                process_group=0,
             )
             assert self._process.stdin is not None
             # It stays open: when this process ends, however it does, so does the other one.

@@ -528,7 +528,7 @@ class RobotCost:
 
 @dataclass(frozen=True)
 class Reposition:
-    """Repositioning of the tool to push an object that makes no headway from another side; not in the paper."""
+    """Repositioning of the tool: an object that makes no headway is pushed from elsewhere; not in the paper."""
 
     stall_seconds: float = setting(
         3.0,
@@ -552,7 +552,9 @@ class Reposition:
     w_waypoint: float = setting(
         1000.0, "Weight of the tip's squared distance to its current waypoint during repositioning.", unit="1/m^2"
     )
-    longest_seconds: float = setting(4.0, "Duration after which a repositioning is abandoned.", unit="s")
+    longest_seconds: float = setting(
+        4.0, "Duration after which a repositioning is abandoned, and likewise the push that follows it.", unit="s"
+    )
 
 
 @dataclass(frozen=True)
@@ -645,7 +647,7 @@ class Config:
     )
     reposition: Reposition = group(
         Reposition(),
-        "Repositioning of the tool, to push an object that makes no headway from another side; not in the paper.",
+        "Repositioning of the tool: an object that makes no headway is pushed from elsewhere; not in the paper.",
     )
     robot: RobotLevel = group(
         RobotLevel(),

@@ -117,7 +117,8 @@ def sample_start(scene: Scene, seed: int) -> PlanarPose:
 def sample_beside(scene: Scene, seed: int, gap: tuple[float, float]) -> PlanarPose:
     """Draws a start beside an obstacle or the robot's base; the same seed gives the same start.
 
-    The object is anywhere on the table, with any yaw, and as for :func:`sample_start` otherwise.
+    The object is anywhere on the table, with any yaw, within the arm's reach with room for the tool behind it, and at
+    least :data:`START_CLEARANCE` away from the tool.
 
     Args:
         scene: The task.

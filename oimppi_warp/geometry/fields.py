@@ -99,7 +99,7 @@ def multilinear(values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
     Args:
         values: Values at the nodes, an array of d axes.
-        at: Points, in grid steps from the first node, shape [..., d].
+        at: Points, in grid steps from the first node, finite, shape [..., d].
 
     Returns:
         Shape [...].

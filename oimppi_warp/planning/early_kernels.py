@@ -12,6 +12,7 @@ from oimppi_warp.compute.device import pick_device
 from oimppi_warp.compute.loading import known_modules, loading
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config, Sampling
+from oimppi_warp.kernels.detour import take_detour
 from oimppi_warp.kernels.fields import cost_to_go, distance, stance
 from oimppi_warp.kernels.optimizers.sampling import make_sample_controls
 from oimppi_warp.kernels.optimizers.update import make_shift_nominal, make_update_nominal, weigh_samples
@@ -56,7 +57,7 @@ def step_kernels(config: Config, spec: RunSpec) -> list[wp.Module]:
     """Returns the modules of the kernels of a control step on the CPU."""
     if pick_device(spec.device) != "cpu":
         return []
-    kernels: list[Any] = []
+    kernels: list[Any] = [take_detour]
     if spec.method != "mppi":
         kernels += [*_of_optimizer(config.object.optimizer, 3), object_rollout]
     if config.robot.controls == "tool" and spec.engine in ("auto", "quasistatic"):

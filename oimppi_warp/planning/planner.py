@@ -19,7 +19,7 @@ from oimppi_warp.errors import ObservationError
 from oimppi_warp.geometry.fields import build_geometry, from_center, to_center
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.geometry.reach import can_lift
-from oimppi_warp.kernels.rollouts.object import take_detour
+from oimppi_warp.kernels.detour import take_detour
 from oimppi_warp.kernels.upright_step import allowed_velocity
 from oimppi_warp.observation import Observation, check_shapes, implausible, planar_transform
 from oimppi_warp.planning.cost_to_go import build_to_go, to_go_at
@@ -55,12 +55,13 @@ class Planner:
     A control step (:meth:`plan`) writes the inputs, runs steps on the device (:meth:`Compute.step`) and reads the
     outputs: the two levels; the first command as the arm may follow it; the trace of the nominal. :meth:`tracked` and
     :meth:`object_statistics` are called once more when a plan's details are read, which may be in another thread and at
-    the beginning of the next plan or episode. A method is a
-    subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`, :meth:`tracked`,
-    :meth:`to_go_from`, :meth:`to_goal_from`, :meth:`object_statistics` and :meth:`object_finished` if needed; the
-    launches of a step before the robot level go into ``object_launches`` in its constructor. While an object that made
-    no headway is pushed from elsewhere, the push takes the reference's place. The method is registered in
-    :data:`oimppi_warp.registries.METHODS`.
+    the beginning of the next plan or episode. While an object that made no headway is pushed from elsewhere, the push
+    takes the reference's place; plain MPPI, whose cost does not count the reference, only takes the tool there.
+
+    A method is a subclass that provides the reference. It overrides :meth:`set_reference`, and :meth:`start`,
+    :meth:`tracked`, :meth:`to_go_from`, :meth:`to_goal_from`, :meth:`object_statistics` and :meth:`object_finished` if
+    needed; the launches of a step before the robot level go into ``object_launches`` in its constructor. It is
+    registered in :data:`oimppi_warp.registries.METHODS`.
 
     Args:
         scene: The task.
@@ -203,8 +204,13 @@ class Planner:
 
     @property
     def repositioning(self) -> bool:
-        """Returns whether the tool is being moved to another side of the object."""
+        """Returns whether the tool is being moved to another place at the object."""
         return bool(self.dynamics.waypoint.host[0][3] > 0.0)
+
+    @property
+    def on_detour(self) -> bool:
+        """Returns whether the object is led along a push of its own instead of the method's reference."""
+        return bool(self._on_detour.host[0])
 
     def warm_up(self) -> None:
         """Compiles and loads every kernel, so that the first plan is as fast as the others."""

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from oimppi_warp.geometry.fields import Geometry
 from oimppi_warp.geometry.footprint import planar_points
@@ -29,6 +30,8 @@ _COMFORT = 0.002
 _ALLOWANCES = (0.0005, 0.005)
 """Amounts by which an object that is as near already may come nearer still: of every push, and if none is possible [m].
 A wedged object slides along walls, which an arc does not."""
+_LITTLE = 5e-4
+"""Depth to which the tool may be in the object where it touches it [m]."""
 _SAME_PLACE = 0.03
 """Distance of two places of the tool below which they count as the same [m]."""
 _TRIED = 0.3
@@ -71,10 +74,13 @@ class Pushes:
     ) -> None:
         self._geometry = geometry
         self._blocked = blocked
-        self._contact = outline.beside(radius)[::_EVERY]
-        self._places = outline.beside(radius + gap)[::_EVERY]
-        twists = np.stack([outline.twists(share)[::_EVERY] for share in _DIRECTIONS], axis=1)
+        contact, places = outline.beside(radius), outline.beside(radius + gap)
+        room = [shapely.distance(outline.shape, shapely.points(at)) > radius - _LITTLE for at in (contact, places)]
+        kept = np.flatnonzero(room[0] & room[1])[::_EVERY]  # none in an inner corner, or in another part of the object
+        self._contact, self._places = contact[kept], places[kept]
+        twists = np.stack([outline.twists(share)[kept] for share in _DIRECTIONS], axis=1)
         self._arcs = _arcs(twists, SPACING * np.arange(1, _STEPS + 1))
+        geometry.obstruction_at(np.zeros(3))  # reads the field from the device now, not while the arm moves
 
     def possible(self, pose: np.ndarray, *, allowance: float = _ALLOWANCES[0]) -> tuple[np.ndarray, np.ndarray]:
         """Returns all pushes of an object at a pose, and which of them are possible.

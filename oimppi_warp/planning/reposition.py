@@ -47,8 +47,8 @@ _ROOM = 0.01
 """Distance to the edge of the tip's reach below which a position is blocked [m]."""
 _SPEED = 0.1
 """Speed of the object along a push, a radian counted as its ``yaw_length`` [m/s]."""
-_ARRIVED = 0.01
-"""Distance from the end of a push at which it is over [m]."""
+_ASTRAY = 0.03
+"""Distance of the object from its push at which the push is given up [m]."""
 _SHARE = 0.1
 """Share of the remaining distance that is headway where it is less than the setting."""
 _PATIENCE = 1.0
@@ -98,6 +98,8 @@ class Repositioner:
         self._outline = Outline(scene, geometry.surface, yaw_length=self._yaw_length)
         blocks = [collider for obstacle in scene.obstacles for collider in obstacle.colliders]
         self._blocks = outline(footprint((*blocks, *scene.robot.base.colliders), lower=height, upper=geometry.top))
+        if arm_clearance is not None:
+            arm_clearance(np.zeros((1, 2)))  # reads the field from the device now, not while the arm moves
         self._pushes = Pushes(geometry, self._outline, radius=self._radius, gap=_GAP, blocked=self._blocked)
         self.reset()
 
@@ -140,7 +142,7 @@ class Repositioner:
         if self._waypoints:
             return self._next_waypoint(tip, to_go)
         if self._push is not None:
-            self._follow(self._push, pose)
+            self._follow(self._push, pose, to_go)
         if to_go < self._least - min(self._settings.headway, _SHARE * self._least):
             if math.isfinite(self._least):
                 self._pushed = True
@@ -150,7 +152,7 @@ class Repositioner:
             self._least, self._stalled = to_go, 0.0
             self.pace = min(1.0, _RECOVERY * self.pace)
         self._stalled += self._period
-        if self._pushed:
+        if self._pushed and self._push is None:
             self._slow_down()
         if self._stalled >= self._settings.stall_seconds:
             self._pushed = True
@@ -179,26 +181,31 @@ class Repositioner:
         self.pace = min(self.pace, max(1.0 - waited, self._settings.least_pace))
 
     def _next_waypoint(self, tip: np.ndarray, to_go: float) -> np.ndarray:
-        """Advances to the next waypoint when one is reached; gives up on timeout. The push follows the last."""
+        """Advances to the next waypoint when one is reached, and to the push after the last; gives up on timeout."""
         self._time_left -= self._period
         if np.linalg.norm(tip - self._waypoints[0]) < _REACHED:
             self._waypoints.pop(0)
         if self._time_left <= 0.0:
             self._waypoints.clear()
-        if not self._waypoints:
+            self._push = None
+        elif not self._waypoints:
             self._time_left = self._settings.longest_seconds
         self._least, self._stalled = to_go, 0.0
         return np.append(self._waypoints[0], self._settings.w_waypoint) if self._waypoints else NO_WAYPOINT
 
-    def _follow(self, push: Push, pose: np.ndarray) -> None:
-        """Notes how far along a push the object is; ends it when it is over, or on timeout."""
+    def _follow(self, push: Push, pose: np.ndarray, to_go: float) -> None:
+        """Notes how far along a push the object is, which counts as headway; ends it when it is over, or on timeout."""
         self._time_left -= self._period
         away = push.path - pose
         away[:, 2] = self._yaw_length * wrap_angle(away[:, 2])
         distances = np.linalg.norm(away, axis=1)
-        self._along = int(np.argmin(distances))
-        if self._along == len(distances) - 1 or distances[-1] < _ARRIVED or self._time_left <= 0.0:
+        nearest = int(np.argmin(distances))
+        if nearest > self._along:
+            self._stalled = 0.0
+        self._along = nearest
+        if nearest == len(distances) - 1 or distances[nearest] > _ASTRAY or self._time_left <= 0.0:
             self._push = None
+            self._least, self._stalled, self.pace = to_go, 0.0, 1.0
 
     def _choose(self, tip: np.ndarray, pose: np.ndarray, to_go_from: Callable[[np.ndarray], float]) -> None:
         """Chooses a push, and the waypoints that lead to its beginning."""

@@ -293,7 +293,9 @@ class Session:
         if self._filtered:
             return f"the safety filter changed the command, for: {self._filtered}"
         if self._episode.planner.repositioning:
-            return "no progress: repositioning to push from another side"
+            return "no progress: repositioning to push from elsewhere"
+        if self._episode.planner.on_detour:
+            return "no progress: pushing where a push is possible"
         return "pushing"
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from support.device import DEVICE
 from support.small_tasks import block, box, shipped, task
 
@@ -96,6 +97,17 @@ def test_a_push_is_possible_only_where_the_tool_has_room_all_the_way():
     assert not possible[tips[:, 1] < -0.02].any(), "no push begins there"
     begins = tips[:, 1] > 0.0
     assert possible[begins, :, 0].all() and not possible[begins, :, -1].all(), "none brings the tool there"
+
+
+def test_the_tool_is_in_no_part_of_the_object_when_a_push_begins():
+    scene = shipped("task02")
+    outline = Outline(scene, build_geometry(scene, DEVICE).surface, yaw_length=YAW_LENGTH)
+    radius = scene.robot.tool_radius
+    assert shapely.distance(outline.shape, shapely.points(outline.beside(radius))).min() < radius - 0.003, "a corner"
+    pushes = pushes_of(scene)
+    for places in (pushes._contact, pushes._places):
+        assert len(places) > 40
+        assert shapely.distance(outline.shape, shapely.points(places)).min() > radius - 0.001
 
 
 def test_the_best_push_leaves_the_least_way_to_go():

@@ -14,6 +14,7 @@ from oimppi_warp.config.settings import Reposition
 from oimppi_warp.geometry.fields import build_geometry
 from oimppi_warp.geometry.reach import reach_of
 from oimppi_warp.planning.object_level import distance
+from oimppi_warp.planning.pushes import Push
 from oimppi_warp.planning.reposition import Repositioner
 from oimppi_warp.scene import Scene
 
@@ -45,7 +46,7 @@ def left(to_go: float) -> ToGo:
 
 def stalled(watching: Repositioner, tip: np.ndarray, to_go_from: ToGo) -> np.ndarray:
     """The first waypoint, once the object has made no headway for long."""
-    for _ in range(100):
+    for _ in range(500):
         waypoint = watching.waypoint(tip, POSE, to_go_from)
         if waypoint[3] > 0.0:
             return waypoint
@@ -57,6 +58,15 @@ def last_stop(watching: Repositioner) -> np.ndarray:
 
 
 ONWARDS = way_to(0.0, 0.05, 0.0)
+
+
+def arrive(watching: Repositioner) -> np.ndarray:
+    """Leads the tip from waypoint to waypoint; returns where it is in the end."""
+    tip = watching._waypoints[0]
+    while watching._waypoints:
+        tip = watching._waypoints[0]
+        watching.waypoint(tip, POSE, ONWARDS)
+    return tip
 
 
 def test_an_object_that_gets_on_is_not_let_go():
@@ -169,9 +179,7 @@ def test_a_push_is_followed_from_where_the_object_is_until_it_is_over():
     assert watching.detour(10) is None
     stalled(watching, far, ONWARDS)
     assert watching.detour(10) is None, "the tool is on its way"
-    at = np.append(last_stop(watching)[:2], HEIGHT)
-    while watching.waypoint(at, POSE, ONWARDS).any():
-        pass
+    at = arrive(watching)
     ahead = watching.detour(200)
     np.testing.assert_allclose(ahead[0], POSE, atol=1e-9)
     speed = np.linalg.norm(np.diff(ahead, axis=0) * [1.0, 1.0, YAW_LENGTH], axis=1) / DT
@@ -184,13 +192,53 @@ def test_a_push_is_followed_from_where_the_object_is_until_it_is_over():
     assert watching.detour(1) is None
 
 
+def test_a_push_of_one_step_is_followed_to_its_end():
+    watching = watch(task(pushed=block(LONG)))
+    watching._push = Push(np.array([0.0, -0.04]), np.array([POSE, POSE + [0.0, 0.00999, 0.0]]))
+    watching._time_left = 2.0
+    tip = np.array([POSE[0], -0.05, 0.012])
+    for share in (0.0, 0.2, 0.4):
+        watching.waypoint(tip, POSE + [0.0, 0.01 * share, 0.0], ONWARDS)
+        np.testing.assert_allclose(watching.detour(30)[-1], POSE + [0.0, 0.00999, 0.0])
+    watching.waypoint(tip, POSE + [0.0, 0.008, 0.0], ONWARDS)
+    assert watching.detour(1) is None
+
+
+def test_getting_on_along_a_push_is_headway_though_it_leads_away_from_the_goal():
+    watching = watch(task(pushed=block(LONG)), replace(SETTINGS, longest_seconds=9.0))
+    away = POSE + np.linspace(0.0, 0.1, 11)[:, None] * [0.0, -1.0, 0.0]
+    watching.waypoint(np.array([0.4, 0.05, 0.012]), POSE, ONWARDS)
+    watching._push, watching._time_left = Push(np.array([0.0, 0.04]), away), 9.0
+    for step in range(100):  # 2 cm/s: five seconds, with a stall time of one
+        pose = POSE - [0.0, 0.001 * step, 0.0]
+        assert not watching.waypoint(np.array([0.4, 0.05, 0.012]), pose, ONWARDS).any()
+        assert watching.pace == 1.0
+    assert watching.detour(1) is None, "it is over, and the reference is followed again"
+    assert not watching.waypoint(np.array([0.4, 0.05, 0.012]), away[-1], ONWARDS).any()
+
+
+def test_a_push_is_given_up_if_its_beginning_is_not_reached_or_the_object_is_elsewhere():
+    watching = watch(task(pushed=block(LONG)))
+    tip = np.array([POSE[0], -0.05, 0.012])
+    stalled(watching, tip, ONWARDS)
+    while watching.waypoint(tip, POSE, ONWARDS).any():
+        pass
+    assert watching.detour(1) is None, "the tip has stayed where it was"
+    stalled(watching, tip, ONWARDS)
+    at = arrive(watching)
+    assert watching.detour(1) is not None
+    watching.waypoint(at, POSE + [0.2, 0.0, 1.0], ONWARDS)
+    assert watching.detour(1) is None
+
+
 def test_a_push_that_gets_nowhere_is_given_up_in_time():
     watching = watch(task(pushed=block(LONG)), replace(SETTINGS, stall_seconds=20.0))
-    stall = round(20.0 / DT)
-    tip, steps = np.array([POSE[0], -0.05, 0.012]), 0
-    for _ in range(stall + 200):
-        watching.waypoint(tip, POSE, ONWARDS)
+    tip = np.array([POSE[0], -0.2, 0.012])
+    stalled(watching, tip, ONWARDS)
+    at, steps = arrive(watching), 0
+    for _ in range(200):
         steps += watching.detour(1) is not None
+        watching.waypoint(at, POSE, ONWARDS)
     assert steps == pytest.approx(SETTINGS.longest_seconds / DT, abs=2)
 
 
