@@ -130,7 +130,7 @@ def test_the_best_push_leaves_the_least_way_to_go():
 
 def test_an_object_that_no_push_moves_otherwise_may_graze_obstacles():
     def aside(at: np.ndarray) -> np.ndarray:
-        """Where the tool is blocked if it can only be to the left of the block."""
+        """Blocks the tool everywhere but to the left of the block."""
         return (at[:, 0] > POSE[0] - 0.06) | (np.abs(at[:, 1]) > 0.1)
 
     wall = box(POSE[0] + 0.157, 0.0, (0.1, 1.0, 0.1))  # 7 mm to the right of a block of 20 cm
