@@ -145,10 +145,25 @@ def slider(page, name, *folders):
     """The thumb of a slider by its label, below folders that are opened on the way."""
     number = page.locator("label").filter(has_text=name).first.get_attribute("for")
     thumb = page.locator(f"[id='{number}'] [role=slider]")
-    for folder in folders:
-        page.get_by_text(folder, exact=True).first.click()
+    headings = [page.get_by_text(folder, exact=True).first for folder in folders]
+    for heading, content in zip(headings, [*headings[1:], thumb], strict=True):
+        unfold(heading, content)
     thumb.scroll_into_view_if_needed()
     return thumb
+
+
+def unfold(heading, content):
+    """Opens a folder; a page that moves under the mouse may miss a click, so that a person would click again."""
+
+    def opened():
+        heading.click()
+        try:
+            content.wait_for(timeout=10_000)
+        except playwright.TimeoutError:
+            return False
+        return True
+
+    until(opened)
 
 
 def on_screen(served, point):
