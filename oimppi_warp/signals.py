@@ -18,28 +18,31 @@ _TO_END = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if 
 _LATER = 0.01
 """Time after which a signal that Python dropped takes effect [s]."""
 
+_came: list[signal.Signals] = []
+"""The signals that have asked this program to end."""
+
 
 def end_like_ctrl_c() -> None:
     """Lets the signals that ask a program to end do what Ctrl-C does: stop the arm, and complete the record.
 
     Signals that the program was started to ignore, as by ``nohup``, are still ignored. One that arrives while an object
-    is being destroyed, where Python drops exceptions, takes effect a moment later.
+    is being destroyed, where Python drops exceptions, takes effect a moment later; one whose exception a library drops,
+    when :func:`check_interrupted` is called next.
     """
     if threading.current_thread() is not threading.main_thread():
         return
     terminals = [stream.fileno() for stream in (sys.stdout, sys.stderr) if stream.isatty()]
-
-    last = [signal.SIGINT]
+    _came.clear()
 
     def interrupt(number: int, _: FrameType | None) -> None:
-        last[0] = signal.Signals(number)
+        _came.append(signal.Signals(number))
         if number == getattr(signal, "SIGHUP", None):  # they are gone, so writing to them would fail
             for terminal in terminals:
                 silence(terminal)
         raise KeyboardInterrupt
 
     for each in _TO_END:
-        if signal.getsignal(each) == signal.SIG_DFL:
+        if signal.getsignal(each) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(each, interrupt)
 
     tell = sys.unraisablehook
@@ -48,9 +51,9 @@ def end_like_ctrl_c() -> None:
         time.sleep(_LATER)  # at once, it would be raised and dropped in the same place
         main = threading.main_thread().ident
         if hasattr(signal, "pthread_kill") and main is not None:
-            signal.pthread_kill(main, last[0])  # so that the main thread does not go on sleeping
+            signal.pthread_kill(main, _came[-1])  # so that the main thread does not go on sleeping
         else:  # on Windows
-            _thread.interrupt_main(last[0])
+            _thread.interrupt_main(_came[-1])
 
     def raise_again(dropped: sys.UnraisableHookArgs) -> None:
         if isinstance(dropped.exc_value, KeyboardInterrupt):
@@ -59,6 +62,18 @@ def end_like_ctrl_c() -> None:
             tell(dropped)
 
     sys.unraisablehook = raise_again
+
+
+def check_interrupted() -> None:
+    """Ends a loop that a signal should have ended; called in each of its rounds.
+
+    NumPy, for one, drops every exception, also that of Ctrl-C, while it looks at an operand that is not an array.
+
+    Raises:
+        KeyboardInterrupt: A signal has asked the program to end.
+    """
+    if _came:
+        raise KeyboardInterrupt
 
 
 def silence(descriptor: int) -> None:

@@ -112,8 +112,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"oimppi: input or output failed: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("oimppi: interrupted", file=sys.stderr)
-        return 130
+        return _interrupted()
+    except SystemError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # Ctrl-C came in code in C that does not handle it
+            return _interrupted()
+        raise
+
+
+def _interrupted() -> int:
+    """Says that Ctrl-C ended the command, and returns the exit status."""
+    print("oimppi: interrupted", file=sys.stderr)
+    return 130
 
 
 def _nobody_reads() -> bool:

@@ -50,6 +50,7 @@ from oimppi_warp.runtime.control import ControlStep, lock_step, real_time
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.runtime.watch import Watch, enter_pressed
 from oimppi_warp.scene import Scene
+from oimppi_warp.signals import check_interrupted
 
 _REFERENCE_EVERY = 10
 """Interval at which object plans that change in every step are logged, in steps."""
@@ -235,6 +236,7 @@ class Episode:
         try:
             with closing(self.steps()) as steps:
                 for _ in steps:
+                    check_interrupted()
                     if on_step is not None:
                         on_step(self.log)
         except KeyboardInterrupt:

@@ -16,6 +16,7 @@ from oimppi_warp.geometry.feasibility import object_outline, sample_start
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
 from oimppi_warp.scene import PlanarPose
+from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.picture import Picture
@@ -64,6 +65,7 @@ class LiveView:
         """
         begun, seen = False, 0.0
         while self._viewer.is_running():
+            check_interrupted()
             began = time.perf_counter()
             if self._viewer.server.get_clients():
                 seen = began

@@ -13,6 +13,7 @@ from oimppi_warp.record.bag_record import load_record
 from oimppi_warp.record.log import EpisodeLog, LogError
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.scene import Scene
+from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd import load_scene
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.live import FPS
@@ -103,6 +104,7 @@ class ReplayView:
     def run(self) -> None:
         """Plays until the viewer is closed."""
         while self._viewer.is_running():
+            check_interrupted()
             began = time.perf_counter()
             self.tick(1.0 / FPS)
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))

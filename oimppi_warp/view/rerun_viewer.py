@@ -19,6 +19,7 @@ from urllib.parse import quote
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.network import free_port, page_url
 from oimppi_warp.scene import Table
+from oimppi_warp.signals import check_interrupted
 from oimppi_warp.view.browser import view_of
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.live import FPS
@@ -147,6 +148,7 @@ class RerunView:
             shown.start()
         sent: Picture | None = None
         while self._viewer.is_running():
+            check_interrupted()
             if isinstance(shown, Session) and (picture := shown.latest) is not sent:
                 self.send(picture)
                 sent = picture

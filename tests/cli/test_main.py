@@ -117,6 +117,16 @@ def test_ctrl_c_before_the_episode_is_status_130_without_a_traceback(stage: Stag
     assert "Traceback" not in capsys.readouterr().err
 
 
+def test_ctrl_c_that_an_extension_makes_a_system_error_of_is_status_130(
+    stage: Stage, capsys: pytest.CaptureFixture[str]
+):
+    """USD's does, where one of its functions looks at a Python object while the signal comes."""
+    stage.problem = SystemError("returned a result with an exception set")
+    stage.problem.__cause__ = KeyboardInterrupt()
+    assert status("run", "synthetic") == 130
+    assert capsys.readouterr().err == "oimppi: interrupted\n"
+
+
 def test_record_and_json_hold_log_plots_and_metrics(stage: Stage, tmp_path: Path):
     assert status("run", "synthetic", "--record", tmp_path / "r", "--json", tmp_path / "m.json") == 0
     names = {path.name for path in (tmp_path / "r").iterdir()}
