@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -30,6 +31,9 @@ KNOCK = 0.4
 _SPEEDS = {"0.25": 0.25, "0.5": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "unlimited": float("inf")}
 _UNWATCHED = 0.2
 """Time without a browser after which a real arm is stopped [s]."""
+_SETTINGS_AFTER, _SETTINGS_EVERY = 1.0, 0.2
+"""Time after the session's start at which the first folder of settings appears, and time between two of them [s]. Until
+it has created their 120 controls, a slow browser would not show that the arm moves."""
 _BARS = 10
 """Maximum number of cost terms shown."""
 
@@ -63,18 +67,20 @@ class LiveView:
 
         When the last browser is closed, a real arm is stopped for good.
         """
-        begun, seen = False, 0.0
+        begun, seen, due = False, 0.0, math.inf
         while self._viewer.is_running():
             check_interrupted()
             began = time.perf_counter()
             if self._viewer.server.get_clients():
                 seen = began
                 if not begun:
-                    begun = True
+                    begun, due = True, began + _SETTINGS_AFTER
                     self._session.start()
             elif begun and self._session.real and began - seen > _UNWATCHED:
                 self._session.close()
             self.tick()
+            if began >= due:
+                due = began + _SETTINGS_EVERY if self._settings.add_folder() else math.inf
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 
     def tick(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from typing import Any, get_args, get_origin
 
@@ -17,7 +18,8 @@ _SLIDER_TOP = 4.0
 class SettingsPanel:
     """Shows controls for all settings in folders, and lists the changed ones, each with a button that resets it.
 
-    An optimizer's kind is a dropdown; selecting another kind replaces the controls in the folder.
+    An optimizer's kind is a dropdown; selecting another kind replaces the controls in the folder. Folders are added one
+    by one, by :meth:`add_folder`, since a browser may need a second to create all controls.
 
     Args:
         server: A viser server.
@@ -37,8 +39,15 @@ class SettingsPanel:
         self._root = self._gui.add_folder("Settings", order=8.0, expand_by_default=False)
         self._folders: dict[str, Any] = {}
         self._orders: dict[str, float] = {}
-        for folder in _in_folders(config):
-            self._build(folder)
+        self._missing = list(_in_folders(config))
+        self._lock = threading.RLock()  # the browser's events come in threads of their own
+
+    def add_folder(self) -> bool:
+        """Adds the next folder; returns whether there are more."""
+        with self._lock:
+            if self._missing:
+                self._build(self._missing.pop(0))
+            return bool(self._missing)
 
     def set(self, name: str, value: Any) -> None:
         """Changes a setting by its dotted name.
@@ -60,15 +69,18 @@ class SettingsPanel:
 
     def _apply(self, config: Config) -> None:
         """Displays these settings, with the controls that their optimizers need."""
-        before, self.config = _in_folders(self.config), config
-        now = _in_folders(config)
-        for folder in {**before, **now}:
-            if before.get(folder, {}).keys() != now.get(folder, {}).keys():
-                self._build(folder)
-        for name, value in options(config).items():
-            if self._controls[name].value != _control_value(value):
-                self._controls[name].value = _control_value(value)
-        self._show_changed()
+        with self._lock:
+            while self.add_folder():
+                pass
+            before, self.config = _in_folders(self.config), config
+            now = _in_folders(config)
+            for folder in {**before, **now}:
+                if before.get(folder, {}).keys() != now.get(folder, {}).keys():
+                    self._build(folder)
+            for name, value in options(config).items():
+                if self._controls[name].value != _control_value(value):
+                    self._controls[name].value = _control_value(value)
+            self._show_changed()
 
     def _build(self, folder: str) -> None:
         """Recreates a folder's controls, keeping the folder's position."""

@@ -32,7 +32,10 @@ def told() -> list[Config]:
 
 @pytest.fixture
 def panel(server, told) -> SettingsPanel:
-    return SettingsPanel(server, best("cloi"), told.append)
+    made = SettingsPanel(server, best("cloi"), told.append)
+    while made.add_folder():
+        pass
+    return made
 
 
 def buttons(panel: SettingsPanel) -> set[str]:
@@ -45,6 +48,16 @@ def test_every_setting_has_a_control_with_its_help_and_unit(panel):
         assert panel._controls[name].hint == setting.help.replace("`", "")
     assert panel._controls["robot.joint_velocity_limit"].hint.endswith("[rad/s]")
     assert panel._controls["robot.optimizer"].options == ("mppi", "cem")
+
+
+def test_folders_come_one_by_one_and_all_at_once_when_settings_change(server, told):
+    panel = SettingsPanel(server, best("cloi"), told.append)
+    assert not panel._controls, "the browser would be busy before the arm moves"
+    assert panel.add_folder()
+    assert {name.rpartition(".")[0] for name in panel._controls} == {""}
+    panel.set("robot.optimizer", "cem")
+    assert panel._controls.keys() == options(told[-1]).keys()
+    assert not panel.add_folder()
 
 
 def test_another_optimizer_brings_its_settings_into_its_folder(panel, told):
