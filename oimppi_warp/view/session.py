@@ -148,7 +148,7 @@ class Session:
             self.latest = replace(self.latest, status=self._status())
 
     def _run(self) -> None:
-        due = time.perf_counter()
+        due, said = time.perf_counter(), ()
         while not self._closing.is_set():
             self._apply_requests()
             with self._lock:
@@ -156,10 +156,13 @@ class Session:
                 self._single = max(self._single - 1, 0) if active else 0
             if not active:
                 self._times.clear()
-                self.latest = replace(self.latest, status=self._status(), scene=self._episode.scene)
+                if (says := (self._status(), self.problem, self._episode)) != said:  # a new picture is drawn
+                    self.latest = replace(self.latest, status=says[0], scene=self._episode.scene)
+                    said = says
                 self._closing.wait(0.02)
                 due = time.perf_counter()
                 continue
+            said = ()
             try:
                 step = next(self._steps, None)
             except FloatingPointError:

@@ -146,7 +146,7 @@ def slider(page, name, *folders):
     number = page.locator("label").filter(has_text=name).first.get_attribute("for")
     thumb = page.locator(f"[id='{number}'] [role=slider]")
     headings = [page.get_by_text(folder, exact=True).first for folder in folders]
-    for heading, content in zip(headings, [*headings[1:], thumb], strict=True):
+    for heading, content in zip(headings, [*headings, thumb][1:], strict=True):
         unfold(heading, content)
     thumb.scroll_into_view_if_needed()
     return thumb
