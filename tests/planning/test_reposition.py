@@ -173,6 +173,20 @@ def test_places_that_did_not_work_are_not_tried_again_until_there_is_headway():
     np.testing.assert_array_equal(last_stop(watching)[:2], stops[0])
 
 
+def test_after_a_push_in_vain_the_next_is_chosen_without_regard_to_the_plan():
+    watching = watch(task(pushed=block(LONG)))
+    tip, backwards = np.array([POSE[0] - 0.2, 0.0, 0.012]), way_to(0.0, -0.05, 0.0)
+    stops = []
+    for _ in range(2):
+        while not watching.waypoint(tip, POSE, ONWARDS, backwards).any():
+            pass
+        stops.append(last_stop(watching)[1])
+        while watching.waypoint(tip, POSE, ONWARDS, backwards).any():
+            pass
+    assert stops[0] < -0.02, "along the plan, from behind"
+    assert stops[1] > 0.02, "to the goal"
+
+
 def test_a_push_is_followed_from_where_the_object_is_until_it_is_over():
     watching = watch(task(pushed=block(LONG)))
     far = np.append(POSE[:2] - np.array([0.0, 0.2]), 0.012)
