@@ -36,7 +36,7 @@ _SAME_PLACE = 0.03
 """Distance of two places of the tool below which they count as the same [m]."""
 _TRIED = 0.3
 """Distance to go by which a place that was tried before has to be better than others, in the unit of the cost-to-go,
-in which a metre counts as up to 11 where the arm pushes badly [m]."""
+in which a metre counts as up to 11 close to obstacles [m]."""
 
 
 @dataclass(frozen=True, eq=False)
