@@ -1,9 +1,18 @@
 """Signals that end a program."""
 
+import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
+
+from oimppi_warp import signals
+from oimppi_warp.config.presets import best
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.usd import load_scene
+from oimppi_warp.view.live import LiveView
+from oimppi_warp.view.replay import ReplayView
 
 DESTROYED = """
 import signal, time
@@ -65,3 +74,19 @@ def test_a_signal_counts_also_where_numpy_drops_it(name):
     """Newton's viewer compares arrays with an ``enum`` in each frame; one Ctrl-C in 150 was lost there."""
     done = subprocess.run([sys.executable, "-c", COMPARED.format(name=name)], capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("dropped\nended\n", "")
+
+
+@pytest.mark.parametrize("view", [LiveView, ReplayView])
+def test_a_view_ends_after_a_signal_that_was_dropped(view, monkeypatch):
+    monkeypatch.setattr(signals, "_came", [signal.SIGTERM])
+    shown = object.__new__(view)
+    shown._viewer = SimpleNamespace(is_running=lambda: True)
+    with pytest.raises(KeyboardInterrupt):
+        shown.run()
+
+
+def test_an_episode_ends_after_a_signal_that_was_dropped(monkeypatch):
+    monkeypatch.setattr(signals, "_came", [signal.SIGTERM])
+    log = Episode(load_scene("task01"), best("cloi"), engine="quasistatic").run()
+    assert len(log) == 1
+    assert log.header["ended"] == "interrupted"
