@@ -19,20 +19,21 @@ _LATER = 0.01
 """Time after which a signal that Python dropped takes effect [s]."""
 
 _came: list[signal.Signals] = []
-"""The signals that have asked this program to end."""
+"""The signals that have asked this program to end since :func:`ending_like_ctrl_c` was entered."""
 
 
-def end_like_ctrl_c() -> None:
+@contextmanager
+def ending_like_ctrl_c() -> Iterator[None]:
     """Lets the signals that ask a program to end do what Ctrl-C does: stop the arm, and complete the record.
 
     Signals that the program was started to ignore, as by ``nohup``, are still ignored. One that arrives while an object
-    is being destroyed, where Python drops exceptions, takes effect a moment later; one whose exception a library drops,
-    when :func:`check_interrupted` is called next.
+    is being destroyed, where Python drops exceptions, takes effect a moment later. If a library drops the exception,
+    the signal takes effect at the next call of :func:`check_interrupted`.
     """
     if threading.current_thread() is not threading.main_thread():
+        yield
         return
     terminals = [stream.fileno() for stream in (sys.stdout, sys.stderr) if stream.isatty()]
-    _came.clear()
 
     def interrupt(number: int, _: FrameType | None) -> None:
         _came.append(signal.Signals(number))
@@ -41,33 +42,41 @@ def end_like_ctrl_c() -> None:
                 silence(terminal)
         raise KeyboardInterrupt
 
-    for each in _TO_END:
-        if signal.getsignal(each) in (signal.SIG_DFL, signal.default_int_handler):
-            signal.signal(each, interrupt)
-
-    tell = sys.unraisablehook
-
-    def send_again() -> None:
+    def send_again(number: signal.Signals) -> None:
         time.sleep(_LATER)  # at once, it would be raised and dropped in the same place
         main = threading.main_thread().ident
         if hasattr(signal, "pthread_kill") and main is not None:
-            signal.pthread_kill(main, _came[-1])  # so that the main thread does not go on sleeping
+            signal.pthread_kill(main, number)  # so that the main thread does not go on sleeping
         else:  # on Windows
-            _thread.interrupt_main(_came[-1])
+            _thread.interrupt_main(number)
 
     def raise_again(dropped: sys.UnraisableHookArgs) -> None:
         if isinstance(dropped.exc_value, KeyboardInterrupt):
-            _thread.start_new_thread(send_again, ())  # a Timer needs locks that this thread may hold
+            number = _came[-1] if _came else signal.SIGINT
+            _thread.start_new_thread(send_again, (number,))  # a Timer needs locks that this thread may hold
         else:
             tell(dropped)
 
-    sys.unraisablehook = raise_again
+    before = {each: signal.getsignal(each) for each in _TO_END}
+    for each, handler in before.items():
+        if handler in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(each, interrupt)
+    tell, sys.unraisablehook = sys.unraisablehook, raise_again
+    try:
+        yield
+    finally:
+        sys.unraisablehook = tell
+        for each, handler in before.items():
+            if signal.getsignal(each) is interrupt:
+                signal.signal(each, handler)
+        _came.clear()
 
 
 def check_interrupted() -> None:
-    """Ends a loop that a signal should have ended; called in each of its rounds.
+    """Raises again what a library dropped; called in every round of a loop that a signal should end.
 
-    NumPy, for one, drops every exception, also that of Ctrl-C, while it looks at an operand that is not an array.
+    NumPy, for example, drops every exception, including that of Ctrl-C, while it examines an operand that is not an
+    array.
 
     Raises:
         KeyboardInterrupt: A signal has asked the program to end.

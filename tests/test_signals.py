@@ -16,7 +16,7 @@ from oimppi_warp.view.replay import ReplayView
 
 DESTROYED = """
 import signal, time
-from oimppi_warp.signals import end_like_ctrl_c
+from oimppi_warp.signals import ending_like_ctrl_c
 
 class Thing:
     def __del__(self):
@@ -25,13 +25,13 @@ class Thing:
 # The tests may run in the background or under `nohup`, which ignore some.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-end_like_ctrl_c()
-try:
-    Thing()
-    time.sleep(20.0)
-    print("lost")
-except KeyboardInterrupt:
-    print("ended")
+with ending_like_ctrl_c():
+    try:
+        Thing()
+        time.sleep(20.0)
+        print("lost")
+    except KeyboardInterrupt:
+        print("ended")
 """
 
 
@@ -45,7 +45,7 @@ def test_a_signal_counts_also_while_an_object_is_destroyed(name):
 COMPARED = """
 import enum, signal
 import numpy as np
-from oimppi_warp.signals import check_interrupted, end_like_ctrl_c
+from oimppi_warp.signals import check_interrupted, ending_like_ctrl_c
 
 class Interrupting(enum.EnumMeta):
     def __getattr__(cls, name):
@@ -57,15 +57,18 @@ class Kind(enum.IntEnum, metaclass=Interrupting):
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-end_like_ctrl_c()
-check_interrupted()
-try:
-    np.array([1]) == Kind.CAPSULE
-    print("dropped")
+before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+with ending_like_ctrl_c():
     check_interrupted()
-    print("lost")
-except KeyboardInterrupt:
-    print("ended")
+    try:
+        np.array([1]) == Kind.CAPSULE
+        print("dropped")
+        check_interrupted()
+        print("lost")
+    except KeyboardInterrupt:
+        print("ended")
+check_interrupted()
+assert before == [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
 """
 
 
@@ -88,5 +91,13 @@ def test_a_view_ends_after_a_signal_that_was_dropped(view, monkeypatch):
 def test_an_episode_ends_after_a_signal_that_was_dropped(monkeypatch):
     monkeypatch.setattr(signals, "_came", [signal.SIGTERM])
     log = Episode(load_scene("task01"), best("cloi"), engine="quasistatic").run()
-    assert len(log) == 1
+    assert len(log) == 0
     assert log.header["ended"] == "interrupted"
+
+
+def test_an_interrupt_that_another_handler_raised_counts_while_an_object_is_destroyed():
+    """IPython, for example, sets the default handler again before each cell."""
+    again = "    signal.signal(signal.SIGINT, signal.default_int_handler)\n    try:\n"
+    script = DESTROYED.format(name="SIGINT").replace("    try:\n", again)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("ended\n", "")

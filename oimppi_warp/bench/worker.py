@@ -15,6 +15,7 @@ from functools import cache
 from oimppi_warp.bench.provenance import code_content, machine, without_paths
 from oimppi_warp.bench.trial import Trial, make_episode
 from oimppi_warp.record.log import EpisodeLog
+from oimppi_warp.signals import check_interrupted
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ def run_trial(trial: Trial, leader: int) -> Outcome:
             warnings.simplefilter("ignore")
             log = make_episode(trial).run()
     except Exception:
+        check_interrupted()  # then it is what an extension such as USD made of Ctrl-C
         error = without_paths(traceback.format_exc())
     if log is not None and log.header["ended"] == "interrupted":
         raise KeyboardInterrupt

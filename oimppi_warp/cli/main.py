@@ -31,7 +31,7 @@ from oimppi_warp.cli.scene import Import, New, Scenes
 from oimppi_warp.cli.system import Doctor, Warmup
 from oimppi_warp.cli.view import Export, View
 from oimppi_warp.errors import OimppiError
-from oimppi_warp.signals import end_like_ctrl_c, silence
+from oimppi_warp.signals import ending_like_ctrl_c, silence
 
 _PIPE_CLOSED = 141
 """Exit status where nobody reads the output to its end, as that of a program which SIGPIPE ended."""
@@ -95,8 +95,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     atexit.register(gc.freeze)  # them repeatedly, and once more at exit, would double the start-up time
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # NumPy's BLAS threads slow down the planner's kernels
-    end_like_ctrl_c()
-    command = _parse(sys.argv[1:] if arguments is None else arguments)
+    with ending_like_ctrl_c():
+        return _execute(_parse(sys.argv[1:] if arguments is None else arguments))
+
+
+def _execute(command: Command) -> int:
+    """Runs a command and returns the exit status; says what went wrong, if something did."""
     try:
         status = command.execute()
         sys.stdout.flush()
@@ -114,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except SystemError as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # Ctrl-C came in code in C that does not handle it
+        if isinstance(error.__cause__, KeyboardInterrupt):  # it came while C code ran that does not expect it
             return _interrupted()
         raise
 

@@ -35,8 +35,8 @@ _LITTLE = 5e-4
 _SAME_PLACE = 0.03
 """Distance of two places of the tool below which they count as the same [m]."""
 _TRIED = 0.3
-"""Distance to go by which a place that was tried before has to be better than others, in the unit of the cost-to-go,
-in which a metre counts as up to 11 close to obstacles [m]."""
+"""Added to the cost-to-go of a place for each time that it was tried before [m]; close to obstacles, a metre of way
+costs up to 11."""
 
 
 @dataclass(frozen=True, eq=False)

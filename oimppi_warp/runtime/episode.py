@@ -235,8 +235,10 @@ class Episode:
         """
         try:
             with closing(self.steps()) as steps:
-                for _ in steps:
+                while True:
                     check_interrupted()
+                    if next(steps, None) is None:
+                        break
                     if on_step is not None:
                         on_step(self.log)
         except KeyboardInterrupt:

@@ -15,6 +15,7 @@ import numpy as np
 
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.record.log import write_atomically
+from oimppi_warp.signals import check_interrupted
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.replay import Replay
 
@@ -39,6 +40,7 @@ def export_html(replay: Replay, file: Path) -> None:
         record = viewer.server.get_scene_serializer()
         canvas = Canvas(viewer)
         for row in rows_of(replay):
+            check_interrupted()
             canvas.show(replay.picture(row))
             record.insert_sleep(1.0 / FPS)
         write_atomically(file, record.as_html().encode())
@@ -55,6 +57,7 @@ def export_usd(replay: Replay, file: Path) -> None:
         viewer = ViewerUSD(output_path=str(partial), fps=FPS, up_axis="Z", num_frames=None)
         canvas = Canvas(viewer, thickness=0.1)
         for frame, row in enumerate(rows_of(replay)):
+            check_interrupted()
             viewer.begin_frame(frame / FPS)
             canvas.draw(replay.picture(row))
             viewer.end_frame()

@@ -32,8 +32,10 @@ _SPEEDS = {"0.25": 0.25, "0.5": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "unlimited": 
 _UNWATCHED = 0.2
 """Time without a browser after which a real arm is stopped [s]."""
 _SETTINGS_AFTER, _SETTINGS_EVERY = 1.0, 0.2
-"""Time after the session's start at which the first folder of settings appears, and time between two of them [s]. Until
-it has created their 120 controls, a slow browser would not show that the arm moves."""
+"""Time after the session's start at which the first folder of settings appears, and time between two of them [s]. A
+slow browser draws nothing while it creates the controls, so the arm should be moving first."""
+REDRAWN = 0.5
+"""Time after which a picture is drawn again, as the viewer's own options may have been changed [s]."""
 _BARS = 10
 """Maximum number of cost terms shown."""
 
@@ -52,6 +54,7 @@ class LiveView:
         self._canvas = canvas
         self._gui = viewer.server.gui
         self._drawn: Picture | None = None
+        self._drawn_at = -math.inf
         self._plotted = -1.0
         self._gizmos: dict[str, wp.transform] = {}
         self._dragged: set[str] = set()
@@ -91,7 +94,8 @@ class LiveView:
             self._session.step()
         self._session.watched = bool(self._viewer.server.get_clients())
         picture = self._session.latest
-        if picture is self._drawn and not self._move.value:
+        now = time.perf_counter()
+        if picture is self._drawn and not self._move.value and now < self._drawn_at + REDRAWN:
             return
         self._viewer.begin_frame(picture.time)
         self._canvas.draw(picture)
@@ -105,7 +109,7 @@ class LiveView:
             self._plotted = picture.time
         self._viewer.end_frame()
         self._show_status(picture)
-        self._drawn = picture
+        self._drawn, self._drawn_at = picture, now
 
     def _add_controls(self) -> None:
         gui, session = self._gui, self._session

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from oimppi_warp.scene import Scene
 from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd import load_scene
 from oimppi_warp.view.canvas import Canvas
-from oimppi_warp.view.live import FPS
+from oimppi_warp.view.live import FPS, REDRAWN
 from oimppi_warp.view.picture import Picture
 
 FIGURES = {
@@ -83,7 +84,7 @@ class ReplayView:
         self._replay = replay
         self._canvas = canvas
         self._row = 0.0
-        self._drawn = -1
+        self._drawn, self._drawn_at = -1, -math.inf
         self._period = float(replay.log.header["control_period"])
         viewer.set_reset_callback(lambda: self._jump(0))
         gui, metrics = viewer.server.gui, summarize(replay.log)
@@ -119,7 +120,8 @@ class ReplayView:
         if self._viewer.should_step():
             rows = 1.0 if self._viewer.is_paused() else seconds * self._speed.value / self._period
             self._row = min(self._row + rows, last)
-        if self.row == self._drawn:
+        now = time.perf_counter()
+        if self.row == self._drawn and now < self._drawn_at + REDRAWN:
             return
         picture = self._replay.picture(self.row)
         self._canvas.show(picture)
@@ -129,7 +131,7 @@ class ReplayView:
             f"{picture.figures['yaw error [rad]']:.2f} rad from the goal"
         )
         self._state.content = f"{picture.time:.2f} s; {errors}; {picture.status}"
-        self._drawn = self.row
+        self._drawn, self._drawn_at = self.row, now
 
     def _jump(self, row: int) -> None:
         self._row = float(row)

@@ -142,6 +142,7 @@ class RerunView:
         """Starts a session and sends what happens, or sends a whole record at once; runs until it is interrupted."""
         if isinstance(shown, Replay):
             for row in range(len(shown)):
+                check_interrupted()
                 self.send(shown.picture(row))
         else:
             shown.watched = True

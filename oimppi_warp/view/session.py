@@ -156,7 +156,7 @@ class Session:
                 self._single = max(self._single - 1, 0) if active else 0
             if not active:
                 self._times.clear()
-                if (says := (self._status(), self.problem, self._episode)) != said:  # a new picture is drawn
+                if (says := (self._status(), self.problem, self._episode)) != said:  # every new picture is drawn
                     self.latest = replace(self.latest, status=says[0], scene=self._episode.scene)
                     said = says
                 self._closing.wait(0.02)

@@ -56,31 +56,32 @@ class SettingsPanel:
             ConfigError: The value is not allowed for this setting.
         """
         text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-        config = validate(set_option(self.config, f"{name}={text}"))
-        if options(config)[name] == options(self.config)[name]:
-            return
-        self._apply(config)
-        self._on_change(config)
+        with self._lock:
+            config = validate(set_option(self.config, f"{name}={text}"))
+            if options(config)[name] == options(self.config)[name]:
+                return
+            self._apply(config)
+            self._on_change(config)
 
     def replace(self, config: Config) -> None:
         """Replaces all settings and their defaults, for example by a preset."""
-        self._default = config
-        self._apply(config)
+        with self._lock:
+            self._default = config
+            self._apply(config)
 
     def _apply(self, config: Config) -> None:
         """Displays these settings, with the controls that their optimizers need."""
-        with self._lock:
-            while self.add_folder():
-                pass
-            before, self.config = _in_folders(self.config), config
-            now = _in_folders(config)
-            for folder in {**before, **now}:
-                if before.get(folder, {}).keys() != now.get(folder, {}).keys():
-                    self._build(folder)
-            for name, value in options(config).items():
-                if self._controls[name].value != _control_value(value):
-                    self._controls[name].value = _control_value(value)
-            self._show_changed()
+        while self.add_folder():
+            pass
+        before, self.config = _in_folders(self.config), config
+        now = _in_folders(config)
+        for folder in {**before, **now}:
+            if before.get(folder, {}).keys() != now.get(folder, {}).keys():
+                self._build(folder)
+        for name, value in options(config).items():
+            if self._controls[name].value != _control_value(value):
+                self._controls[name].value = _control_value(value)
+        self._show_changed()
 
     def _build(self, folder: str) -> None:
         """Recreates a folder's controls, keeping the folder's position."""

@@ -120,7 +120,7 @@ def test_ctrl_c_before_the_episode_is_status_130_without_a_traceback(stage: Stag
 def test_ctrl_c_that_an_extension_makes_a_system_error_of_is_status_130(
     stage: Stage, capsys: pytest.CaptureFixture[str]
 ):
-    """USD's does, where one of its functions looks at a Python object while the signal comes."""
+    """USD raises one if Ctrl-C comes while one of its functions examines a Python object."""
     stage.problem = SystemError("returned a result with an exception set")
     stage.problem.__cause__ = KeyboardInterrupt()
     assert status("run", "synthetic") == 130

@@ -153,10 +153,11 @@ def slider(page, name, *folders):
 
 
 def unfold(heading, content):
-    """Opens a folder; a page that moves under the mouse may miss a click, so that a person would click again."""
+    """Opens a folder; a page that moves under the mouse may miss a click, so it is clicked again, as by a user."""
 
     def opened():
-        heading.click()
+        if not content.is_visible():
+            heading.click()
         try:
             content.wait_for(timeout=10_000)
         except playwright.TimeoutError:
@@ -208,7 +209,11 @@ def test_pause_pauses_and_step_goes_one_step(live, page):
     opened(page, live)
     page.get_by_text("paused", exact=True).wait_for()
     before = live.session.latest.time
-    time.sleep(0.5)
+    drawn, log_state = [], live.viewer.log_state
+    live.viewer.log_state = lambda state: (drawn.append(state), log_state(state))
+    time.sleep(2.0)
+    assert len(drawn) <= 5, "nothing moves"
+    until(lambda: len(drawn) > 1)  # the viewer's own options take effect
     assert live.session.latest.time == before
     page.get_by_role("button", name="Step", exact=True).click()
     until(lambda: live.session.latest.time > before)

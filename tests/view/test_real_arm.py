@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 from support import small_tasks
@@ -56,6 +57,7 @@ def test_closing_the_last_browser_stops_the_arm(made, session, monkeypatch):
     page = Page()
     view = LiveView.__new__(LiveView)
     view._viewer, view._session = page, session
+    view._settings = SimpleNamespace(add_folder=lambda: False)  # pyright: ignore
     ticks: list[float] = []
 
     def tick(_view: LiveView) -> None:

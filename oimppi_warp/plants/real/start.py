@@ -14,6 +14,7 @@ from oimppi_warp.errors import HardwareError
 from oimppi_warp.physics.world import World
 from oimppi_warp.plants.real.start_move import StartMove
 from oimppi_warp.scene import Scene
+from oimppi_warp.signals import check_interrupted
 
 if TYPE_CHECKING:
     from oimppi_warp.plants.real.plant import ArmPlant
@@ -100,6 +101,7 @@ class StartProcedure:
         at, speed, target, period = 0.0, 0.0, path[0], plant.control_period
         until = time.monotonic() + 2.0 * knots[-1] / pace + _GET_THERE
         while True:
+            check_interrupted()
             if time.monotonic() > until:
                 raise HardwareError(
                     "the arm does not get to its start posture\n  to do:   see what holds it, or use a larger --speed"
