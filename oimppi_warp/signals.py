@@ -76,12 +76,12 @@ def check_interrupted() -> None:
     """Raises again what a library dropped; called in every round of a loop that a signal should end.
 
     NumPy, for example, drops every exception, including that of Ctrl-C, while it examines an operand that is not an
-    array.
+    array. Outside the main thread, where Python raises none, nothing happens.
 
     Raises:
         KeyboardInterrupt: A signal has asked the program to end.
     """
-    if _came:
+    if _came and threading.current_thread() is threading.main_thread():
         raise KeyboardInterrupt
 
 

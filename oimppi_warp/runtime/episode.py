@@ -235,10 +235,7 @@ class Episode:
         """
         try:
             with closing(self.steps()) as steps:
-                while True:
-                    check_interrupted()
-                    if next(steps, None) is None:
-                        break
+                for _ in steps:
                     if on_step is not None:
                         on_step(self.log)
         except KeyboardInterrupt:
@@ -273,6 +270,7 @@ class Episode:
         ):
             try:
                 for index in range(round(settings.max_sim_seconds / self.config.control_period)):
+                    check_interrupted()
                     self._knock(index * self.config.control_period)
                     step = next(self._control_steps)
                     position_error, yaw_error = self._record(step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from support import small_tasks
 from support.emulated_lab import COMMAND_PORT, POSE_PORT, OtherClient, emulated
 from support.pushing import speed, time_to_rest, wait_until
 
+from oimppi_warp import signals
 from oimppi_warp.config.presets import lab
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.plants.xarm.emulator import LabEmulator
@@ -106,6 +108,16 @@ def test_an_exception_in_the_middle_of_a_push_stops_the_arm(made):
     assert made.controller.snapshot().state == 4
     wait_until(lambda: speed(made) < 1e-3)
     assert len(episode.log) > 0, "the log is whole"
+
+
+def test_an_interrupt_before_the_first_step_stops_the_arm(made, monkeypatch):
+    options = (f"robot_address={made.host}:{COMMAND_PORT}", f"pose_address={made.host}:{POSE_PORT}", "yes=true")
+    scene = small_tasks.shipped("lab01")
+    episode = Episode(scene, lab(), plant="xarm", plant_options=options, device="cpu", engine="quasistatic")
+    monkeypatch.setattr(signals, "_came", [signal.SIGTERM])  # its exception was dropped
+    log = episode.run()
+    assert len(log) == 0 and log.header["ended"] == "interrupted"
+    assert made.controller.snapshot().state == 4
 
 
 def test_go_on_in_the_viewer(made, session):

@@ -58,6 +58,7 @@ def test_the_arm_moves_and_pause_holds_it(session):
     until(lambda: session.latest.time > 0.5)
     session.paused = True
     until(lambda: session.latest.status == "paused")
+    time.sleep(0.1)  # the last step may have been told of the pause already
     picture, held = session.latest, session.latest.time
     time.sleep(0.3)
     assert session.latest is picture, "the browser would draw it again and again"
