@@ -65,7 +65,7 @@ def test_the_arm_goes_to_its_start_and_follows_commands_at_their_pace(made):
         assert seen.object_pose == pytest.approx(other.state()[2], abs=1e-4)
         assert 0.0 <= plant.now - seen.object_time < 1.0
         assert not plant.fault
-    assert speed(other) < 1e-3
+    assert time_to_rest(other) < REST
     assert other.controller.snapshot().state == 4
 
 

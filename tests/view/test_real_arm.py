@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from support import small_tasks
 from support.emulated_lab import COMMAND_PORT, POSE_PORT, OtherClient, emulated
-from support.pushing import speed, time_to_rest, wait_until
+from support.pushing import REST, speed, time_to_rest, wait_until
 
 from oimppi_warp import signals
 from oimppi_warp.config.presets import lab
@@ -72,7 +72,7 @@ def test_closing_the_last_browser_stops_the_arm(made, session, monkeypatch):
 
     monkeypatch.setattr(LiveView, "tick", tick)
     view.run()
-    assert speed(made) < 1e-3
+    assert time_to_rest(made) < REST
     assert made.controller.snapshot().state == 4
     assert session.over
     assert live._UNWATCHED <= 0.25
