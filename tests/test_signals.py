@@ -83,7 +83,7 @@ def test_a_signal_counts_also_where_numpy_drops_it(name):
 def test_a_view_ends_after_a_signal_that_was_dropped(view, monkeypatch):
     monkeypatch.setattr(signals, "_came", [signal.SIGTERM])
     shown = object.__new__(view)
-    shown._viewer = SimpleNamespace(is_running=lambda: True)
+    shown._page = SimpleNamespace(open=True)
     with pytest.raises(KeyboardInterrupt):
         shown.run()
 

@@ -20,10 +20,10 @@ import numpy as np
 from PIL import Image
 
 from oimppi_warp.config.presets import best
-from oimppi_warp.runtime.episode import Setup
 from oimppi_warp.runtime.request import prepare_scene
+from oimppi_warp.runtime.setup import Setup
 from oimppi_warp.usd import shipped_scenes
-from oimppi_warp.view.browser import open_viewer, view_of
+from oimppi_warp.view.browser import Page, view_of
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.session import Session
 
@@ -49,19 +49,19 @@ class Stage:
         self.session.paused = self.session.watched = True
         self.session.start()
         table = self.session.running.scene.table
-        self._viewer = open_viewer(table, port=8500)
-        camera = self._viewer.server.initial_camera
+        self._served = Page(table, port=8500)
+        camera = self._served.server.initial_camera
         camera.position, camera.look_at = view_of(table, eye=EYE, target=LOOK_AT)
         camera.fov = FIELD
-        self._canvas = Canvas(self._viewer)
+        self._canvas = Canvas(self._served)
         self._draw()
-        page.goto(f"http://127.0.0.1:{self._viewer.server.get_port()}")
+        page.goto(self._served.url)
         page.add_style_tag(content=BARE)
 
     def close(self) -> None:
         """Close session and viewer."""
         self.session.close()
-        self._viewer.close()
+        self._served.close()
 
     def steps(self) -> Iterator[float]:
         """Run to the end of the episode, and yield the distance to the goal [m] after each step."""
@@ -84,10 +84,7 @@ class Stage:
         return Image.fromarray(image).convert("RGB")
 
     def _draw(self) -> None:
-        picture = self.session.latest
-        self._viewer.begin_frame(picture.time)
-        self._canvas.draw(picture)
-        self._viewer.end_frame()
+        self._canvas.show(self.session.latest)
 
 
 @contextmanager

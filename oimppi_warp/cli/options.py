@@ -21,7 +21,7 @@ from oimppi_warp.runtime.request import SettingsRequest, parse_pose, parse_start
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from oimppi_warp.runtime.episode import Setup
+    from oimppi_warp.runtime.setup import Setup
 
 
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
@@ -163,8 +163,7 @@ class TaskOptions:
                 "First run on this machine: the kernels are compiled once, in about 20 seconds on two idle cores.",
                 soft_wrap=True,
             )
-        with console.status("loading kernels"):
-            from oimppi_warp.runtime.episode import Setup
+        from oimppi_warp.runtime.setup import Setup
 
         options = (*self.run.plant_options, *self.hardware.assignments(self.run.plant))
         setup = Setup(scene, config, replace(self.run, device=where, plant_options=options))

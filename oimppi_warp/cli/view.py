@@ -21,7 +21,7 @@ from oimppi_warp.network import check_listening
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from oimppi_warp.runtime.episode import Setup
+    from oimppi_warp.runtime.setup import Setup
     from oimppi_warp.view.browser import Page
     from oimppi_warp.view.canvas import Canvas
     from oimppi_warp.view.picture import Picture
@@ -70,8 +70,8 @@ class View(TaskOptions):
                 from oimppi_warp.view.replay import Replay, ReplayView
 
                 replay = Replay(self.replay)
-                _, canvas = self._draw(replay.picture(0), console, stack)
-                ReplayView(canvas, replay).run()
+                page, canvas = self._draw(replay.picture(0), console, stack)
+                ReplayView(page, canvas, replay, paused=self.paused).run()
             else:
                 self._live(*self.prepare(), stack)
         return 0
@@ -79,26 +79,30 @@ class View(TaskOptions):
     def _live(self, setup: Setup, console: Console, stack: ExitStack) -> None:
         """Shows the live view until Ctrl-C; ``stack`` closes session and page at the end."""
         from oimppi_warp.compute.device import kernels_are_cached
-        from oimppi_warp.view.live import LiveView
         from oimppi_warp.view.picture import Picture
-        from oimppi_warp.view.session import Session
 
         if self.run.plant in REAL:  # the push begins when somebody opens the page, so it comes last
             with busy(console, "loading the planner"):
+                from oimppi_warp.view.session import Session
+
                 session = Session(setup)
                 stack.callback(session.close)
-            _, canvas = self._draw(session.latest, console, stack)
+            page, canvas = self._draw(session.latest, console, stack)
         else:
             compiled = kernels_are_cached()
             # Compiling goes on while the scene is drawn; loading what is compiled would only delay it.
             with nullcontext() if compiled else setup.loading_kernels():
                 page, canvas = self._draw(Picture.of_start(setup.scene), console, stack)
                 with busy(console, "loading the planner"), page.saying("loading the planner"):
+                    from oimppi_warp.view.session import Session
+
                     session = Session(setup)
                     stack.callback(session.close)
             if not compiled:  # the address has scrolled away
                 print(f"The planner is ready: {page.url}", flush=True)
-        LiveView(canvas, session).run()
+        from oimppi_warp.view.live import LiveView
+
+        LiveView(page, canvas, session, paused=self.paused).run()
 
     def _draw(self, first: Picture, console: Console, stack: ExitStack) -> tuple[Page, Canvas]:
         """Opens a page, prints its address, and draws the first picture while a browser loads the page.
@@ -111,15 +115,13 @@ class View(TaskOptions):
         from oimppi_warp.view.browser import Page
 
         page = Page(first.scene.table, host=self.host, port=self.port)
-        stack.callback(page.server.stop)
+        stack.callback(page.close)
         self._tell(page.url, page.server.get_port())
         stack.enter_context(suppress(KeyboardInterrupt))
         with busy(console, "drawing the scene"), page.saying("drawing the scene"):
             from oimppi_warp.view.canvas import Canvas
 
-            viewer = page.viewer(paused=self.paused)
-            stack.callback(viewer.close)
-            canvas = Canvas(viewer)
+            canvas = Canvas(page)
             canvas.show(first)
         return page, canvas
 

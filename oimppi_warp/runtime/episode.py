@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager, closing, nullcontext, suppress
-from dataclasses import asdict, dataclass, field, replace
+from contextlib import closing, nullcontext, suppress
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any
@@ -58,36 +58,6 @@ _LONGEST_LATENCY = 1.0
 """Longest latency of a plant that can be planned for [s]."""
 _FALLEN = 0.05
 """Depth of the object's frame below the table's top beyond which the object has fallen off [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """Everything that an :class:`Episode` is made from.
-
-    Attributes:
-        scene: The task, with the start and the goal to use.
-        config: All settings.
-        spec: The options of the run.
-    """
-
-    scene: Scene
-    config: Config
-    spec: RunSpec = field(default_factory=RunSpec)
-
-    def changed(self, **fields: Any) -> Setup:
-        """Returns a copy with some fields, or some options of the run, changed."""
-        own = {name: value for name, value in fields.items() if name in vars(self)}
-        options = {name: value for name, value in fields.items() if name not in own}
-        made = replace(self, **own)
-        return replace(made, spec=made.spec.changed(**options))
-
-    def loading_kernels(self) -> AbstractContextManager[None]:
-        """Loads the kernels of an episode that is made within this block, in the background until the block ends."""
-        return loading_early(self.scene, self.config, self.spec)
-
-    def episode(self, *, report: Callable[[str], None] = lambda _: None) -> Episode:
-        """Makes a new episode, ready to run; ``report`` is called with what is being done if that may take long."""
-        return Episode(self.scene, self.config, self.spec, report=report)
 
 
 class Episode:

@@ -15,7 +15,7 @@ from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import Collider, Obstacle, PushedObject, Scene, Tolerance
 from oimppi_warp.usd.collider_prims import define_collider
 from oimppi_warp.usd.conversion.units import editable_prims
-from oimppi_warp.usd.frames import scales
+from oimppi_warp.usd.frames import scales, transform
 from oimppi_warp.usd.stage import SceneStage
 
 _SAVED = 1e-5
@@ -184,6 +184,16 @@ def _define_colliders(stage: Usd.Stage, root: str, colliders: tuple[Collider, ..
         define_collider(stage, f"{root}/piece{number}", collider)
 
 
+def rigid_motion(before: tuple[Collider, ...], after: tuple[Collider, ...]) -> np.ndarray | None:
+    """Returns the rigid motion that makes one list of colliders of another; ``None`` if there is none.
+
+    Returns:
+        Translation [m] and quaternion xyzw, shape [7].
+    """
+    motion = _motion(before, after)
+    return None if motion is None else transform(motion)
+
+
 def _motion(before: tuple[Collider, ...], after: tuple[Collider, ...]) -> Gf.Matrix4d | None:
     """Returns the one rigid motion between two lists of colliders; ``None`` if there is none."""
     if len(before) != len(after) or not before:
@@ -225,15 +235,15 @@ def _equivalent(a: object, b: object) -> bool:
     return a == b
 
 
-def _matrix(transform: np.ndarray) -> Gf.Matrix4d:
-    x, y, z, qx, qy, qz, qw = transform.tolist()
+def _matrix(place: np.ndarray) -> Gf.Matrix4d:
+    x, y, z, qx, qy, qz, qw = place.tolist()
     return Gf.Matrix4d(1.0).SetRotate(Gf.Quatd(qw, qx, qy, qz)) * Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, z))
 
 
-def _set_transform(prim: Usd.Prim, transform: list[float]) -> None:
+def _set_transform(prim: Usd.Prim, place: list[float]) -> None:
     """Places a prim at a world transform (position [m], quaternion xyzw), shape [7], keeping its scale."""
     stood = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
-    _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * _matrix(np.array(transform)))
+    _set_world(prim, Gf.Matrix4d(1.0).SetScale(Gf.Vec3d(*scales(stood).tolist())) * _matrix(np.array(place)))
 
 
 def _set_world(prim: Usd.Prim, world: Gf.Matrix4d) -> None:

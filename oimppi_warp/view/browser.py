@@ -1,4 +1,4 @@
-"""Opens Newton's browser viewer with the package's defaults: local access only, and a camera aimed at the table."""
+"""A page in the browser, served by viser to this machine only unless asked otherwise, on which pictures are drawn."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.network import page_url
-from oimppi_warp.scene import Table
+from oimppi_warp.scene import Scene, Table
+from oimppi_warp.view.display import Color
+from oimppi_warp.view.shapes import Shape, body_frames, collider_shapes, visible_shapes
 
 Point = tuple[float, float, float]
 
@@ -20,7 +22,9 @@ EYE, TARGET = (1.7, -0.95, 1.15), (0.42, 0.12, 0.05)
 _CENTER, _SIDE = np.array([0.375, 0.0, 0.0]), 1.6
 """Centre and longer side of that table [m]."""
 _FIELD_OF_VIEW = np.radians(45.0)
-"""Vertical field of view of the camera [rad]; the default of Newton's own window."""
+"""Vertical field of view of the camera [rad]."""
+_COLLIDER, _COLLIDER_OPACITY = (1.0, 0.55, 0.1), 0.45
+"""Colour and opacity of colliders."""
 
 
 def view_of(table: Table, *, eye: Point = EYE, target: Point = TARGET) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +41,7 @@ def view_of(table: Table, *, eye: Point = EYE, target: Point = TARGET) -> tuple[
 
 
 class Page:
-    """A page in the browser that says what is being loaded until a viewer draws on it.
+    """A page in the browser, and a :class:`oimppi_warp.view.display.Display`.
 
     Args:
         table: The table that the camera looks at.
@@ -47,6 +51,7 @@ class Page:
     Attributes:
         server: The :class:`viser.ViserServer`, which is listening.
         url: Address of the page.
+        open: Whether the page is to be served on; views end when it is not.
     """
 
     def __init__(self, table: Table, *, host: str = "127.0.0.1", port: int = 8080) -> None:
@@ -56,10 +61,23 @@ class Page:
         with redirect_stdout(io.StringIO()):  # hides viser's banner; the caller prints the address if needed
             self.server = viser.ViserServer(host=host, port=port, label="oimppi", verbose=False)
         self.url = page_url(host, self.server.get_port())
+        self.open = True
         camera = self.server.initial_camera
         camera.position, camera.look_at = view_of(table)
         camera.fov = _FIELD_OF_VIEW
+        self.server.scene.add_light_ambient("/ambient")
+        self.server.scene.configure_environment_map(hdri=None)
         self._notice = self.server.gui.add_markdown("", order=-20.0, visible=False)
+        self._bodies: dict[str, Any] = {}
+        self._colliders: list[Any] = []
+        self._colliders_shown = False
+        self._drawn: dict[str, Any] = {}
+
+    def close(self) -> None:
+        """Ends the server."""
+        self.open = False
+        with redirect_stdout(io.StringIO()):  # hides that viser says so
+            self.server.stop()
 
     @contextmanager
     def saying(self, doing: str) -> Iterator[None]:
@@ -71,34 +89,101 @@ class Page:
         finally:
             self._notice.visible = False
 
-    def viewer(self, *, paused: bool = False) -> Any:
-        """Returns a :class:`newton.viewer.ViewerViser` that draws on this page.
+    @property
+    def watched(self) -> bool:
+        """Returns whether a browser shows the page."""
+        return bool(self.server.get_clients())
 
-        Args:
-            paused: Whether the viewer starts paused.
-        """
-        import viser
-        from newton.viewer import ViewerViser
+    @contextmanager
+    def frame(self, time: float) -> Iterator[None]:
+        """Shows at once what is drawn within the block; the time is of no use here."""
+        del time
+        with self.server.atomic():
+            yield
+        self.server.flush()
 
-        class Viewer(ViewerViser):
-            """Newton's viewer, but the page's camera stays; it would move everybody's to its own default.
+    def load(self, scene: Scene) -> None:
+        """Replaces the scene."""
+        for body in self._bodies.values():
+            body.remove()
+        self._scene = scene
+        paths = ["", *body_frames(scene, scene.robot.start, np.zeros(7))]
+        self._bodies = {path: self.server.scene.add_frame(f"/bodies{path}", show_axes=False) for path in paths}
+        for shape in visible_shapes(scene):
+            self._add(shape, f"/bodies{shape.body}/shapes{shape.path}")
+        self._colliders, shown = [], self._colliders_shown
+        self._colliders_shown = False
+        self.show_colliders(shown)
 
-            Moving a visitor's camera there and back is no way out: viser sends nothing for a camera that it
-            believes to be there already, and the page may just have told it so.
-            """
+    def show_colliders(self, shown: bool) -> None:
+        """Shows the colliders, which are what planner and physics know of the shapes, or hides them."""
+        if shown == self._colliders_shown:
+            return
+        self._colliders_shown = shown
+        if shown and not self._colliders:
+            for body, colliders in _colliders(self._scene):
+                for shape in collider_shapes(colliders, body, _COLLIDER, opacity=_COLLIDER_OPACITY):
+                    self._colliders.append(self._add(shape, f"/bodies{body}/colliders{shape.path}"))
+        for handle in self._colliders:
+            handle.visible = shown
 
-            def _reset_camera_to_default(self, up_axis: int) -> None:
-                pass
+    def pose(self, joints: np.ndarray, object_transform: np.ndarray) -> None:
+        """Moves arm and object; see :meth:`oimppi_warp.view.display.Display.pose`."""
+        for path, frame in body_frames(self._scene, joints, object_transform).items():
+            self._bodies[path].position = frame[:3]
+            self._bodies[path].wxyz = np.roll(frame[3:], 1)
 
-        new, viser.ViserServer = viser.ViserServer, lambda **_options: self.server  # instead of another server
-        try:
-            viewer = Viewer(paused=paused, verbose=False)
-        finally:
-            viser.ViserServer = new
-        viewer.picking_enabled = False  # picking applies forces to Newton's state; here the plant moves the bodies
-        return viewer
+    def lines(self, name: str, segments: np.ndarray, colors: np.ndarray, width: float) -> None:
+        """Draws line segments; see :meth:`oimppi_warp.view.display.Display.lines`."""
+        points = np.asarray(segments, dtype=np.float32)
+        shades = np.repeat(_bytes(colors)[:, None], 2, axis=1)
+        drawn = self._drawn.get(name)
+        if drawn is not None and len(drawn.points) == len(points):
+            drawn.points, drawn.colors = points, shades
+        else:  # replaces those of the same name
+            self._drawn[name] = self.server.scene.add_line_segments(
+                f"/lines/{name}", points, shades, thickness=width, thickness_units="screen"
+            )
+
+    def points(self, name: str, points: np.ndarray, radius: float, color: Color) -> None:
+        """Draws points of one colour; see :meth:`oimppi_warp.view.display.Display.points`."""
+        drawn = self._drawn.get(name)
+        if drawn is not None and len(drawn.points) == len(points):
+            drawn.points = np.asarray(points, dtype=np.float32)
+        else:
+            self._drawn[name] = self.server.scene.add_point_cloud(
+                f"/points/{name}",
+                np.asarray(points, dtype=np.float32),
+                tuple(_bytes(np.array(color)).tolist()),
+                point_size=radius,
+                point_shape="circle",
+            )
+
+    def _add(self, shape: Shape, name: str) -> Any:
+        """Adds a shape to the page below the name of its body, and returns viser's handle."""
+        place: dict[str, Any] = {"position": shape.transform[:3], "wxyz": np.roll(shape.transform[3:], 1)}
+        if shape.textured:
+            return self.server.scene.add_glb(name, shape.textured, **place)
+        return self.server.scene.add_mesh_simple(
+            name,
+            shape.vertices,
+            shape.faces,
+            color=tuple(_bytes(np.array(shape.color)).tolist()),
+            opacity=None if shape.opacity == 1.0 else shape.opacity,
+            **place,
+        )
 
 
-def open_viewer(table: Table, *, host: str = "127.0.0.1", port: int = 8080, paused: bool = False) -> Any:
-    """Opens a :class:`newton.viewer.ViewerViser` on a page of its own; the arguments are those of :class:`Page`."""
-    return Page(table, host=host, port=port).viewer(paused=paused)
+def _colliders(scene: Scene) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Yields the colliders of each body of a scene in its frame; those of table and obstacles in the world's."""
+    yield "", scene.table.others
+    for obstacle in scene.obstacles:
+        yield "", obstacle.colliders
+    for link in (scene.robot.base, *scene.robot.links):
+        yield link.path, link.colliders
+    yield scene.object.path, scene.object.colliders
+
+
+def _bytes(color: np.ndarray) -> np.ndarray:
+    """Returns colours from 0 to 1 as bytes."""
+    return np.rint(255.0 * np.clip(color, 0.0, 1.0)).astype(np.uint8)

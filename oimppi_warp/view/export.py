@@ -33,34 +33,36 @@ def rows_of(replay: Replay, fps: float = FPS, speed: float = 1.0) -> list[int]:
 
 def export_html(replay: Replay, file: Path) -> None:
     """Writes a single page with viser's player and the whole episode; it needs neither a server nor a network."""
-    from oimppi_warp.view.browser import open_viewer
+    from oimppi_warp.view.browser import Page
 
-    viewer = open_viewer(replay.scene.table)
+    page = Page(replay.scene.table)
     try:
-        record = viewer.server.get_scene_serializer()
-        canvas = Canvas(viewer)
+        record = page.server.get_scene_serializer()
+        canvas = Canvas(page)
         for row in rows_of(replay):
             check_interrupted()
             canvas.show(replay.picture(row))
             record.insert_sleep(1.0 / FPS)
         write_atomically(file, record.as_html().encode())
     finally:
-        viewer.close()
+        page.close()
 
 
 def export_usd(replay: Replay, file: Path) -> None:
     """Writes a USD stage with time samples, for usdview, Blender or Omniverse."""
     from newton.viewer import ViewerUSD
 
+    from oimppi_warp.view.newton_display import NewtonDisplay
+
     with tempfile.TemporaryDirectory() as folder:
         partial = Path(folder) / file.name
         viewer = ViewerUSD(output_path=str(partial), fps=FPS, up_axis="Z", num_frames=None)
-        canvas = Canvas(viewer, thickness=0.1)
+        display = NewtonDisplay(viewer)
+        canvas = Canvas(display)
         for frame, row in enumerate(rows_of(replay)):
             check_interrupted()
-            viewer.begin_frame(frame / FPS)
-            canvas.draw(replay.picture(row))
-            viewer.end_frame()
+            with display.frame(frame / FPS):
+                canvas.draw(replay.picture(row))
         viewer.close()
         write_atomically(file, partial.read_bytes())
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-import warp as wp
 
 from oimppi_warp.config.presets import PRESETS
 from oimppi_warp.config.run_spec import LARGEST_SEED
@@ -19,7 +18,9 @@ from oimppi_warp.registries import ENGINES, METHODS, PLANTS
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd.editing import save_scene
+from oimppi_warp.view.browser import Page
 from oimppi_warp.view.canvas import Canvas
+from oimppi_warp.view.controls import Handle, Playback, Plots
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.session import Session
 from oimppi_warp.view.settings_panel import SettingsPanel
@@ -34,8 +35,8 @@ _UNWATCHED = 0.2
 _SETTINGS_AFTER, _SETTINGS_EVERY = 1.0, 0.2
 """Time after the session's start at which the first folder of settings appears, and time between two of them [s]. A
 slow browser draws nothing while it creates the controls, so the arm should be moving first."""
-REDRAWN = 0.5
-"""Time after which a picture is drawn again, as the viewer's own options may have been changed [s]."""
+_HANDLE_HEIGHT = 0.06
+"""Height of the handles of goal and object above the table [m]."""
 _BARS = 10
 """Maximum number of cost terms shown."""
 
@@ -44,26 +45,24 @@ class LiveView:
     """Draws a session and passes the user's changes to it.
 
     Args:
-        canvas: Draws with Newton's viewer in the browser.
+        page: The page to show it on.
+        canvas: Draws on the page.
         session: The session to show.
+        paused: Whether the session is paused at first.
     """
 
-    def __init__(self, canvas: Canvas, session: Session) -> None:
-        self._viewer = viewer = canvas.viewer
+    def __init__(self, page: Page, canvas: Canvas, session: Session, *, paused: bool = False) -> None:
+        self._page, self._canvas = page, canvas
         self._session = session
-        self._canvas = canvas
-        self._gui = viewer.server.gui
+        self._gui = page.server.gui
         self._drawn: Picture | None = None
-        self._drawn_at = -math.inf
         self._plotted = -1.0
-        self._gizmos: dict[str, wp.transform] = {}
-        self._dragged: set[str] = set()
-        viewer.set_reset_callback(session.restart)
+        self._handles: dict[str, Handle] = {}
+        self._playback = Playback(page.server, session.restart, paused=paused)
+        self._plots = Plots(page.server)
         self._add_controls()
-        self._settings = SettingsPanel(
-            viewer.server, session.wanted.config, lambda config: session.change(config=config)
-        )
-        viewer.server.scene.on_click()(self._click)
+        self._settings = SettingsPanel(page.server, session.wanted.config, lambda config: session.change(config=config))
+        page.server.scene.on_click()(self._click)
 
     def run(self) -> None:
         """Draws until the viewer is closed; the session starts when the first browser connects.
@@ -71,10 +70,10 @@ class LiveView:
         When the last browser is closed, a real arm is stopped for good.
         """
         begun, seen, due = False, 0.0, math.inf
-        while self._viewer.is_running():
+        while self._page.open:
             check_interrupted()
             began = time.perf_counter()
-            if self._viewer.server.get_clients():
+            if self._page.watched:
                 seen = began
                 if not begun:
                     begun, due = True, began + _SETTINGS_AFTER
@@ -88,28 +87,23 @@ class LiveView:
 
     def tick(self) -> None:
         """Sends pending commands to the session and draws its latest picture."""
-        go = self._viewer.should_step()
-        self._session.paused = self._viewer.is_paused()
-        if go and self._session.paused:
-            self._session.step()
-        self._session.watched = bool(self._viewer.server.get_clients())
-        picture = self._session.latest
-        now = time.perf_counter()
-        if picture is self._drawn and not self._move.value and now < self._drawn_at + REDRAWN:
+        session = self._session
+        session.paused = self._playback.paused
+        if self._playback.take_step():
+            session.step()
+        session.watched = self._page.watched
+        self._page.show_colliders(self._colliders.value)
+        picture = session.latest
+        if picture is self._drawn and not self._move.value and not self._handles:
             return
-        self._viewer.begin_frame(picture.time)
-        self._canvas.draw(picture)
-        if self._move.value:
-            self._show_gizmos(picture)
-        else:
-            self._gizmos.clear()
-        if picture.time != self._plotted:
-            for name, value in picture.figures.items():
-                self._viewer.log_scalar(name, value)
-            self._plotted = picture.time
-        self._viewer.end_frame()
+        with self._page.frame(picture.time):
+            self._canvas.draw(picture)
+            self._show_handles(picture)
+            if picture.time != self._plotted:
+                self._plots.add(picture.time, picture.figures)
+                self._plotted = picture.time
         self._show_status(picture)
-        self._drawn, self._drawn_at = picture, now
+        self._drawn = picture
 
     def _add_controls(self) -> None:
         gui, session = self._gui, self._session
@@ -140,6 +134,9 @@ class LiveView:
             )
             if session.real:
                 gui.add_button("Go on", hint="After a stop of the arm.").on_click(lambda _event: session.go_on())
+            self._colliders = gui.add_checkbox(
+                "Show colliders", initial_value=False, hint="Shows what planner and physics know of the shapes."
+            )
             name = gui.add_text("Scene file", initial_value=f"my_{session.wanted.scene.name}.usda")
             gui.add_button("Save as scene").on_click(lambda event: self._save(event, name.value))
 
@@ -174,28 +171,30 @@ class LiveView:
         else:
             event.client.add_notification("Scene saved", f"Run it with: oimppi run {file}", color="green")
 
-    def _show_gizmos(self, picture: Picture) -> None:
-        """Shows handles on draggable items, and moves an item when its handle is released."""
+    def _show_handles(self, picture: Picture) -> None:
+        """Shows handles on what can be dragged, if they are wanted, and moves a thing when its handle is released."""
         scene = self._session.wanted.scene
-        places = {
-            "goal": planar_transform(scene.goal, 0.06),
-            "object": np.concatenate([picture.object_transform[:2], [0.06], picture.object_transform[3:]]),
-        }
-        for obstacle in scene.obstacles:
-            x, y, z = obstacle.center
-            places[obstacle.path] = planar_transform((x, y, 0.0), z)
-        active = {name.removeprefix("/") for name in self._viewer._active_gizmos}
+        places = {}
+        if self._move.value:
+            places = {
+                "goal": planar_transform(scene.goal, _HANDLE_HEIGHT),
+                "object": np.concatenate(
+                    [picture.object_transform[:2], [_HANDLE_HEIGHT], picture.object_transform[3:]]
+                ),
+            }
+            for obstacle in scene.obstacles:
+                x, y, z = obstacle.center
+                places[obstacle.path] = planar_transform((x, y, 0.0), z)
+        for name in self._handles.keys() - places.keys():
+            self._handles.pop(name).remove()
         for name, place in places.items():
-            key = f"move/{name.strip('/')}"
-            dragging = any(entry.endswith(key) for entry in active)
-            if name in self._dragged and not dragging:
-                self._dragged.discard(name)
-                self._dropped(name, planar_pose(np.array(self._gizmos[name])), planar_pose(place))
-            elif dragging:
-                self._dragged.add(name)
-            if name not in self._gizmos or not (dragging or self._session.wanted.scene is not scene):
-                self._gizmos[name] = wp.transform(*place)
-            self._viewer.log_gizmo(key, self._gizmos[name], translate=("X", "Y"), rotate=("Z",))
+            if name not in self._handles:
+                self._handles[name] = Handle(self._page.server, name.strip("/"), place)
+            handle = self._handles[name]
+            if handle.take_drop():
+                self._dropped(name, planar_pose(handle.place), planar_pose(place))
+            elif self._session.wanted.scene is scene:
+                handle.move_to(place)
 
     def _dropped(self, name: str, to: np.ndarray, before: np.ndarray) -> None:
         """Handles the end of a drag from one planar pose to another, shape [3] [m, m, rad] each."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +16,10 @@ from oimppi_warp.record.metrics import summarize
 from oimppi_warp.scene import Scene
 from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd import load_scene
+from oimppi_warp.view.browser import Page
 from oimppi_warp.view.canvas import Canvas
-from oimppi_warp.view.live import FPS, REDRAWN
+from oimppi_warp.view.controls import Playback, add_plot
+from oimppi_warp.view.live import FPS
 from oimppi_warp.view.picture import Picture
 
 FIGURES = {
@@ -75,19 +77,21 @@ class ReplayView:
     """Plays, scrubs and steps through a record in the browser.
 
     Args:
-        canvas: Draws with Newton's viewer in the browser.
+        page: The page to show it on.
+        canvas: Draws on the page.
         replay: The record to show.
+        paused: Whether it is paused at first.
     """
 
-    def __init__(self, canvas: Canvas, replay: Replay) -> None:
-        self._viewer = viewer = canvas.viewer
+    def __init__(self, page: Page, canvas: Canvas, replay: Replay, *, paused: bool = False) -> None:
+        self._page, self._canvas = page, canvas
         self._replay = replay
-        self._canvas = canvas
         self._row = 0.0
-        self._drawn, self._drawn_at = -1, -math.inf
+        self._drawn = -1
         self._period = float(replay.log.header["control_period"])
-        viewer.set_reset_callback(lambda: self._jump(0))
-        gui, metrics = viewer.server.gui, summarize(replay.log)
+        self._playback = Playback(page.server, lambda: self._jump(0), paused=paused)
+        gui: Any = page.server.gui
+        metrics = summarize(replay.log)
         result = "goal reached" if metrics.success else "goal not reached"
         with gui.add_folder("Record", order=-10.0):
             gui.add_markdown(f"**{metrics.scene}, {metrics.run.method.upper()}, seed {metrics.run.seed}**: {result}")
@@ -104,7 +108,7 @@ class ReplayView:
 
     def run(self) -> None:
         """Plays until the viewer is closed."""
-        while self._viewer.is_running():
+        while self._page.open:
             check_interrupted()
             began = time.perf_counter()
             self.tick(1.0 / FPS)
@@ -117,11 +121,11 @@ class ReplayView:
             seconds: Wall time that has passed [s]; while paused, each step request advances one control step instead.
         """
         last = len(self._replay) - 1
-        if self._viewer.should_step():
-            rows = 1.0 if self._viewer.is_paused() else seconds * self._speed.value / self._period
-            self._row = min(self._row + rows, last)
-        now = time.perf_counter()
-        if self.row == self._drawn and now < self._drawn_at + REDRAWN:
+        if not self._playback.paused:
+            self._row = min(self._row + seconds * self._speed.value / self._period, last)
+        elif self._playback.take_step():
+            self._row = min(self._row + 1.0, last)
+        if self.row == self._drawn:
             return
         picture = self._replay.picture(self.row)
         self._canvas.show(picture)
@@ -131,26 +135,19 @@ class ReplayView:
             f"{picture.figures['yaw error [rad]']:.2f} rad from the goal"
         )
         self._state.content = f"{picture.time:.2f} s; {errors}; {picture.status}"
-        self._drawn, self._drawn_at = self.row, now
+        self._drawn = self.row
 
     def _jump(self, row: int) -> None:
         self._row = float(row)
 
     def _add_plots(self) -> None:
         """Plots all values over the whole episode."""
-        from viser import uplot
-
-        log = self._replay.log
-        with self._viewer.server.gui.add_folder("Plots"):
+        log, gui = self._replay.log, self._page.server.gui
+        with gui.add_folder("Plots", order=10.0):
             for name, (column, factor) in FIGURES.items():
                 known = np.isfinite(log[column])
                 if known.any():
-                    self._viewer.server.gui.add_uplot(
-                        data=(log["time"][known].astype(float), factor * log[column][known].astype(float)),
-                        series=(uplot.Series(label="s"), uplot.Series(label=name, stroke="#3b82f6", width=2)),
-                        scales={"x": uplot.Scale(time=False)},
-                        aspect=2.5,
-                    )
+                    add_plot(gui, name, log["time"][known].astype(float), factor * log[column][known].astype(float))
 
 
 def _scene_of(log: EpisodeLog) -> Scene:

@@ -23,6 +23,7 @@ from oimppi_warp.signals import check_interrupted
 from oimppi_warp.view.browser import view_of
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.live import FPS
+from oimppi_warp.view.newton_display import NewtonDisplay
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.replay import Replay
 from oimppi_warp.view.session import Session
@@ -30,8 +31,6 @@ from oimppi_warp.view.session import Session
 if TYPE_CHECKING:
     from newton.viewer import ViewerBase
 
-THICKNESS = 0.1
-"""Factor from the canvas's line widths to Rerun's radii."""
 TIMELINE = "episode"
 """Name of the time from the start of the episode."""
 _PATIENCE = 20.0
@@ -127,16 +126,16 @@ class RerunView:
 
     def __init__(self, viewer: ViewerBase) -> None:
         self._viewer: Any = viewer
-        self._canvas = Canvas(viewer, thickness=THICKNESS)
+        self._display = NewtonDisplay(viewer)
+        self._canvas = Canvas(self._display)
 
     def send(self, picture: Picture) -> None:
         """Sends one picture."""
-        self._viewer.begin_frame(picture.time)
-        self._canvas.draw(picture)
-        for folder, values in (("figures", picture.figures), ("costs", picture.terms)):
-            for name, value in values.items():
-                self._viewer.log_scalar(f"/{folder}/{_path(name)}", value)
-        self._viewer.end_frame()
+        with self._display.frame(picture.time):
+            self._canvas.draw(picture)
+            for folder, values in (("figures", picture.figures), ("costs", picture.terms)):
+                for name, value in values.items():
+                    self._viewer.log_scalar(f"/{folder}/{_path(name)}", value)
 
     def show(self, shown: Session | Replay) -> None:
         """Starts a session and sends what happens, or sends a whole record at once; runs until it is interrupted."""

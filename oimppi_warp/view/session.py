@@ -19,7 +19,8 @@ import numpy as np
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plants.plant import MovablePlant, RealPlant, TruthfulPlant
 from oimppi_warp.runtime.control import ControlStep
-from oimppi_warp.runtime.episode import Episode, Setup, problem_of
+from oimppi_warp.runtime.episode import Episode, problem_of
+from oimppi_warp.runtime.setup import Setup
 from oimppi_warp.scene import PlanarPose
 from oimppi_warp.view.picture import Picture
 
@@ -110,7 +111,7 @@ class Session:
 
         Args:
             fresh: Whether to restart from the beginning; otherwise the episode continues from its current state.
-            **fields: As for :meth:`oimppi_warp.runtime.episode.Setup.changed`.
+            **fields: As for :meth:`oimppi_warp.runtime.setup.Setup.changed`.
         """
         if self.real:
             self.problem = "a real arm carries out the task: to change it, stop the viewer and start again"

@@ -61,7 +61,7 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
     modules = {
         "usd": {"load_scene": stage.load_scene},
         "geometry.feasibility": {"check_task": stage.check_task, "sample_start": stage.sample_start},
-        "runtime.episode": {"Setup": stage.setup},
+        "runtime.setup": {"Setup": stage.setup},
     }
     for name, content in modules.items():
         monkeypatch.setitem(sys.modules, f"oimppi_warp.{name}", SimpleNamespace(**content))

@@ -7,10 +7,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
+import newton
 import numpy as np
 import pytest
-from newton.viewer import ViewerNull
 from support import small_tasks
+from support.drawn import Drawn
 from support.engines import make, roll
 
 from oimppi_warp.compute.cache import content_of_data
@@ -34,6 +35,7 @@ from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.live import LiveView
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.posed_scene import PosedScene
+from oimppi_warp.view.shapes import Shape, visible_shapes
 
 G = 9.81
 """[m/s^2]"""
@@ -309,26 +311,23 @@ def test_nobody_can_change_a_scene_behind_the_caches_back(scene):
 # The viewer
 
 
-class Seen(ViewerNull):
-    """A viewer that counts the models it is told to show."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.models = 0
-
-    def set_model(self, *args, **kwargs) -> None:
-        self.models += 1
-        super().set_model(*args, **kwargs)
-
-
 def drawn(scene: Scene, path: str) -> dict[str, np.ndarray]:
-    """Where each shape below a path is drawn: its transform [7] by its label."""
-    shown = PosedScene(scene)
-    shown.pose(scene.robot.start, planar_transform(scene.start, scene.object.rest_height))
-    places = {}
-    for i, label in enumerate(shown.model.shape_label):
-        if label.startswith(path):
-            places[label] = shown.model.shape_transform.numpy()[i]
+    """Where each shape below a path is drawn in its body's frame: its transform [7] by its path.
+
+    Newton's viewers are given a stage of the edited scene; the page is given the shapes of the file, edited. They have
+    to agree.
+    """
+    places = {shape.path: shape.transform for shape in visible_shapes(scene) if shape.path.startswith(path)}
+    shown = PosedScene(scene).model
+    others = {
+        label: shown.shape_transform.numpy()[i]
+        for i, label in enumerate(shown.shape_label)
+        if label.startswith(path) and shown.shape_flags.numpy()[i] & newton.ShapeFlags.VISIBLE
+    }
+    assert len(places) == len(others)
+    for place, other in zip(places.values(), others.values(), strict=True):
+        sign = np.sign(place[3:] @ other[3:])
+        np.testing.assert_allclose(place * [1, 1, 1, sign, sign, sign, sign], other, atol=1e-6)
     return places
 
 
@@ -343,25 +342,28 @@ def test_a_moved_obstacle_is_drawn_where_it_is_and_a_removed_one_not_at_all(scen
 
 def test_an_obstacle_that_was_added_is_drawn_as_its_colliders(scene):
     shapes = (small_tasks.box(0.2, 0.3, (0.1, 0.2, 0.05), yaw=0.4), small_tasks.post(0.3, 0.4, 0.02, 0.1))
-    places = drawn(scene.with_obstacle(Obstacle("/World/Obstacles/New", shapes)), "/World/Obstacles/New")
-    assert len(places) == 2
-    for shape, place in zip(shapes, places.values(), strict=True):
-        np.testing.assert_allclose(place[:3], shape.transform[:3], atol=1e-6)
+    edited = scene.with_obstacle(Obstacle("/World/Obstacles/New", shapes))
+    added = [shape for shape in visible_shapes(edited) if shape.path in [it.path for it in shapes]]
+    assert [shape.kind for shape in added] == ["box", "cylinder"]
+    for shape, known in zip(added, shapes, strict=True):
+        np.testing.assert_allclose(shape.transform, known.transform, atol=1e-6)
+        assert shape.size == pytest.approx(known.size)
+    assert len(visible_shapes(scene)) == len(visible_shapes(edited)) - 2
 
 
-def test_an_object_of_another_size_is_drawn_in_that_size(scene):
-    def extent(each: Scene) -> float:
-        shown = PosedScene(each)
-        found = [i for i, label in enumerate(shown.model.shape_label) if label.startswith("/World/Object")]
-        return max(float(shown.model.shape_scale.numpy()[i].max()) for i in found)
+def test_an_object_of_another_size_is_drawn_in_that_size_and_its_own_colour(scene):
+    def drawn_object(each: Scene) -> list[Shape]:
+        return [shape for shape in visible_shapes(each) if shape.body == scene.object.path]
 
-    assert extent(scene) == pytest.approx(0.1)
-    assert extent(replace(scene, object=scene.object.scaled(1.5))) == pytest.approx(0.15)
+    shown, larger = drawn_object(scene), drawn_object(replace(scene, object=scene.object.scaled(1.5)))
+    assert max(shape.vertices.max() for shape in shown) == pytest.approx(0.1)
+    assert max(shape.vertices.max() for shape in larger) == pytest.approx(0.15)
+    assert {shape.color for shape in larger} == {shown[0].color}
 
 
 def test_the_canvas_loads_a_scene_anew_when_other_things_stand_in_it_but_not_for_another_goal(scene):
-    viewer = Seen()
-    canvas = Canvas(viewer)
+    display = Drawn()
+    canvas = Canvas(display)
     at = planar_transform(scene.start, scene.object.rest_height)
     scenes = [
         (scene, 1),
@@ -369,9 +371,9 @@ def test_the_canvas_loads_a_scene_anew_when_other_things_stand_in_it_but_not_for
         (scene.with_obstacle_moved(CUBE, (0.0, 0.1, 0.0)), 2),
         (scene.without_obstacle(CUBE), 3),
     ]
-    for each, models in scenes:
+    for each, count in scenes:
         canvas.draw(Picture(each, 0.0, each.robot.start, at))
-        assert viewer.models == models
+        assert len(display.scenes) == count
 
 
 class Asked:

@@ -11,14 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.run_spec import RunSpec
-from oimppi_warp.runtime.episode import Episode, Setup
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.runtime.setup import Setup
 from oimppi_warp.usd import load_scene
-from oimppi_warp.view.browser import Page, open_viewer, view_of
+from oimppi_warp.view.browser import Page, view_of
 from oimppi_warp.view.canvas import Canvas
 from oimppi_warp.view.export import export
 from oimppi_warp.view.live import LiveView
@@ -93,24 +95,24 @@ def messages_to(client):
 class Served:
     """A view that is drawn by a thread, as the command's main thread would."""
 
-    def __init__(self, viewer, view):
-        self.viewer, self.view = viewer, view
-        self.url = f"http://127.0.0.1:{viewer.server.get_port()}"
+    def __init__(self, page, view):
+        self.page, self.view = page, view
+        self.url = page.url
         self.thread = threading.Thread(target=view.run, daemon=True)
         self.thread.start()
 
     def close(self):
-        self.viewer._running = False
+        self.page.open = False
         self.thread.join()
-        self.viewer.close()
+        self.page.close()
 
 
 @pytest.fixture
 def live(device: str):
     setup = Setup(load_scene("task02"), small(), RunSpec(engine="quasistatic", device=device, threads=1))
     session = Session(setup)
-    viewer = open_viewer(setup.scene.table, port=8470)
-    served = Served(viewer, LiveView(Canvas(viewer), session))
+    page = Page(setup.scene.table, port=8470)
+    served = Served(page, LiveView(page, Canvas(page), session))
     served.session = session
     yield served
     session.close()
@@ -135,7 +137,7 @@ def opened(page, served):
         pause.uncheck()
         pause.check()
         time.sleep(1.0)
-        return served.viewer.is_paused()
+        return served.session.paused
 
     until(paused)
     until(lambda: scene_is_drawn(picture_of(page, "opened")))
@@ -169,7 +171,7 @@ def unfold(heading, content):
 
 def on_screen(served, point):
     """Pixel of a point [m] in the picture of the only client."""
-    (client,) = served.viewer.server.get_clients().values()
+    (client,) = served.page.server.get_clients().values()
     camera = client.camera
     seen = Rotation.from_quat(np.roll(camera.wxyz, -1)).inv().apply(np.asarray(point) - camera.position)
     scale = camera.image_height / 2 / np.tan(camera.fov / 2)
@@ -195,25 +197,24 @@ def test_a_page_without_a_scene_says_what_it_waits_for_and_then_shows_it_from_th
             until(lambda: waiting.server.get_clients())
             (client,) = waiting.server.get_clients().values()
             sent = messages_to(client)
-            Canvas(waiting.viewer()).show(Picture.of_start(scene))
+            Canvas(waiting).show(Picture.of_start(scene))
         until(lambda: scene_is_drawn(picture_of(page, "from_the_start")))
         until(lambda: np.allclose(client.camera.position, view_of(scene.table)[0], atol=0.01))
         assert not [it for it in sent if "Camera" in type(it).__name__], "a camera that is moved may not come back"
         notice.wait_for(state="hidden")
         assert page.problems == []
     finally:
-        waiting.server.stop()
+        waiting.close()
 
 
 def test_pause_pauses_and_step_goes_one_step(live, page):
     opened(page, live)
     page.get_by_text("paused", exact=True).wait_for()
     before = live.session.latest.time
-    drawn, log_state = [], live.viewer.log_state
-    live.viewer.log_state = lambda state: (drawn.append(state), log_state(state))
-    time.sleep(2.0)
-    assert len(drawn) <= 5, "nothing moves"
-    until(lambda: len(drawn) > 1)  # the viewer's own options take effect
+    drawn, pose = [], live.page.pose
+    live.page.pose = lambda *where: (drawn.append(where), pose(*where))
+    time.sleep(1.0)
+    assert not drawn, "nothing moves"
     assert live.session.latest.time == before
     page.get_by_role("button", name="Step", exact=True).click()
     until(lambda: live.session.latest.time > before)
@@ -236,41 +237,47 @@ def test_a_slider_changes_the_planners_weight_and_one_click_takes_it_back(live, 
     assert page.problems == []
 
 
+def blue_parts(served, page):
+    """Pixels (x, y) of the blue parts of the goal's handle: the square, which moves it, and the ring, to turn it."""
+    page.mouse.move(20, 680)  # a part under the mouse is yellow
+    time.sleep(0.5)
+    x, y, _ = served.session.running.scene.goal
+    middle = on_screen(served, (x, y, 0.06))
+    image = picture_of(page, "handles")
+    blue = (image[..., 2] > 180) & (image[..., 0] < 80) & (image[..., 1] < 170)
+    blue[:, 650:] = False  # the panel
+    named, count = ndimage.label(blue, np.ones((3, 3)))
+    parts = [np.argwhere(named == number + 1)[:, ::-1] for number in range(count)]
+    near = [part for part in parts if len(part) > 10 and np.hypot(*(part.mean(axis=0) - middle)) < 45]
+    return sorted(near, key=lambda part: -len(part) / np.prod(np.ptp(part, axis=0) + 1))
+
+
+def drag(page, start, way):
+    """Drags with the mouse from a pixel along a way."""
+    x, y = (float(value) for value in start)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for share in np.linspace(0.2, 1.0, 5):
+        page.mouse.move(x + share * way[0], y + share * way[1])
+        time.sleep(0.2)
+    page.mouse.up()
+    time.sleep(1.0)
+
+
 def test_dragging_the_goal_changes_the_plan(live, page):
     opened(page, live)
     page.get_by_label("Show handles", exact=True).check()
     before = live.session.running.scene.goal
 
-    def handle():
-        """Middle of the goal's blue handle on the page, or None while it is not drawn."""
-        page.mouse.move(20, 680)  # a handle under the mouse is yellow
-        time.sleep(0.5)
-        goal = live.session.running.scene.goal
-        middle = on_screen(live, (goal[0], goal[1], 0.06))
-        image = picture_of(page, "gizmos")
-        blue = (image[..., 2] > 180) & (image[..., 0] < 80) & (image[..., 1] < 170)
-        blue[:, 650:] = False  # the panel
-        rows, columns = np.nonzero(blue)
-        away = np.hypot(columns - middle[0], rows - middle[1])
-        near = away < 40
-        return (columns[near].mean(), rows[near].mean()) if near.sum() > 10 else None
-
-    def dragged():
-        """Drags the handle; a busy page may miss part of a drag, so that a person would drag again."""
-        if (start := handle()) is None:
-            return False
-        x, y = start
-        page.mouse.move(x, y)
-        page.mouse.down()
-        for share in np.linspace(0.2, 1.0, 5):
-            page.mouse.move(x - 12 * share, y - 15 * share)
-            time.sleep(0.2)
-        page.mouse.up()
-        time.sleep(1.0)
-        return np.hypot(*np.subtract(live.session.running.scene.goal, before)[:2]) > 0.03
-
     def goal():
         return live.session.running.scene.goal
+
+    def dragged():
+        """Drags the square; a busy page may miss part of a drag, so that a person would drag again."""
+        if not (parts := blue_parts(live, page)):
+            return False
+        drag(page, parts[0].mean(axis=0), (-12, -15))
+        return np.hypot(*np.subtract(goal(), before)[:2]) > 0.03
 
     def at_rest():
         """The page of a busy machine sends the rest of a drag when the mouse is up already."""
@@ -285,6 +292,23 @@ def test_dragging_the_goal_changes_the_plan(live, page):
     page.get_by_label("Pause", exact=True).uncheck()
     until(lambda: any(np.hypot(*(way[:2] - goal()[:2])) < 0.04 for way in live.session.latest.reference[-1:]))
     picture_of(page, "dragged")
+    assert page.problems == []
+
+
+def test_the_ring_of_a_handle_turns_the_goal(live, page):
+    opened(page, live)
+    page.get_by_label("Show handles", exact=True).check()
+    before = live.session.running.scene.goal
+
+    def turned():
+        if len(parts := blue_parts(live, page)) < 2:
+            return False
+        ring = parts[-1]
+        drag(page, ring[np.argmin(np.abs(ring[:, 1] - np.median(ring[:, 1])))], (6, 22))
+        return abs(live.session.running.scene.goal[2] - before[2]) > 0.1
+
+    until(turned)
+    assert live.session.running.scene.goal[:2] == pytest.approx(before[:2], abs=1e-6)
     assert page.problems == []
 
 
@@ -309,9 +333,9 @@ def test_the_control_loop_keeps_its_rate_with_a_slow_browser(live, page):
 
 def test_a_replay_scrubs(record, page):
     replay = Replay(record)
-    viewer = open_viewer(replay.scene.table, port=8480, paused=True)
-    view = ReplayView(Canvas(viewer), replay)
-    served = Served(viewer, view)
+    shown = Page(replay.scene.table, port=8480)
+    view = ReplayView(shown, Canvas(shown), replay, paused=True)
+    served = Served(shown, view)
     try:
         page.goto(served.url)
         until(lambda: scene_is_drawn(picture_of(page, "replay")))
@@ -348,6 +372,6 @@ def test_two_browsers_see_the_same_and_closing_one_ends_nothing(live, browser, p
     other.get_by_label("Pause", exact=True).uncheck()
     until(lambda: live.session.latest.time > before + 0.5)
     other.close()
-    until(lambda: len(live.viewer.server.get_clients()) == 1)
+    until(lambda: len(live.page.server.get_clients()) == 1)
     now = live.session.latest.time
     until(lambda: live.session.latest.time > now + 0.5)

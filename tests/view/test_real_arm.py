@@ -18,7 +18,8 @@ from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.plants.xarm.emulator import LabEmulator
 from oimppi_warp.plants.xarm.protocol import Register
 from oimppi_warp.record.log import EpisodeLog
-from oimppi_warp.runtime.episode import Episode, Setup
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.runtime.setup import Setup
 from oimppi_warp.view import live
 from oimppi_warp.view.live import LiveView
 from oimppi_warp.view.session import Session
@@ -41,34 +42,27 @@ def session(made) -> Iterator[Session]:
         started.close()
 
 
-class Page:
-    """A viewer without a picture, which a browser watches or not."""
+class Watched:
+    """A page that a browser shows or not."""
 
     def __init__(self) -> None:
-        self.browsers, self.open = 1, True
-        self.server = self
-
-    def get_clients(self) -> dict[int, None]:
-        return dict.fromkeys(range(self.browsers))
-
-    def is_running(self) -> bool:
-        return self.open
+        self.watched = self.open = True
 
 
 def test_closing_the_last_browser_stops_the_arm(made, session, monkeypatch):
-    page = Page()
+    page = Watched()
     view = LiveView.__new__(LiveView)
-    view._viewer, view._session = page, session
+    view._page, view._session = page, session  # pyright: ignore
     view._settings = SimpleNamespace(add_folder=lambda: False)  # pyright: ignore
     ticks: list[float] = []
 
     def tick(_view: LiveView) -> None:
         ticks.append(time.monotonic())
         assert ticks[-1] - ticks[0] < 60.0, f"the arm does not move: {session.latest.status}, {session.problem}"
-        if speed(made) > 0.05 and page.browsers:
-            page.browsers = 0
+        if speed(made) > 0.05 and page.watched:
+            page.watched = False
             page.closed = time.monotonic()  # pyright: ignore
-        page.open = page.browsers > 0 or time.monotonic() < page.closed + 1.0  # pyright: ignore
+        page.open = page.watched or time.monotonic() < page.closed + 1.0  # pyright: ignore
 
     monkeypatch.setattr(LiveView, "tick", tick)
     view.run()

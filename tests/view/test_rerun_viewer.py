@@ -15,7 +15,8 @@ from oimppi_warp.cli.main import main
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.run_spec import RunSpec
-from oimppi_warp.runtime.episode import Episode, Setup
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.runtime.setup import Setup
 from oimppi_warp.usd import load_scene
 from oimppi_warp.view.replay import Replay
 from oimppi_warp.view.rerun_viewer import RerunServer, RerunView, open_rerun

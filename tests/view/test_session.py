@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from newton.viewer import ViewerNull
 from pxr import Usd, UsdGeom
 from support.device import DEVICE, to_the_bit
+from support.drawn import Drawn
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
@@ -17,7 +17,8 @@ from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.geometry.kinematics import tip_frame, tip_jacobian
 from oimppi_warp.observation import planar_pose, planar_transform
 from oimppi_warp.record.log import EpisodeLog, LogError
-from oimppi_warp.runtime.episode import Episode, Setup
+from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.runtime.setup import Setup
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.canvas import Canvas
@@ -179,25 +180,13 @@ def test_a_scene_is_saved_as_it_stands(tmp_path):
         save_scene(scene, tmp_path / "mine.txt")
 
 
-class Lines(ViewerNull):
-    """A viewer that keeps the lines it is told to draw, by their names."""
-
-    def __init__(self):
-        super().__init__()
-        self.lines = {}
-
-    def log_lines(self, name, starts, ends, colors, width=0.01, hidden=False):
-        if starts is not None:
-            self.lines[name] = np.stack([starts.numpy(), ends.numpy()], axis=1)
-
-
 @pytest.mark.parametrize(("x", "gap"), [(0.30, 0.05), (0.27, 0.08), (0.78, 0.13)])
 def test_a_line_shows_the_clearance_of_the_object(x, gap):
     """The bar of the T reaches 0.1 m to both sides, the cube stands at 0.45 to 0.55 m."""
-    viewer, scene = Lines(), load_scene("task02")
+    display, scene = Drawn(), load_scene("task02")
     at = planar_transform((x, 0.05, 0.0), scene.object.rest_height)
-    Canvas(viewer).draw(Picture(scene, 0.0, scene.robot.start, at))
-    (line,) = viewer.lines["/oimppi/clearance"]
+    Canvas(display).draw(Picture(scene, 0.0, scene.robot.start, at))
+    (line,) = display.segments["clearance"]
     assert np.linalg.norm(line[1] - line[0]) == pytest.approx(gap, abs=1e-6)
     assert line[0, 2] > scene.object.rest_height
 
@@ -211,9 +200,9 @@ def test_what_the_safety_filter_keeps_apart_is_drawn_and_said(session, monkeypat
     until(lambda: len(session.latest.kept_apart))
     picture = session.latest
     assert picture.status.startswith("the safety filter changed") and "the tool and the table" in picture.status
-    viewer = Lines()
-    Canvas(viewer).draw(picture)
-    drawn = viewer.lines["/oimppi/kept_apart"]
+    display = Drawn()
+    Canvas(display).draw(picture)
+    drawn = display.segments["kept_apart"]
     line = drawn[drawn[:, 0, 2] > -0.5][0]
     assert abs(line[0, 2]) < 0.1 and line[1, 2] == pytest.approx(0.0, abs=1e-6), "from the tool down to the table"
     np.testing.assert_allclose(line[0, :2], tip_frame(robot, picture.joints)[1][:2], atol=0.03)

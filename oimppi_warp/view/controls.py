@@ -1,0 +1,152 @@
+"""Parts of the viewer's page: pause and step, plots over time, and handles to drag things across the table."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+_PLOTTED = 250
+"""Number of values that a plot shows."""
+_HANDLE_SIZE = 56.0
+"""Size of a handle [pixels]."""
+
+
+class Playback:
+    """Controls to pause, to go one step, and to start again.
+
+    Args:
+        server: A viser server.
+        restart: Starts again.
+        paused: Whether it is paused at first.
+
+    Attributes:
+        paused: Whether it is paused.
+    """
+
+    def __init__(self, server: Any, restart: Callable[[], None], *, paused: bool = False) -> None:
+        self.paused = paused
+        self._steps = 0
+        with server.gui.add_folder("Simulation", order=0.0):
+            pause = server.gui.add_checkbox("Pause", initial_value=paused)
+            self._step = server.gui.add_button("Step", disabled=not paused)
+            reset = server.gui.add_button("Reset")
+        pause.on_update(lambda event: self._pause(event.target.value))
+        self._step.on_click(lambda _event: self._ask())
+        reset.on_click(lambda _event: restart())
+
+    def take_step(self) -> bool:
+        """Returns whether a step was asked for while paused; each is returned once."""
+        asked = self._steps > 0
+        self._steps -= asked
+        return asked
+
+    def _pause(self, paused: bool) -> None:
+        self.paused, self._steps = paused, 0
+        self._step.disabled = not paused
+
+    def _ask(self) -> None:
+        self._steps += self.paused
+
+
+class Plots:
+    """Values over time, each in a plot of its own.
+
+    Args:
+        server: A viser server.
+    """
+
+    def __init__(self, server: Any) -> None:
+        self._gui = server.gui
+        self._folder: Any = None
+        self._values: dict[str, deque[tuple[float, float]]] = {}
+        self._plots: dict[str, Any] = {}
+        self._time = -np.inf
+
+    def add(self, time: float, values: Mapping[str, float]) -> None:
+        """Adds values at a time [s]; once the time goes back, the plots begin anew."""
+        if time < self._time:
+            self._values.clear()
+        self._time = time
+        for name, value in values.items():
+            if np.isfinite(value):
+                known = self._values.setdefault(name, deque(maxlen=_PLOTTED))
+                known.append((time, float(value)))
+                self._show(name, np.array(known).T)
+
+    def _show(self, name: str, data: np.ndarray) -> None:
+        if name in self._plots:
+            self._plots[name].data = tuple(data)
+            return
+        if self._folder is None:
+            self._folder = self._gui.add_folder("Plots", order=10.0)
+        with self._folder:
+            self._plots[name] = add_plot(self._gui, name, *data)
+
+
+def add_plot(gui: Any, name: str, times: np.ndarray, values: np.ndarray) -> Any:
+    """Adds a plot of values over time [s] to a page, and returns viser's handle."""
+    from viser import uplot
+
+    return gui.add_uplot(
+        data=(times, values),
+        series=(uplot.Series(label="s"), uplot.Series(label=name, stroke="#3b82f6", width=2)),
+        scales={"x": uplot.Scale(time=False)},
+        aspect=2.5,
+    )
+
+
+class Handle:
+    """Arrows and a ring with which something is dragged across the table and turned about the vertical.
+
+    Args:
+        server: A viser server.
+        name: Name of the handle.
+        place: Position [m] and quaternion xyzw, shape [7].
+
+    Attributes:
+        place: Where it is.
+        dragged: Whether somebody is dragging it.
+    """
+
+    def __init__(self, server: Any, name: str, place: np.ndarray) -> None:
+        self.place, self.dragged = np.asarray(place, dtype=float), False
+        self._dropped = False
+        self._control = server.scene.add_transform_controls(
+            f"/handles/{name}",
+            scale=_HANDLE_SIZE,
+            fixed=True,
+            depth_test=False,
+            active_axes=(True, True, False),  # and the ring about the third one
+        )
+        self._send()
+
+        # A callback that is no coroutine runs in a thread, and may overtake another one.
+        @self._control.on_update
+        async def update(event: Any) -> None:
+            self._update(event)
+
+    def remove(self) -> None:
+        """Removes the handle from the page."""
+        self._control.remove()
+
+    def move_to(self, place: np.ndarray) -> None:
+        """Moves the handle, unless somebody is dragging it."""
+        if not self.dragged and not self._dropped:
+            self.place = np.asarray(place, dtype=float)
+            self._send()
+
+    def take_drop(self) -> bool:
+        """Returns whether a drag has ended, at :attr:`place`; each end is returned once."""
+        dropped, self._dropped = self._dropped, False
+        return dropped
+
+    def _update(self, event: Any) -> None:
+        self.dragged = event.phase != "end"
+        self._dropped |= event.phase == "end"
+        self.place = np.concatenate([event.target.position, np.roll(event.target.wxyz, -1)])
+
+    def _send(self) -> None:
+        self._control.position, self._control.wxyz = self.place[:3], np.roll(self.place[3:], 1)

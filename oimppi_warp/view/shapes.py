@@ -1,0 +1,333 @@
+"""The visible shapes of a scene, as Newton's USD import finds them, and the frames of its bodies.
+
+The shapes of a file are cached by its content: to find them again would import Newton, which takes seconds. An object
+or obstacle that was only moved keeps its appearance; one that is new, or has another shape, is drawn as its colliders.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+from zipfile import BadZipFile
+
+import numpy as np
+
+from oimppi_warp.compute.cache import cache_folder, content_of_data, make_room, source_content, touch
+from oimppi_warp.compute.loading import quick_compilation
+from oimppi_warp.errors import SceneError
+from oimppi_warp.geometry.footprint import collider_mesh, quaternion_product, transform_points
+from oimppi_warp.scene import Collider, Joint, Scene
+from oimppi_warp.view.display import Color
+
+if TYPE_CHECKING:
+    import newton
+    import trimesh
+
+GHOSTS = r"/[^/]+/Goal(/.*)?"
+"""Prims of a file that are not displayed: the ghost at the goal is drawn at the current goal instead."""
+NEUTRAL = (0.46, 0.46, 0.46)
+"""Colour of shapes without one."""
+_STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+_KINDS: dict[str, tuple[Literal["box", "sphere", "cylinder"], int]] = {
+    "BOX": ("box", 3),
+    "SPHERE": ("sphere", 1),
+    "CYLINDER": ("cylinder", 2),
+}
+"""Kind and number of sizes of a shape by Newton's name; all others are meshes."""
+_SHARP = np.radians(30.0)
+"""Angle between two faces from which on their common edge is drawn as an edge [rad]."""
+_ENDLESS = 10.0
+"""Drawn side of a plane without end [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A visible shape.
+
+    Attributes:
+        path: Prim path.
+        body: Prim path of the body that it moves with; empty for the world.
+        transform: Position [m] and quaternion xyzw in the frame of the body, shape [7].
+        kind: Type of shape.
+        size: Half extents of a box, radius of a sphere, or radius and half height of a cylinder along z [m]; empty for
+            a mesh.
+        color: Red, green and blue from 0 to 1, as displayed (sRGB), shape [3].
+        opacity: From 0 to 1.
+        vertices: Vertices of the surface in the shape's frame, shape [n, 3] [m]; doubled where an edge is sharp.
+        faces: Its triangles, shape [m, 3].
+        textured: The surface with its texture, as a glTF binary; empty without a texture.
+    """
+
+    path: str
+    body: str
+    transform: np.ndarray
+    kind: Literal["box", "sphere", "cylinder", "mesh"]
+    size: tuple[float, ...]
+    color: Color
+    opacity: float
+    vertices: np.ndarray
+    faces: np.ndarray
+    textured: bytes = b""
+
+
+def body_frames(scene: Scene, joints: np.ndarray, object_transform: np.ndarray) -> dict[str, np.ndarray]:
+    """Returns the frame of each body: position [m] and quaternion xyzw in the world, shape [7], by its prim path.
+
+    Args:
+        scene: The task.
+        joints: Joint positions, shape [dof] [rad; m for a prismatic joint].
+        object_transform: The object's frame, shape [7].
+    """
+    robot, frame, frames = scene.robot, _STILL, {}
+    at_rest = [_STILL, *(joint.parent_transform for joint in robot.joints)]
+    motions = [_STILL, *(_motion_of(joint, position) for joint, position in zip(robot.joints, joints, strict=True))]
+    for link, rest, motion in zip((robot.base, *robot.links), at_rest, motions, strict=True):
+        frame = frames[link.path] = placed(placed(frame, rest), motion)
+        for part in link.welded:
+            frames[part.path] = placed(frame, part.transform)
+    return frames | {scene.object.path: np.asarray(object_transform, dtype=float)}
+
+
+def _motion_of(joint: Joint, position: float) -> np.ndarray:
+    """Returns the transform of a joint's frame from position zero to another [rad, or m], shape [7]."""
+    if joint.kind == "prismatic":
+        return np.array([0.0, 0.0, position, 0.0, 0.0, 0.0, 1.0])
+    return np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.sin(position / 2.0), np.cos(position / 2.0)])
+
+
+def placed(frame: np.ndarray, transform: np.ndarray) -> np.ndarray:
+    """Returns in the world a transform that is given in a frame; position [m] and quaternion xyzw, shape [7] each."""
+    position = transform_points(frame, transform[:3])[0]
+    return np.concatenate([position, quaternion_product(frame[3:], transform[3:])])
+
+
+def visible_shapes(scene: Scene) -> tuple[Shape, ...]:
+    """Returns the visible shapes of a scene.
+
+    Raises:
+        SceneError: The scene's file cannot be read any more.
+    """
+    drawn = _drawn_file(scene.file, _content(scene.file))
+    if drawn.things == _things(scene):
+        return drawn.shapes
+    from oimppi_warp.usd import load_scene
+
+    return tuple(_edited(drawn.shapes, scene, load_scene(scene.file)))
+
+
+def collider_shapes(
+    colliders: tuple[Collider, ...], body: str, color: Color, *, opacity: float = 1.0
+) -> Iterator[Shape]:
+    """Yields colliders in the frame of a body as visible shapes, all of the same colour."""
+    for collider in colliders:
+        surface = _smooth(collider_mesh(replace(collider, transform=_STILL)))
+        kind = collider.kind if collider.kind in ("box", "sphere", "cylinder") else "mesh"
+        size = () if kind == "mesh" else collider.size
+        yield Shape(
+            collider.path, body, collider.transform, kind, size, color, opacity, surface.vertices, surface.faces
+        )
+
+
+def _edited(shapes: tuple[Shape, ...], scene: Scene, original: Scene) -> Iterator[Shape]:
+    """Yields the shapes of a file as they are in a scene that was made from it."""
+    from oimppi_warp.usd.editing import rigid_motion
+
+    whole = [original.object, *original.obstacles]
+    for shape in shapes:
+        if not any(_is_below(shape, each.path) for each in whole):
+            yield shape
+    known = {each.path: each for each in whole}
+    for each in (scene.object, *scene.obstacles):
+        before = known.get(each.path)
+        old = [shape for shape in shapes if _is_below(shape, each.path)]
+        motion = None if before is None else rigid_motion(before.colliders, each.colliders)
+        if motion is not None:
+            yield from (replace(shape, transform=placed(motion, shape.transform)) for shape in old)
+        else:
+            body = each.path if each is scene.object else ""
+            yield from collider_shapes(each.colliders, body, old[0].color if old else NEUTRAL)
+
+
+def _is_below(shape: Shape, path: str) -> bool:
+    return f"{shape.path}/".startswith(f"{path}/")
+
+
+@dataclass(frozen=True, eq=False)
+class _DrawnFile:
+    """What is drawn of a scene's file.
+
+    Attributes:
+        shapes: Its visible shapes.
+        things: Hash of its object and obstacles.
+    """
+
+    shapes: tuple[Shape, ...]
+    things: str
+
+
+@lru_cache(maxsize=4)
+def _drawn_file(file: Path, content: str) -> _DrawnFile:
+    """Returns what is drawn of a file with this content, from the cache if possible."""
+    stored = cache_folder() / f"shapes-{content}.npz"
+    with suppress(OSError, ValueError, KeyError, EOFError, BadZipFile):  # missing or truncated: find it again
+        return _load(stored)
+    from oimppi_warp.usd import load_scene
+
+    drawn = _DrawnFile(tuple(_find(file)), _things(load_scene(file)))
+    with suppress(OSError):  # an unwritable cache costs time, but not the view
+        _save(drawn, stored)
+    return drawn
+
+
+def _content(file: Path) -> str:
+    """Returns a hash of a file, of all that it refers to, of the code here, and of the packages that read it."""
+    from pxr import Ar, UsdUtils
+
+    from oimppi_warp.usd.stage import file_of
+
+    try:
+        layers, assets, _ = UsdUtils.ComputeAllDependencies(str(file))
+        parts = [*map(file_of, layers), *(Path(Ar.SplitPackageRelativePathOuter(asset)[0]) for asset in assets)]
+        contents = tuple(hashlib.sha256(part.read_bytes()).digest() for part in parts)
+    except OSError as error:
+        raise SceneError(f"the scene cannot be read any more ({error})", file=file, fix="put the file back") from error
+    return content_of_data(
+        source_content("view/shapes.py", "usd", "geometry"), version("newton"), version("usd-core"), contents
+    )
+
+
+def _things(scene: Scene) -> str:
+    """Returns a hash of what can be moved, added and removed in a scene."""
+    return content_of_data(scene.object, scene.obstacles)
+
+
+def _find(file: Path) -> Iterator[Shape]:
+    """Yields the visible shapes of a scene's file, as Newton imports them."""
+    import newton
+
+    from oimppi_warp.usd.stage import SceneStage
+
+    builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
+    with quick_compilation():  # of the kernels that compute the inertia of meshes
+        builder.add_usd(
+            SceneStage(file).stage, load_visual_shapes=True, enable_self_collisions=False, ignore_paths=[GHOSTS]
+        )
+    for i in range(builder.shape_count):
+        kind, scale = newton.GeoType(builder.shape_type[i]), np.array(builder.shape_scale[i], dtype=float)
+        surface = _surface(kind, scale, builder.shape_source[i])
+        if surface is None or not builder.shape_flags[i] & newton.ShapeFlags.VISIBLE:
+            continue
+        body, (name, sizes) = builder.shape_body[i], _KINDS.get(kind.name, ("mesh", 0))
+        color = np.clip(builder.shape_color[i], 0.0, 1.0)
+        opacity = float(np.clip(builder.shape_opacity[i], 0.0, 1.0))
+        yield Shape(
+            path=builder.shape_label[i],
+            body="" if body < 0 else builder.body_label[body],
+            transform=np.array(builder.shape_transform[i], dtype=float),
+            kind=name,
+            size=tuple(scale[:sizes].tolist()),
+            color=(float(color[0]), float(color[1]), float(color[2])),
+            opacity=opacity,
+            vertices=np.asarray(surface.vertices, dtype=np.float32),
+            faces=np.asarray(surface.faces, dtype=np.uint32),
+            textured=_textured(builder.shape_source[i], surface, opacity),
+        )
+
+
+def _surface(kind: newton.GeoType, scale: np.ndarray, source: Any) -> trimesh.Trimesh | None:
+    """Returns the surface of one of Newton's shapes; ``None`` for a kind of which no surface is drawn."""
+    import newton
+    import trimesh
+
+    if isinstance(source, newton.Mesh):
+        corners = np.asarray(source.indices).reshape(-1, 3)
+        return trimesh.Trimesh(np.asarray(source.vertices) * scale, corners, process=False)
+    if kind.name in ("BOX", "SPHERE", "CYLINDER", "CAPSULE"):
+        sizes = {"BOX": 3, "SPHERE": 1}.get(kind.name, 2)
+        collider = Collider("", kind.name.lower(), _STILL, tuple(scale[:sizes].tolist()))  # pyright: ignore
+        return _smooth(collider_mesh(collider))
+    if kind == newton.GeoType.CONE:
+        rim = trimesh.creation.cone(radius=scale[0], height=2.0 * scale[1], sections=32)
+        rim.apply_translation((0.0, 0.0, -scale[1]))
+        return _smooth(rim)
+    if kind == newton.GeoType.PLANE:
+        x, y = np.where(scale[:2] > 0.0, scale[:2], _ENDLESS) / 2.0
+        corners = [(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)]
+        return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+    return None
+
+
+def _smooth(surface: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Returns a surface with doubled vertices along its sharp edges, so that they are drawn as edges."""
+    import trimesh
+
+    return trimesh.graph.smooth_shade(surface, angle=_SHARP)
+
+
+def _textured(source: Any, surface: trimesh.Trimesh, opacity: float) -> bytes:
+    """Returns the surface of one of Newton's meshes with its texture, as a glTF binary; empty without a texture."""
+    texture, uvs = getattr(source, "texture", None), getattr(source, "uvs", None)
+    if texture is None or uvs is None or len(uvs) != len(surface.vertices):
+        return b""
+    from PIL import Image
+    from trimesh.visual.material import PBRMaterial
+    from trimesh.visual.texture import TextureVisuals
+
+    image = Image.open(texture) if isinstance(texture, str) else Image.fromarray(_as_bytes(np.asarray(texture)))
+    uvs = np.asarray(uvs, dtype=float)
+    if source.texture_transform is not None:
+        uvs = np.column_stack([uvs, np.ones(len(uvs))]) @ np.asarray(source.texture_transform, dtype=float).T
+    material = PBRMaterial(
+        baseColorTexture=image.convert("RGBA"),
+        baseColorFactor=(255, 255, 255, round(255 * opacity)),
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        alphaMode="BLEND" if opacity < 1.0 else "OPAQUE",
+    )
+    shown = surface.copy()
+    shown.visual = TextureVisuals(uv=uvs, material=material)
+    return shown.export(file_type="glb")  # pyright: ignore[reportReturnType]  (glTF is bytes)
+
+
+def _as_bytes(image: np.ndarray) -> np.ndarray:
+    """Returns an image with values from 0 to 255; numbers that are none of integers go from 0 to 1."""
+    return image if image.dtype == np.uint8 else (255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
+
+
+def _save(drawn: _DrawnFile, file: Path) -> None:
+    """Writes what is drawn of a scene's file to one file."""
+    arrays: dict[str, Any] = {"things": np.array(drawn.things), "count": np.array(len(drawn.shapes))}
+    for number, shape in enumerate(drawn.shapes):
+        for field in fields(shape):
+            value = getattr(shape, field.name)
+            arrays[f"{number}.{field.name}"] = np.frombuffer(value, np.uint8) if field.name == "textured" else value
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_name(f"{file.name}.{os.getpid()}.part")
+    with partial.open("wb") as stream:
+        np.savez(stream, **arrays)
+    partial.replace(file)
+    make_room(file.parent)
+
+
+def _load(file: Path) -> _DrawnFile:
+    """Reads a file written by :func:`_save`."""
+    with np.load(file) as saved:
+        arrays = dict(saved)
+    touch(file)
+    names = [field.name for field in fields(Shape)]
+    shapes = []
+    for number in range(int(arrays["count"])):
+        values: dict[str, Any] = {name: arrays[f"{number}.{name}"] for name in names}
+        for name in ("path", "body", "kind"):
+            values[name] = str(values[name])
+        for name in ("size", "color"):
+            values[name] = tuple(values[name].tolist())
+        shapes.append(Shape(**values | {"opacity": float(values["opacity"]), "textured": values["textured"].tobytes()}))
+    return _DrawnFile(tuple(shapes), str(arrays["things"]))
