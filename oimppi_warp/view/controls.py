@@ -33,22 +33,23 @@ class Playback:
             pause = server.gui.add_checkbox("Pause", initial_value=paused)
             self._step = server.gui.add_button("Step", disabled=not paused)
             reset = server.gui.add_button("Reset")
-        pause.on_update(lambda event: self._pause(event.target.value))
-        self._step.on_click(lambda _event: self._ask())
         reset.on_click(lambda _event: restart())
+
+        # Callbacks that are no coroutines run in threads, and may overtake each other.
+        @pause.on_update
+        async def paused_or_not(event: Any) -> None:
+            self.paused, self._steps = event.target.value, 0
+            self._step.disabled = not self.paused
+
+        @self._step.on_click
+        async def step(_event: Any) -> None:
+            self._steps += self.paused
 
     def take_step(self) -> bool:
         """Returns whether a step was asked for while paused; each is returned once."""
         asked = self._steps > 0
         self._steps -= asked
         return asked
-
-    def _pause(self, paused: bool) -> None:
-        self.paused, self._steps = paused, 0
-        self._step.disabled = not paused
-
-    def _ask(self) -> None:
-        self._steps += self.paused
 
 
 class Plots:
@@ -123,9 +124,8 @@ class Handle:
         )
         self._send()
 
-        # A callback that is no coroutine runs in a thread, and may overtake another one.
         @self._control.on_update
-        async def update(event: Any) -> None:
+        async def update(event: Any) -> None:  # as a coroutine, like those above
             self._update(event)
 
     def remove(self) -> None:

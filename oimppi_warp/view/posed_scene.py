@@ -10,9 +10,7 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.scene import Scene
-
-GHOSTS = r"/[^/]+/Goal(/.*)?"
-"""Prims of the file that are not displayed: the ghost at the goal is drawn at the current goal instead."""
+from oimppi_warp.view.shapes import GHOSTS
 
 
 class PosedScene:
