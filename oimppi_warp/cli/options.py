@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from oimppi_warp.runtime.setup import Setup
-
+    from oimppi_warp.scene import PlanarPose, Scene
 
 Values = arg(name="set", metavar="NAME=VALUE", help_behavior_hint="(repeatable)")
 
@@ -128,8 +128,26 @@ class TaskOptions:
         request = SettingsRequest(preset, assignments, self.max_sim_seconds, parse_tolerance(self.tolerance))
         return request.config(self.run.method, randomize=self.randomize)
 
-    def prepare(self) -> tuple[Setup, Console]:
+    def read(self) -> Scene:
+        """Returns the scene as it is in its file, with all options and settings checked that can be without it.
+
+        Raises:
+            ConfigError: An option or a setting does not exist, or has a value that is not allowed. The error is raised
+                before anything heavy is imported.
+            SceneError: The scene cannot be read.
+        """
+        self.settings()
+        self.hardware.assignments(self.run.plant)
+        self._places()
+        from oimppi_warp.usd import load_scene
+
+        return load_scene(self.scene)
+
+    def prepare(self, scene: Scene | None = None) -> tuple[Setup, Console]:
         """Returns the setup of the episode, with scene and device checked, and the console for notices.
+
+        Args:
+            scene: The scene, if it has been read.
 
         Raises:
             ConfigError: An option or a setting does not exist, or has a value that is not allowed. The error is raised
@@ -138,8 +156,8 @@ class TaskOptions:
             DeviceError: The device does not exist.
         """
         config = self.settings()
-        self.hardware.assignments(self.run.plant)
-        start, goal = parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
+        options = (*self.run.plant_options, *self.hardware.assignments(self.run.plant))
+        start, goal = self._places()
 
         console = notices()
         from oimppi_warp.compute import device
@@ -154,7 +172,7 @@ class TaskOptions:
                     f"--start {self.start}: the plant {self.run.plant} places arm and object itself\n"
                     "  to do:   choose a start with --seed"
                 )
-            scene = prepare_scene(self.scene, start=start, goal=goal, seed=self.run.seed)
+            task = prepare_scene(scene or self.scene, start=start, goal=goal, seed=self.run.seed)
             if (count := _warning_count(self.scene)) > 0:
                 warnings = f"{count} warning{'s' if count > 1 else ''}"
                 console.print(f"{self.scene}: {warnings}, listed by `oimppi scene check {self.scene}`", soft_wrap=True)
@@ -165,9 +183,11 @@ class TaskOptions:
             )
         from oimppi_warp.runtime.setup import Setup
 
-        options = (*self.run.plant_options, *self.hardware.assignments(self.run.plant))
-        setup = Setup(scene, config, replace(self.run, device=where, plant_options=options))
-        return setup, console
+        return Setup(task, config, replace(self.run, device=where, plant_options=options)), console
+
+    def _places(self) -> tuple[PlanarPose | int | None, PlanarPose | None]:
+        """Returns start and goal as given."""
+        return parse_start(self.start), None if self.goal is None else parse_pose("--goal", self.goal)
 
 
 def notices() -> Console:

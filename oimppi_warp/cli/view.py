@@ -21,10 +21,11 @@ from oimppi_warp.network import check_listening
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from oimppi_warp.runtime.setup import Setup
+    from oimppi_warp.scene import Table
     from oimppi_warp.view.browser import Page
     from oimppi_warp.view.canvas import Canvas
     from oimppi_warp.view.picture import Picture
+    from oimppi_warp.view.session import Session
 
 
 @dataclass(frozen=True)
@@ -66,64 +67,87 @@ class View(TaskOptions):
             return self._rerun()
         with ExitStack() as stack:
             if self.replay is not None:
-                console = notices()
-                from oimppi_warp.view.replay import Replay, ReplayView
-
-                replay = Replay(self.replay)
-                page, canvas = self._draw(replay.picture(0), console, stack)
-                ReplayView(page, canvas, replay, paused=self.paused).run()
+                self._replay(self.replay, stack)
+            elif self.run.plant in REAL:
+                self._real(stack)
             else:
-                self._live(*self.prepare(), stack)
+                self._simulated(stack)
         return 0
 
-    def _live(self, setup: Setup, console: Console, stack: ExitStack) -> None:
-        """Shows the live view until Ctrl-C; ``stack`` closes session and page at the end."""
+    def _replay(self, record: Path, stack: ExitStack) -> None:
+        """Shows a record until Ctrl-C."""
+        console = notices()
+        from oimppi_warp.view.replay import Replay, ReplayView
+
+        replay = Replay(record)
+        page = self._open(replay.scene.table, stack)
+        canvas = self._draw(page, replay.picture(0), console)
+        ReplayView(page, canvas, replay, paused=self.paused).run()
+
+    def _real(self, stack: ExitStack) -> None:
+        """Shows a real arm until Ctrl-C; the push begins when somebody opens the page, so that it comes last."""
+        setup, console = self.prepare()
+        with busy(console, "loading the planner"):
+            from oimppi_warp.view.session import Session
+
+            session = Session(setup)
+            stack.callback(session.close)
+        page = self._open(setup.scene.table, stack)
+        self._show(page, self._draw(page, session.latest, console), session)
+
+    def _simulated(self, stack: ExitStack) -> None:
+        """Shows a simulation until Ctrl-C; the browser loads the page while all else is prepared."""
+        scene = self.read()
+        refusable = self.start is not None or self.goal is not None or self.run.device not in ("auto", "cpu")
+        prepared = self.prepare(scene) if refusable else None
+        page = self._open(scene.table, stack)
+        with page.saying("checking the task"):
+            setup, console = prepared or self.prepare(scene)
         from oimppi_warp.compute.device import kernels_are_cached
         from oimppi_warp.view.picture import Picture
 
-        if self.run.plant in REAL:  # the push begins when somebody opens the page, so it comes last
-            with busy(console, "loading the planner"):
+        compiled = kernels_are_cached()
+        # Compiling goes on while the scene is drawn; loading what is compiled would only delay it.
+        with nullcontext() if compiled else setup.loading_kernels():
+            canvas = self._draw(page, Picture.of_start(setup.scene), console)
+            with busy(console, "loading the planner"), page.saying("loading the planner"):
                 from oimppi_warp.view.session import Session
 
                 session = Session(setup)
                 stack.callback(session.close)
-            page, canvas = self._draw(session.latest, console, stack)
-        else:
-            compiled = kernels_are_cached()
-            # Compiling goes on while the scene is drawn; loading what is compiled would only delay it.
-            with nullcontext() if compiled else setup.loading_kernels():
-                page, canvas = self._draw(Picture.of_start(setup.scene), console, stack)
-                with busy(console, "loading the planner"), page.saying("loading the planner"):
-                    from oimppi_warp.view.session import Session
+        if not compiled:  # the address has scrolled away
+            print(f"The planner is ready: {page.url}", flush=True)
+        self._show(page, canvas, session)
 
-                    session = Session(setup)
-                    stack.callback(session.close)
-            if not compiled:  # the address has scrolled away
-                print(f"The planner is ready: {page.url}", flush=True)
-        from oimppi_warp.view.live import LiveView
-
-        LiveView(page, canvas, session, paused=self.paused).run()
-
-    def _draw(self, first: Picture, console: Console, stack: ExitStack) -> tuple[Page, Canvas]:
-        """Opens a page, prints its address, and draws the first picture while a browser loads the page.
+    def _open(self, table: Table, stack: ExitStack) -> Page:
+        """Opens a page and prints its address.
 
         Args:
-            first: The first picture.
-            console: Console for notices.
+            table: The table that the camera looks at.
             stack: Closes the page at the end; from here on, it takes Ctrl-C for the end of the view, not for an error.
         """
         from oimppi_warp.view.browser import Page
 
-        page = Page(first.scene.table, host=self.host, port=self.port)
+        page = Page(table, host=self.host, port=self.port)
         stack.callback(page.close)
         self._tell(page.url, page.server.get_port())
         stack.enter_context(suppress(KeyboardInterrupt))
+        return page
+
+    def _draw(self, page: Page, first: Picture, console: Console) -> Canvas:
+        """Draws the first picture on a page."""
         with busy(console, "drawing the scene"), page.saying("drawing the scene"):
             from oimppi_warp.view.canvas import Canvas
 
             canvas = Canvas(page)
             canvas.show(first)
-        return page, canvas
+        return canvas
+
+    def _show(self, page: Page, canvas: Canvas, session: Session) -> None:
+        """Shows a session until Ctrl-C."""
+        from oimppi_warp.view.live import LiveView
+
+        LiveView(page, canvas, session, paused=self.paused).run()
 
     def _rerun(self) -> int:
         """Shows the run or the record in Rerun until Ctrl-C, and returns the exit status."""

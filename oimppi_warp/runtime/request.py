@@ -16,9 +16,10 @@ from oimppi_warp.config.presets import PRESETS
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import METHODS
+from oimppi_warp.scene import Scene
 
 if TYPE_CHECKING:
-    from oimppi_warp.scene import PlanarPose, Scene
+    from oimppi_warp.scene import PlanarPose
 
 RANDOMIZED_DRAWS = 4
 """Number of random draws per sample that ``--randomize`` sets."""
@@ -79,12 +80,12 @@ class SettingsRequest:
 
 
 def prepare_scene(
-    scene: str | Path, *, start: PlanarPose | int | None = None, goal: PlanarPose | None = None, seed: int = 0
+    scene: str | Path | Scene, *, start: PlanarPose | int | None = None, goal: PlanarPose | None = None, seed: int = 0
 ) -> Scene:
     """Loads a scene with the requested start and goal, and checks it.
 
     Args:
-        scene: A USD file, or the name of a shipped scene.
+        scene: A USD file, the name of a shipped scene, or a scene that has been loaded.
         start: A planar pose [m, m, rad], the index (from 0) of a start listed in the scene, or ``None`` to draw a start
             with the seed.
         goal: A planar pose [m, m, rad], or ``None`` for the scene's goal.
@@ -97,7 +98,7 @@ def prepare_scene(
     from oimppi_warp.geometry.feasibility import check_task, sample_start
     from oimppi_warp.usd import load_scene
 
-    loaded = load_scene(scene)
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     if goal is not None:
         loaded = loaded.with_goal(goal)
     if start is None:

@@ -20,7 +20,6 @@ from zipfile import BadZipFile
 import numpy as np
 
 from oimppi_warp.compute.cache import cache_folder, content_of_data, make_room, source_content, touch
-from oimppi_warp.compute.loading import quick_compilation
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import collider_mesh, quaternion_product, transform_points
 from oimppi_warp.scene import Collider, Joint, Scene
@@ -212,6 +211,7 @@ def _find(file: Path) -> Iterator[Shape]:
     """Yields the visible shapes of a scene's file, as Newton imports them."""
     import newton
 
+    from oimppi_warp.compute.loading import quick_compilation
     from oimppi_warp.usd.stage import SceneStage
 
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
