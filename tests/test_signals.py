@@ -74,7 +74,7 @@ assert before == [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGT
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_counts_also_where_numpy_drops_it(name):
-    """Newton's viewer compares arrays with an ``enum`` in each frame; one Ctrl-C in 150 was lost there."""
+    """Newton's viewers compare arrays with an ``enum`` in each frame; one Ctrl-C in 150 was lost there."""
     done = subprocess.run([sys.executable, "-c", COMPARED.format(name=name)], capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("dropped\nended\n", "")
 

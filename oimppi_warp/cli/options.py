@@ -129,7 +129,7 @@ class TaskOptions:
         return request.config(self.run.method, randomize=self.randomize)
 
     def read(self) -> Scene:
-        """Returns the scene as it is in its file, with all options and settings checked that can be without it.
+        """Returns the scene as it is in its file, after checking the options and settings that do not depend on it.
 
         Raises:
             ConfigError: An option or a setting does not exist, or has a value that is not allowed. The error is raised

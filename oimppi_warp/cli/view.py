@@ -76,16 +76,15 @@ class View(TaskOptions):
 
     def _replay(self, record: Path, stack: ExitStack) -> None:
         """Shows a record until Ctrl-C."""
-        console = notices()
         from oimppi_warp.view.replay import Replay, ReplayView
 
         replay = Replay(record)
         page = self._open(replay.scene.table, stack)
-        canvas = self._draw(page, replay.picture(0), console)
+        canvas = self._draw(page, replay.picture(0), notices())
         ReplayView(page, canvas, replay, paused=self.paused).run()
 
     def _real(self, stack: ExitStack) -> None:
-        """Shows a real arm until Ctrl-C; the push begins when somebody opens the page, so that it comes last."""
+        """Shows a real arm until Ctrl-C; the page opens last, since the push begins when somebody opens it."""
         setup, console = self.prepare()
         with busy(console, "loading the planner"):
             from oimppi_warp.view.session import Session
@@ -93,13 +92,17 @@ class View(TaskOptions):
             session = Session(setup)
             stack.callback(session.close)
         page = self._open(setup.scene.table, stack)
+        stack.callback(session.close)  # before the page is closed, which may take seconds
         self._show(page, self._draw(page, session.latest, console), session)
 
     def _simulated(self, stack: ExitStack) -> None:
         """Shows a simulation until Ctrl-C; the browser loads the page while all else is prepared."""
         scene = self.read()
-        refusable = self.start is not None or self.goal is not None or self.run.device not in ("auto", "cpu")
-        prepared = self.prepare(scene) if refusable else None
+        from oimppi_warp.usd.stage import SCENES
+
+        own = scene.file.parent != SCENES or self.start is not None or self.goal is not None
+        # What may well be refused is checked before there is a page.
+        prepared = self.prepare(scene) if own or self.run.device not in ("auto", "cpu") else None
         page = self._open(scene.table, stack)
         with page.saying("checking the task"):
             setup, console = prepared or self.prepare(scene)

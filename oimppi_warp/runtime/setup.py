@@ -1,4 +1,4 @@
-"""What an episode is made from: plain data, which can be had before planner and plant are imported."""
+"""What an episode is made from: plain data, available without importing planner and plant."""
 
 from __future__ import annotations
 

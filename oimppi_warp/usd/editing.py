@@ -185,7 +185,7 @@ def _define_colliders(stage: Usd.Stage, root: str, colliders: tuple[Collider, ..
 
 
 def rigid_motion(before: tuple[Collider, ...], after: tuple[Collider, ...]) -> np.ndarray | None:
-    """Returns the rigid motion that makes one list of colliders of another; ``None`` if there is none.
+    """Returns the rigid motion that carries one list of colliders onto another; ``None`` if there is none.
 
     Returns:
         Translation [m] and quaternion xyzw, shape [7].

@@ -26,7 +26,7 @@ _MARKERS: dict[str, tuple[str, Callable[..., tuple[float, float, float]]]] = {
     "sphere": ("SPHERE", lambda radius: (2.0 * radius, 2.0 * radius, 2.0 * radius)),
     "cylinder": ("CYLINDER", lambda radius, half: (2.0 * radius, 2.0 * radius, 2.0 * half)),
 }
-"""Type of marker, and its scale by the shape's size, of each kind of shape; a mesh is a list of triangles."""
+"""Type of marker, and its scale by the shape's size, of some kinds of shapes; others are lists of triangles."""
 
 
 def write_bag(replay: Replay, folder: Path) -> Path:
@@ -82,8 +82,8 @@ def _markers(bag: BagWriter, stamp: int, scene: Scene, names_of: dict[str, str])
 
 def _marker(bag: BagWriter, stamp: int, shape: Shape, frame: str, group: str, number: int, opacity: float) -> Any:
     """Returns a visualization_msgs/Marker that moves with its frame."""
-    name, size = _MARKERS.get(shape.kind, ("TRIANGLE_LIST", lambda: (1.0, 1.0, 1.0)))
-    points = shape.vertices[shape.faces.reshape(-1)] if shape.kind == "mesh" else np.zeros((0, 3))
+    name, size = _MARKERS.get(shape.kind, ("TRIANGLE_LIST", lambda *_: (1.0, 1.0, 1.0)))
+    points = shape.vertices[shape.faces.reshape(-1)] if shape.kind not in _MARKERS else np.zeros((0, 3))
     make = bag.make
     sx, sy, sz = size(*shape.size)
     red, green, blue = map(float, shape.color)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.network import page_url
-from oimppi_warp.scene import Scene, Table
+from oimppi_warp.scene import Collider, Scene, Table
 from oimppi_warp.view.display import Color
-from oimppi_warp.view.shapes import Shape, body_frames, collider_shapes, visible_shapes
+from oimppi_warp.view.shapes import FileShapes, Shape, body_frames, collider_shapes
 
 Point = tuple[float, float, float]
 
@@ -51,7 +51,7 @@ class Page:
     Attributes:
         server: The :class:`viser.ViserServer`, which is listening.
         url: Address of the page.
-        open: Whether the page is to be served on; views end when it is not.
+        open: Whether the page stays open; once it does not, views end.
     """
 
     def __init__(self, table: Table, *, host: str = "127.0.0.1", port: int = 8080) -> None:
@@ -68,9 +68,9 @@ class Page:
         self.server.scene.add_light_ambient("/ambient")
         self.server.scene.configure_environment_map(hdri=None)
         self._notice = self.server.gui.add_markdown("", order=-20.0, visible=False)
-        self._bodies: dict[str, Any] = {}
-        self._colliders: list[Any] = []
-        self._colliders_shown = False
+        self._file: FileShapes | None = None
+        self._scene: Scene | None = None
+        self._shown = True, False
         self._drawn: dict[str, Any] = {}
 
     def close(self) -> None:
@@ -103,32 +103,40 @@ class Page:
         self.server.flush()
 
     def load(self, scene: Scene) -> None:
-        """Replaces the scene."""
-        for body in self._bodies.values():
-            body.remove()
-        self._scene = scene
-        paths = ["", *body_frames(scene, scene.robot.start, np.zeros(7))]
-        self._bodies = {path: self.server.scene.add_frame(f"/bodies{path}", show_axes=False) for path in paths}
-        for shape in visible_shapes(scene):
-            self._add(shape, f"/bodies{shape.body}/shapes{shape.path}")
-        self._colliders, shown = [], self._colliders_shown
-        self._colliders_shown = False
-        self.show_colliders(shown)
+        """Replaces the scene.
 
-    def show_colliders(self, shown: bool) -> None:
-        """Shows the colliders, which are what planner and physics know of the shapes, or hides them."""
-        if shown == self._colliders_shown:
+        Raises:
+            SceneError: The scene's file can no longer be read; the old scene stays.
+        """
+        if self._file is None or self._file.file != scene.file:
+            self._file = FileShapes(scene)
+        shapes = self._file.of(scene)
+        if self._scene is not None:
+            self._root.remove()  # and everything below it
+        self._scene = scene
+        # Numbers as names: a body or shape may be below another one in the file, but moves by itself here.
+        self._root = self.server.scene.add_frame("/bodies", show_axes=False)
+        paths = ["", *body_frames(scene, scene.robot.start, np.zeros(7))]
+        self._bodies = {
+            path: self.server.scene.add_frame(f"/bodies/{number}", show_axes=False) for number, path in enumerate(paths)
+        }
+        self._visible = [self._add(shape, f"visible{n}", self._shown[0]) for n, shape in enumerate(shapes)]
+        self._colliders: list[Any] = []
+        self._add_colliders()
+
+    def show_shapes(self, *, visible: bool, colliders: bool) -> None:
+        """Shows what is visible of a scene, and the colliders of arm, object and obstacles, or hides them."""
+        if (visible, colliders) == self._shown:
             return
-        self._colliders_shown = shown
-        if shown and not self._colliders:
-            for body, colliders in _colliders(self._scene):
-                for shape in collider_shapes(colliders, body, _COLLIDER, opacity=_COLLIDER_OPACITY):
-                    self._colliders.append(self._add(shape, f"/bodies{body}/colliders{shape.path}"))
-        for handle in self._colliders:
-            handle.visible = shown
+        self._shown = visible, colliders
+        self._add_colliders()
+        for handles, shown in zip((self._visible, self._colliders), self._shown, strict=True):
+            for handle in handles:
+                handle.visible = shown
 
     def pose(self, joints: np.ndarray, object_transform: np.ndarray) -> None:
         """Moves arm and object; see :meth:`oimppi_warp.view.display.Display.pose`."""
+        assert self._scene is not None, "a scene has been loaded"
         for path, frame in body_frames(self._scene, joints, object_transform).items():
             self._bodies[path].position = frame[:3]
             self._bodies[path].wxyz = np.roll(frame[3:], 1)
@@ -159,24 +167,39 @@ class Page:
                 point_shape="circle",
             )
 
-    def _add(self, shape: Shape, name: str) -> Any:
-        """Adds a shape to the page below the name of its body, and returns viser's handle."""
-        place: dict[str, Any] = {"position": shape.transform[:3], "wxyz": np.roll(shape.transform[3:], 1)}
+    def _add_colliders(self) -> None:
+        """Adds the colliders once they are wanted."""
+        if self._scene is None or not self._shown[1] or self._colliders:
+            return
+        shapes = [
+            shape
+            for body, colliders in _colliders(self._scene)
+            for shape in collider_shapes(colliders, body, _COLLIDER, opacity=_COLLIDER_OPACITY)
+        ]
+        self._colliders = [self._add(shape, f"collider{n}", True) for n, shape in enumerate(shapes)]
+
+    def _add(self, shape: Shape, name: str, visible: bool) -> Any:
+        """Adds a shape to its body, and returns viser's handle."""
+        name = f"{self._bodies[shape.body].name}/{name}"
+        given: dict[str, Any] = {
+            "position": shape.transform[:3],
+            "wxyz": np.roll(shape.transform[3:], 1),
+            "visible": visible,
+        }
         if shape.textured:
-            return self.server.scene.add_glb(name, shape.textured, **place)
+            return self.server.scene.add_glb(name, shape.textured, **given)
         return self.server.scene.add_mesh_simple(
             name,
             shape.vertices,
             shape.faces,
             color=tuple(_bytes(np.array(shape.color)).tolist()),
             opacity=None if shape.opacity == 1.0 else shape.opacity,
-            **place,
+            **given,
         )
 
 
-def _colliders(scene: Scene) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """Yields the colliders of each body of a scene in its frame; those of table and obstacles in the world's."""
-    yield "", scene.table.others
+def _colliders(scene: Scene) -> Iterator[tuple[str, tuple[Collider, ...]]]:
+    """Yields the body, or an empty path for the world, and the colliders of each obstacle, link and the object."""
     for obstacle in scene.obstacles:
         yield "", obstacle.colliders
     for link in (scene.robot.base, *scene.robot.links):

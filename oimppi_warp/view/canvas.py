@@ -54,10 +54,14 @@ class Canvas:
             self.draw(picture)
 
     def draw(self, picture: Picture) -> None:
-        """Draws one picture within a frame of the display."""
-        if self._scene is None or _model_content(self._scene) != _model_content(picture.scene):
+        """Draws one picture within a frame of the display.
+
+        Raises:
+            SceneError: The scene's file can no longer be read; later pictures are drawn with the old shapes.
+        """
+        before, self._scene = self._scene, picture.scene
+        if before is None or _model_content(before) != _model_content(picture.scene):
             self._load(picture.scene)
-        self._scene = picture.scene
         self._display.pose(picture.joints, picture.object_transform)
         self._draw_goal(picture.scene)
         self._draw_plan(picture)
@@ -66,7 +70,6 @@ class Canvas:
         self._draw_kept_apart(picture.kept_apart)
 
     def _load(self, scene: Scene) -> None:
-        self._display.load(scene)
         shape = outline(footprint(scene.object.colliders))
         self._rings = [np.array(ring.coords) for polygon in shapely.get_parts(shape) for ring in _rings(polygon)]
         low, high = height_range(scene.object.colliders)
@@ -76,6 +79,7 @@ class Canvas:
         self._obstacle_area = shapely.union_all(
             [outline(footprint(it.colliders, lower=lower, upper=upper)) for it in fixed]
         )
+        self._display.load(scene)
 
     def _draw_goal(self, scene: Scene) -> None:
         goal = np.array(scene.goal)

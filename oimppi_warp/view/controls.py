@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+FPS = 20.0
+"""Maximum frame rate [1/s]."""
 _PLOTTED = 250
 """Number of values that a plot shows."""
 _HANDLE_SIZE = 56.0
@@ -19,36 +21,45 @@ class Playback:
 
     Args:
         server: A viser server.
-        restart: Starts again.
         paused: Whether it is paused at first.
 
     Attributes:
         paused: Whether it is paused.
     """
 
-    def __init__(self, server: Any, restart: Callable[[], None], *, paused: bool = False) -> None:
+    def __init__(self, server: Any, *, paused: bool = False) -> None:
         self.paused = paused
-        self._steps = 0
+        self._steps, self._reset = 0, False
         with server.gui.add_folder("Simulation", order=0.0):
             pause = server.gui.add_checkbox("Pause", initial_value=paused)
-            self._step = server.gui.add_button("Step", disabled=not paused)
+            step = server.gui.add_button("Step", disabled=not paused)
             reset = server.gui.add_button("Reset")
-        reset.on_click(lambda _event: restart())
 
-        # Callbacks that are no coroutines run in threads, and may overtake each other.
+        # Callbacks that are not coroutines run in threads, and may overtake each other.
         @pause.on_update
-        async def paused_or_not(event: Any) -> None:
+        async def pause_or_go_on(event: Any) -> None:
             self.paused, self._steps = event.target.value, 0
-            self._step.disabled = not self.paused
+            step.disabled = not self.paused
 
-        @self._step.on_click
-        async def step(_event: Any) -> None:
-            self._steps += self.paused
+        @step.on_click
+        async def one_step(_event: Any) -> None:
+            if self.paused:
+                self._steps += 1
+
+        @reset.on_click
+        async def start_again(_event: Any) -> None:
+            self._reset = True
 
     def take_step(self) -> bool:
         """Returns whether a step was asked for while paused; each is returned once."""
-        asked = self._steps > 0
-        self._steps -= asked
+        if self._steps == 0:
+            return False
+        self._steps -= 1
+        return True
+
+    def take_reset(self) -> bool:
+        """Returns whether a new start was asked for since the last call."""
+        asked, self._reset = self._reset, False
         return asked
 
 
@@ -144,9 +155,10 @@ class Handle:
         return dropped
 
     def _update(self, event: Any) -> None:
-        self.dragged = event.phase != "end"
-        self._dropped |= event.phase == "end"
         self.place = np.concatenate([event.target.position, np.roll(event.target.wxyz, -1)])
+        if event.phase == "end":
+            self._dropped = True
+        self.dragged = event.phase != "end"  # last, as from then on it may be moved away
 
     def _send(self) -> None:
         self._control.position, self._control.wxyz = self.place[:3], np.roll(self.place[3:], 1)

@@ -44,7 +44,7 @@ class Display(Protocol):
             name: Name of the lines; others of this name are replaced.
             segments: Their ends, shape [n, 2, 3] [m].
             colors: Their colours, shape [n, 3], from 0 to 1.
-            width: Width [pixels], or the like.
+            width: Width [pixels]; displays without pixels take a millimetre for one.
         """
         ...
 

@@ -20,16 +20,20 @@ from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.browser import Page
 from oimppi_warp.view.canvas import Canvas
-from oimppi_warp.view.controls import Handle, Playback, Plots
+from oimppi_warp.view.controls import FPS, Handle, Playback, Plots
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.session import Session
 from oimppi_warp.view.settings_panel import SettingsPanel
 
-FPS = 20.0
-"""Maximum frame rate [1/s]."""
 KNOCK = 0.4
 """Speed that a click imparts to the object [m/s]."""
 _SPEEDS = {"0.25": 0.25, "0.5": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "unlimited": float("inf")}
+_SHAPES = {
+    "visible": {"visible": True, "colliders": False},
+    "colliders": {"visible": False, "colliders": True},
+    "both": {"visible": True, "colliders": True},
+}
+"""What is shown of the scene, by the name of the choice."""
 _UNWATCHED = 0.2
 """Time without a browser after which a real arm is stopped [s]."""
 _SETTINGS_AFTER, _SETTINGS_EVERY = 1.0, 0.2
@@ -58,7 +62,9 @@ class LiveView:
         self._drawn: Picture | None = None
         self._plotted = -1.0
         self._handles: dict[str, Handle] = {}
-        self._playback = Playback(page.server, session.restart, paused=paused)
+        self._made = 0  # handles so far
+        self._playback = Playback(page.server, paused=paused)
+        session.paused = paused
         self._plots = Plots(page.server)
         self._add_controls()
         self._settings = SettingsPanel(page.server, session.wanted.config, lambda config: session.change(config=config))
@@ -91,13 +97,18 @@ class LiveView:
         session.paused = self._playback.paused
         if self._playback.take_step():
             session.step()
+        if self._playback.take_reset():
+            session.restart()
         session.watched = self._page.watched
-        self._page.show_colliders(self._colliders.value)
+        self._page.show_shapes(**_SHAPES[self._shapes.value])
         picture = session.latest
         if picture is self._drawn and not self._move.value and not self._handles:
             return
         with self._page.frame(picture.time):
-            self._canvas.draw(picture)
+            try:
+                self._canvas.draw(picture)
+            except OimppiError as error:  # the planner does not need the file
+                session.problem = str(error)
             self._show_handles(picture)
             if picture.time != self._plotted:
                 self._plots.add(picture.time, picture.figures)
@@ -134,8 +145,10 @@ class LiveView:
             )
             if session.real:
                 gui.add_button("Go on", hint="After a stop of the arm.").on_click(lambda _event: session.go_on())
-            self._colliders = gui.add_checkbox(
-                "Show colliders", initial_value=False, hint="Shows what planner and physics know of the shapes."
+            self._shapes = gui.add_dropdown(
+                "Shapes",
+                tuple(_SHAPES),
+                hint="Colliders are what planner and physics know of arm, object and obstacles.",
             )
             name = gui.add_text("Scene file", initial_value=f"my_{session.wanted.scene.name}.usda")
             gui.add_button("Save as scene").on_click(lambda event: self._save(event, name.value))
@@ -189,7 +202,8 @@ class LiveView:
             self._handles.pop(name).remove()
         for name, place in places.items():
             if name not in self._handles:
-                self._handles[name] = Handle(self._page.server, name.strip("/"), place)
+                self._handles[name] = Handle(self._page.server, str(self._made), place)
+                self._made += 1
             handle = self._handles[name]
             if handle.take_drop():
                 self._dropped(name, planar_pose(handle.place), planar_pose(place))

@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 
 from oimppi_warp.compute.loading import quick_compilation
-from oimppi_warp.observation import planar_transform
 from oimppi_warp.scene import Scene
 from oimppi_warp.view.display import Color
 from oimppi_warp.view.posed_scene import PosedScene
@@ -46,14 +45,18 @@ class NewtonDisplay:
         with quick_compilation():  # of Newton's kernels; a planner compiles some of them like this, too
             self._posed = PosedScene(scene)
             self._viewer.set_model(self._posed.model)
-            self.pose(scene.robot.start, planar_transform(scene.start, scene.object.rest_height))
-        with quick_compilation():  # the second call needs a kernel whose module the first call imports
-            self._viewer.log_state(self._posed.state)
+        self._first = True
 
     def pose(self, joints: np.ndarray, object_transform: np.ndarray) -> None:
         """Moves arm and object; see :meth:`oimppi_warp.view.display.Display.pose`."""
-        self._posed.pose(joints, object_transform)
-        self._viewer.log_state(self._posed.state)
+        if self._first:
+            self._first = False
+            with quick_compilation():
+                self._log(joints, object_transform)
+            with quick_compilation():  # the second call needs a kernel whose module the first call imports
+                self._log(joints, object_transform)
+        else:
+            self._log(joints, object_transform)
 
     def lines(self, name: str, segments: np.ndarray, colors: np.ndarray, width: float) -> None:
         """Draws line segments; see :meth:`oimppi_warp.view.display.Display.lines`."""
@@ -67,6 +70,10 @@ class NewtonDisplay:
         radii = wp.full(len(points), radius, dtype=float, device="cpu")
         colors = _vectors(np.tile(color, (len(points), 1)))
         self._viewer.log_points(f"/oimppi/{name}", _vectors(points), radii, colors)
+
+    def _log(self, joints: np.ndarray, object_transform: np.ndarray) -> None:
+        self._posed.pose(joints, object_transform)
+        self._viewer.log_state(self._posed.state)
 
 
 def _vectors(values: np.ndarray) -> wp.array:

@@ -18,8 +18,7 @@ from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd import load_scene
 from oimppi_warp.view.browser import Page
 from oimppi_warp.view.canvas import Canvas
-from oimppi_warp.view.controls import Playback, add_plot
-from oimppi_warp.view.live import FPS
+from oimppi_warp.view.controls import FPS, Playback, add_plot
 from oimppi_warp.view.picture import Picture
 
 FIGURES = {
@@ -89,7 +88,7 @@ class ReplayView:
         self._row = 0.0
         self._drawn = -1
         self._period = float(replay.log.header["control_period"])
-        self._playback = Playback(page.server, lambda: self._jump(0), paused=paused)
+        self._playback = Playback(page.server, paused=paused)
         gui: Any = page.server.gui
         metrics = summarize(replay.log)
         result = "goal reached" if metrics.success else "goal not reached"
@@ -121,6 +120,8 @@ class ReplayView:
             seconds: Wall time that has passed [s]; while paused, each step request advances one control step instead.
         """
         last = len(self._replay) - 1
+        if self._playback.take_reset():
+            self._row = 0.0
         if not self._playback.paused:
             self._row = min(self._row + seconds * self._speed.value / self._period, last)
         elif self._playback.take_step():

@@ -22,7 +22,7 @@ from oimppi_warp.scene import Table
 from oimppi_warp.signals import check_interrupted
 from oimppi_warp.view.browser import view_of
 from oimppi_warp.view.canvas import Canvas
-from oimppi_warp.view.live import FPS
+from oimppi_warp.view.controls import FPS
 from oimppi_warp.view.newton_display import NewtonDisplay
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.replay import Replay

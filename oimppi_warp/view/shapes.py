@@ -6,12 +6,12 @@ or obstacle that was only moved keeps its appearance; one that is new, or has an
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -31,17 +31,13 @@ if TYPE_CHECKING:
 
 GHOSTS = r"/[^/]+/Goal(/.*)?"
 """Prims of a file that are not displayed: the ghost at the goal is drawn at the current goal instead."""
-NEUTRAL = (0.46, 0.46, 0.46)
+_NEUTRAL = (0.46, 0.46, 0.46)
 """Colour of shapes without one."""
 _STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-_KINDS: dict[str, tuple[Literal["box", "sphere", "cylinder"], int]] = {
-    "BOX": ("box", 3),
-    "SPHERE": ("sphere", 1),
-    "CYLINDER": ("cylinder", 2),
-}
-"""Kind and number of sizes of a shape by Newton's name; all others are meshes."""
+_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
+"""Number of dimensions of each kind of shape but meshes; in capitals, these are Newton's names."""
 _SHARP = np.radians(30.0)
-"""Angle between two faces from which on their common edge is drawn as an edge [rad]."""
+"""Angle between two faces beyond which their common edge is drawn sharp [rad]."""
 _ENDLESS = 10.0
 """Drawn side of a plane without end [m]."""
 
@@ -55,8 +51,7 @@ class Shape:
         body: Prim path of the body that it moves with; empty for the world.
         transform: Position [m] and quaternion xyzw in the frame of the body, shape [7].
         kind: Type of shape.
-        size: Half extents of a box, radius of a sphere, or radius and half height of a cylinder along z [m]; empty for
-            a mesh.
+        size: Dimensions [m], as those of :class:`oimppi_warp.scene.Collider`.
         color: Red, green and blue from 0 to 1, as displayed (sRGB), shape [3].
         opacity: From 0 to 1.
         vertices: Vertices of the surface in the shape's frame, shape [n, 3] [m]; doubled where an edge is sharp.
@@ -67,7 +62,7 @@ class Shape:
     path: str
     body: str
     transform: np.ndarray
-    kind: Literal["box", "sphere", "cylinder", "mesh"]
+    kind: Literal["box", "sphere", "cylinder", "capsule", "mesh"]
     size: tuple[float, ...]
     color: Color
     opacity: float
@@ -111,14 +106,51 @@ def visible_shapes(scene: Scene) -> tuple[Shape, ...]:
     """Returns the visible shapes of a scene.
 
     Raises:
-        SceneError: The scene's file cannot be read any more.
+        SceneError: The scene's file can no longer be read.
     """
-    drawn = _drawn_file(scene.file, _content(scene.file))
-    if drawn.things == _things(scene):
-        return drawn.shapes
-    from oimppi_warp.usd import load_scene
+    return FileShapes(scene).of(scene)
 
-    return tuple(_edited(drawn.shapes, scene, load_scene(scene.file)))
+
+class FileShapes:
+    """The visible shapes of a scene's file, and of the scenes that are made from it.
+
+    The file is read once: what is drawn does not change when the file is edited meanwhile.
+
+    Args:
+        scene: A scene from the file.
+
+    Attributes:
+        file: The file.
+
+    Raises:
+        SceneError: The file can no longer be read.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        from oimppi_warp.usd import load_scene
+
+        self.file = scene.file
+        content, shared = _content(scene.file)
+        stored = cache_folder() / f"shapes-{content}.npz"
+        self._original = scene
+        if not shared:  # what is open in this process may differ from the file
+            with suppress(OSError, ValueError, KeyError, EOFError, BadZipFile):  # missing or truncated: find it again
+                self._shapes, things = _load(stored)
+                if things != _things(scene):
+                    self._original = load_scene(scene.file)
+                return
+        self._original = load_scene(scene.file)
+        self._shapes = tuple(_find(self._original))
+        gc.collect()  # Newton's import leaves the stage in a cycle; while it is there, OpenUSD reads no newer file
+        if not shared and _content(scene.file)[0] == content:  # it was not saved meanwhile
+            with suppress(OSError):  # an unwritable cache costs time, but not the view
+                _save(self._shapes, _things(self._original), stored)
+
+    def of(self, scene: Scene) -> tuple[Shape, ...]:
+        """Returns the visible shapes of a scene that was made from the file's."""
+        if _things(scene) == _things(self._original):
+            return self._shapes
+        return tuple(_edited(self._shapes, scene, self._original))
 
 
 def collider_shapes(
@@ -127,10 +159,16 @@ def collider_shapes(
     """Yields colliders in the frame of a body as visible shapes, all of the same colour."""
     for collider in colliders:
         surface = _smooth(collider_mesh(replace(collider, transform=_STILL)))
-        kind = collider.kind if collider.kind in ("box", "sphere", "cylinder") else "mesh"
-        size = () if kind == "mesh" else collider.size
         yield Shape(
-            collider.path, body, collider.transform, kind, size, color, opacity, surface.vertices, surface.faces
+            path=collider.path,
+            body=body,
+            transform=collider.transform,
+            kind=collider.kind,
+            size=collider.size,
+            color=color,
+            opacity=opacity,
+            vertices=surface.vertices,
+            faces=surface.faces,
         )
 
 
@@ -138,68 +176,51 @@ def _edited(shapes: tuple[Shape, ...], scene: Scene, original: Scene) -> Iterato
     """Yields the shapes of a file as they are in a scene that was made from it."""
     from oimppi_warp.usd.editing import rigid_motion
 
-    whole = [original.object, *original.obstacles]
-    for shape in shapes:
-        if not any(_is_below(shape, each.path) for each in whole):
-            yield shape
-    known = {each.path: each for each in whole}
+    known = {each.path: each for each in (original.object, *original.obstacles)}
+    by_thing: dict[str, list[Shape]] = {path: [] for path in ("", *known)}
+    for shape in shapes:  # a thing may be below another one
+        by_thing[max((path for path in known if _is_below(shape, path)), key=len, default="")].append(shape)
+    yield from by_thing[""]
     for each in (scene.object, *scene.obstacles):
-        before = known.get(each.path)
-        old = [shape for shape in shapes if _is_below(shape, each.path)]
+        before, old = known.get(each.path), by_thing.get(each.path, [])
         motion = None if before is None else rigid_motion(before.colliders, each.colliders)
         if motion is not None:
             yield from (replace(shape, transform=placed(motion, shape.transform)) for shape in old)
         else:
             body = each.path if each is scene.object else ""
-            yield from collider_shapes(each.colliders, body, old[0].color if old else NEUTRAL)
+            yield from collider_shapes(each.colliders, body, old[0].color if old else _NEUTRAL)
 
 
 def _is_below(shape: Shape, path: str) -> bool:
     return f"{shape.path}/".startswith(f"{path}/")
 
 
-@dataclass(frozen=True, eq=False)
-class _DrawnFile:
-    """What is drawn of a scene's file.
+def _content(file: Path) -> tuple[str, bool]:
+    """Returns a hash of a file, of all that it refers to, of the code here, and of the packages that read it.
 
-    Attributes:
-        shapes: Its visible shapes.
-        things: Hash of its object and obstacles.
+    Returns:
+        The hash, and whether any of these files is open in this process, so that OpenUSD would not read it again.
+
+    Raises:
+        SceneError: The file can no longer be read.
     """
-
-    shapes: tuple[Shape, ...]
-    things: str
-
-
-@lru_cache(maxsize=4)
-def _drawn_file(file: Path, content: str) -> _DrawnFile:
-    """Returns what is drawn of a file with this content, from the cache if possible."""
-    stored = cache_folder() / f"shapes-{content}.npz"
-    with suppress(OSError, ValueError, KeyError, EOFError, BadZipFile):  # missing or truncated: find it again
-        return _load(stored)
-    from oimppi_warp.usd import load_scene
-
-    drawn = _DrawnFile(tuple(_find(file)), _things(load_scene(file)))
-    with suppress(OSError):  # an unwritable cache costs time, but not the view
-        _save(drawn, stored)
-    return drawn
-
-
-def _content(file: Path) -> str:
-    """Returns a hash of a file, of all that it refers to, of the code here, and of the packages that read it."""
-    from pxr import Ar, UsdUtils
+    from pxr import Ar, Sdf, Tf, UsdUtils
 
     from oimppi_warp.usd.stage import file_of
 
+    silenced = UsdUtils.CoalescingDiagnosticDelegate()  # keeps USD's own warnings out of the terminal
+    open_already = {layer.realPath for layer in Sdf.Layer.GetLoadedLayers()}
     try:
         layers, assets, _ = UsdUtils.ComputeAllDependencies(str(file))
         parts = [*map(file_of, layers), *(Path(Ar.SplitPackageRelativePathOuter(asset)[0]) for asset in assets)]
         contents = tuple(hashlib.sha256(part.read_bytes()).digest() for part in parts)
-    except OSError as error:
-        raise SceneError(f"the scene cannot be read any more ({error})", file=file, fix="put the file back") from error
-    return content_of_data(
-        source_content("view/shapes.py", "usd", "geometry"), version("newton"), version("usd-core"), contents
-    )
+    except (OSError, Tf.ErrorException) as error:
+        raise SceneError("the scene can no longer be read", file=file, fix="restore the file") from error
+    finally:
+        del silenced
+    sources = source_content("view/shapes.py", "usd", "geometry", "scene.py")
+    packages = tuple(version(name) for name in ("newton", "usd-core", "trimesh"))
+    return content_of_data(sources, packages, contents), any(layer.realPath in open_already for layer in layers)
 
 
 def _things(scene: Scene) -> str:
@@ -207,7 +228,7 @@ def _things(scene: Scene) -> str:
     return content_of_data(scene.object, scene.obstacles)
 
 
-def _find(file: Path) -> Iterator[Shape]:
+def _find(scene: Scene) -> Iterator[Shape]:
     """Yields the visible shapes of a scene's file, as Newton imports them."""
     import newton
 
@@ -216,24 +237,28 @@ def _find(file: Path) -> Iterator[Shape]:
 
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z)
     with quick_compilation():  # of the kernels that compute the inertia of meshes
-        builder.add_usd(
-            SceneStage(file).stage, load_visual_shapes=True, enable_self_collisions=False, ignore_paths=[GHOSTS]
-        )
+        stage = SceneStage(scene.file).stage
+        builder.add_usd(stage, load_visual_shapes=True, enable_self_collisions=False, ignore_paths=[GHOSTS])
     for i in range(builder.shape_count):
         kind, scale = newton.GeoType(builder.shape_type[i]), np.array(builder.shape_scale[i], dtype=float)
         surface = _surface(kind, scale, builder.shape_source[i])
         if surface is None or not builder.shape_flags[i] & newton.ShapeFlags.VISIBLE:
             continue
-        body, (name, sizes) = builder.shape_body[i], _KINDS.get(kind.name, ("mesh", 0))
-        color = np.clip(builder.shape_color[i], 0.0, 1.0)
+        name: Any = kind.name.lower()
+        number = builder.shape_body[i]
+        body = "" if number < 0 else builder.body_label[number]
+        place = np.array(builder.shape_transform[i], dtype=float)
+        if body == scene.robot.base.path:  # whose frame is the world's in a scene
+            place = placed(np.array(builder.body_q[number], dtype=float), place)
+        red, green, blue = np.clip(builder.shape_color[i], 0.0, 1.0).tolist()
         opacity = float(np.clip(builder.shape_opacity[i], 0.0, 1.0))
         yield Shape(
             path=builder.shape_label[i],
-            body="" if body < 0 else builder.body_label[body],
-            transform=np.array(builder.shape_transform[i], dtype=float),
-            kind=name,
-            size=tuple(scale[:sizes].tolist()),
-            color=(float(color[0]), float(color[1]), float(color[2])),
+            body=body,
+            transform=place,
+            kind=name if name in _SIZES else "mesh",
+            size=tuple(scale[: _SIZES.get(name, 0)].tolist()),
+            color=(red, green, blue),
             opacity=opacity,
             vertices=np.asarray(surface.vertices, dtype=np.float32),
             faces=np.asarray(surface.faces, dtype=np.uint32),
@@ -249,14 +274,13 @@ def _surface(kind: newton.GeoType, scale: np.ndarray, source: Any) -> trimesh.Tr
     if isinstance(source, newton.Mesh):
         corners = np.asarray(source.indices).reshape(-1, 3)
         return trimesh.Trimesh(np.asarray(source.vertices) * scale, corners, process=False)
-    if kind.name in ("BOX", "SPHERE", "CYLINDER", "CAPSULE"):
-        sizes = {"BOX": 3, "SPHERE": 1}.get(kind.name, 2)
-        collider = Collider("", kind.name.lower(), _STILL, tuple(scale[:sizes].tolist()))  # pyright: ignore
-        return _smooth(collider_mesh(collider))
+    name: Any = kind.name.lower()
+    if name in _SIZES:
+        return _smooth(collider_mesh(Collider("", name, _STILL, tuple(scale[: _SIZES[name]].tolist()))))
     if kind == newton.GeoType.CONE:
-        rim = trimesh.creation.cone(radius=scale[0], height=2.0 * scale[1], sections=32)
-        rim.apply_translation((0.0, 0.0, -scale[1]))
-        return _smooth(rim)
+        cone = trimesh.creation.cone(radius=scale[0], height=2.0 * scale[1], sections=32)
+        cone.apply_translation((0.0, 0.0, -scale[1]))
+        return _smooth(cone)
     if kind == newton.GeoType.PLANE:
         x, y = np.where(scale[:2] > 0.0, scale[:2], _ENDLESS) / 2.0
         corners = [(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)]
@@ -273,38 +297,36 @@ def _smooth(surface: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _textured(source: Any, surface: trimesh.Trimesh, opacity: float) -> bytes:
     """Returns the surface of one of Newton's meshes with its texture, as a glTF binary; empty without a texture."""
-    texture, uvs = getattr(source, "texture", None), getattr(source, "uvs", None)
-    if texture is None or uvs is None or len(uvs) != len(surface.vertices):
+    from newton.utils import load_texture
+
+    uvs = getattr(source, "uvs", None)
+    image = load_texture(getattr(source, "texture", None))  # None if it cannot be read
+    if image is None or uvs is None or len(uvs) != len(surface.vertices):
         return b""
     from PIL import Image
     from trimesh.visual.material import PBRMaterial
     from trimesh.visual.texture import TextureVisuals
 
-    image = Image.open(texture) if isinstance(texture, str) else Image.fromarray(_as_bytes(np.asarray(texture)))
     uvs = np.asarray(uvs, dtype=float)
     if source.texture_transform is not None:
         uvs = np.column_stack([uvs, np.ones(len(uvs))]) @ np.asarray(source.texture_transform, dtype=float).T
+    clear = opacity < 1.0 or (image.shape[-1] == 4 and bool((image[..., 3] < 255).any()))
     material = PBRMaterial(
-        baseColorTexture=image.convert("RGBA"),
+        baseColorTexture=Image.fromarray(image),
         baseColorFactor=(255, 255, 255, round(255 * opacity)),
         metallicFactor=0.0,
         roughnessFactor=1.0,
-        alphaMode="BLEND" if opacity < 1.0 else "OPAQUE",
+        alphaMode="BLEND" if clear else "OPAQUE",
     )
     shown = surface.copy()
     shown.visual = TextureVisuals(uv=uvs, material=material)
     return shown.export(file_type="glb")  # pyright: ignore[reportReturnType]  (glTF is bytes)
 
 
-def _as_bytes(image: np.ndarray) -> np.ndarray:
-    """Returns an image with values from 0 to 255; numbers that are none of integers go from 0 to 1."""
-    return image if image.dtype == np.uint8 else (255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
-
-
-def _save(drawn: _DrawnFile, file: Path) -> None:
-    """Writes what is drawn of a scene's file to one file."""
-    arrays: dict[str, Any] = {"things": np.array(drawn.things), "count": np.array(len(drawn.shapes))}
-    for number, shape in enumerate(drawn.shapes):
+def _save(shapes: tuple[Shape, ...], things: str, file: Path) -> None:
+    """Writes the shapes of a scene's file, and the hash of its object and obstacles, to one file."""
+    arrays: dict[str, Any] = {"things": np.array(things), "count": np.array(len(shapes))}
+    for number, shape in enumerate(shapes):
         for field in fields(shape):
             value = getattr(shape, field.name)
             arrays[f"{number}.{field.name}"] = np.frombuffer(value, np.uint8) if field.name == "textured" else value
@@ -316,8 +338,8 @@ def _save(drawn: _DrawnFile, file: Path) -> None:
     make_room(file.parent)
 
 
-def _load(file: Path) -> _DrawnFile:
-    """Reads a file written by :func:`_save`."""
+def _load(file: Path) -> tuple[tuple[Shape, ...], str]:
+    """Reads a file written by :func:`_save`: the shapes, and the hash."""
     with np.load(file) as saved:
         arrays = dict(saved)
     touch(file)
@@ -330,4 +352,4 @@ def _load(file: Path) -> _DrawnFile:
         for name in ("size", "color"):
             values[name] = tuple(values[name].tolist())
         shapes.append(Shape(**values | {"opacity": float(values["opacity"]), "textured": values["textured"].tobytes()}))
-    return _DrawnFile(tuple(shapes), str(arrays["things"]))
+    return tuple(shapes), str(arrays["things"])

@@ -349,6 +349,10 @@ def test_an_obstacle_that_was_added_is_drawn_as_its_colliders(scene):
         np.testing.assert_allclose(shape.transform, known.transform, atol=1e-6)
         assert shape.size == pytest.approx(known.size)
     assert len(visible_shapes(scene)) == len(visible_shapes(edited)) - 2
+    shown = PosedScene(edited).model  # what Newton's viewers are given
+    new = [i for i, label in enumerate(shown.shape_label) if label.startswith("/World/Obstacles/New")]
+    for i, known in zip(new, shapes, strict=True):
+        np.testing.assert_allclose(shown.shape_transform.numpy()[i][:3], known.transform[:3], atol=1e-6)
 
 
 def test_an_object_of_another_size_is_drawn_in_that_size_and_its_own_colour(scene):
@@ -359,6 +363,9 @@ def test_an_object_of_another_size_is_drawn_in_that_size_and_its_own_colour(scen
     assert max(shape.vertices.max() for shape in shown) == pytest.approx(0.1)
     assert max(shape.vertices.max() for shape in larger) == pytest.approx(0.15)
     assert {shape.color for shape in larger} == {shown[0].color}
+    newtons = PosedScene(replace(scene, object=scene.object.scaled(1.5))).model
+    found = [i for i, label in enumerate(newtons.shape_label) if label.startswith("/World/Object")]
+    assert max(float(newtons.shape_scale.numpy()[i].max()) for i in found) == pytest.approx(0.15)
 
 
 def test_the_canvas_loads_a_scene_anew_when_other_things_stand_in_it_but_not_for_another_goal(scene):

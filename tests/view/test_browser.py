@@ -220,6 +220,7 @@ def test_pause_pauses_and_step_goes_one_step(live, page):
     until(lambda: live.session.latest.time > before)
     time.sleep(0.5)
     assert live.session.latest.time == pytest.approx(before + 0.05)
+    assert drawn, "what moves is drawn"
     page.get_by_label("Pause", exact=True).uncheck()
     until(lambda: live.session.latest.time > before + 0.3)
 
@@ -346,6 +347,8 @@ def test_a_replay_scrubs(record, page):
         for _ in range(5):
             thumb.press("ArrowLeft")
         until(lambda: view.row == len(Replay(record)) - 6)
+        page.get_by_role("button", name="Reset", exact=True).click()
+        until(lambda: view.row == 0)
         assert page.problems == []
     finally:
         served.close()
