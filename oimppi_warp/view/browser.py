@@ -72,6 +72,7 @@ class Page:
         self._scene: Scene | None = None
         self._shown = True, False
         self._drawn: dict[str, Any] = {}
+        self._latest: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def close(self) -> None:
         """Ends the server."""
@@ -143,6 +144,10 @@ class Page:
 
     def lines(self, name: str, segments: np.ndarray, colors: np.ndarray, width: float) -> None:
         """Draws line segments; see :meth:`oimppi_warp.view.display.Display.lines`."""
+        before = self._latest.get(name)
+        if before is not None and before[0] is segments and before[1] is colors:
+            return
+        self._latest[name] = segments, colors
         points = np.asarray(segments, dtype=np.float32)
         shades = np.repeat(_bytes(colors)[:, None], 2, axis=1)
         drawn = self._drawn.get(name)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import shapely
+from shapely import affinity
 
-from oimppi_warp.geometry.feasibility import object_outline
 from oimppi_warp.geometry.footprint import footprint, height_range, outline
 from oimppi_warp.observation import planar_pose
 from oimppi_warp.scene import Scene
@@ -70,7 +70,7 @@ class Canvas:
         self._draw_kept_apart(picture.kept_apart)
 
     def _load(self, scene: Scene) -> None:
-        shape = outline(footprint(scene.object.colliders))
+        self._outline = shape = outline(footprint(scene.object.colliders))
         self._rings = [np.array(ring.coords) for polygon in shapely.get_parts(shape) for ring in _rings(polygon)]
         low, high = height_range(scene.object.colliders)
         self._heights = (scene.object.rest_height + low + _LIFT, scene.object.rest_height + high)
@@ -79,15 +79,25 @@ class Canvas:
         self._obstacle_area = shapely.union_all(
             [outline(footprint(it.colliders, lower=lower, upper=upper)) for it in fixed]
         )
+        self._target: tuple[object, ...] = ()
         self._display.load(scene)
 
     def _draw_goal(self, scene: Scene) -> None:
-        goal = np.array(scene.goal)
-        self._lines("goal", [self._ghost(goal)], GOAL, width=2.5)
-        for name, tolerance, color in (("tolerance", scene.tolerance, GOAL), ("tight", scene.tight_tolerance, TIGHT)):
+        """Draws the goal and its tolerances, with the same arrays as before if they are the same."""
+        target = scene.goal, scene.tolerance, scene.tight_tolerance
+        if target != self._target:
+            self._target = target
+            parts = {"goal": (self._ghost(np.array(scene.goal)), GOAL, 2.5)}
             turn = np.linspace(0.0, 2 * np.pi, 49)
-            ring = goal[:2] + tolerance.position * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-            self._lines(name, [_segments(_raised(ring, _LIFT))], color, width=1.2)
+            circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+            for name, it, color in (("tolerance", scene.tolerance, GOAL), ("tight", scene.tight_tolerance, TIGHT)):
+                ring = np.array(scene.goal[:2]) + it.position * circle
+                parts[name] = _segments(_raised(ring, _LIFT)), color, 1.2
+            self._goal = {
+                name: (part, np.tile(color, (len(part), 1)), width) for name, (part, color, width) in parts.items()
+            }
+        for name, (segments, colors, width) in self._goal.items():
+            self._display.lines(name, segments, colors, width)
 
     def _draw_plan(self, picture: Picture) -> None:
         reference = picture.reference
@@ -124,7 +134,9 @@ class Canvas:
     def _draw_clearance(self, picture: Picture) -> None:
         """Draws a line from the object to the nearest obstacle or the robot's base; hidden if none is near."""
         x, y, yaw = (float(value) for value in planar_pose(picture.object_transform))
-        ends = shapely.shortest_line(object_outline(picture.scene, (x, y, yaw)), self._obstacle_area)
+        c, s = np.cos(yaw), np.sin(yaw)
+        area = affinity.affine_transform(self._outline, [c, -s, s, c, x, y])
+        ends = shapely.shortest_line(area, self._obstacle_area)
         near = 0.0 < shapely.length(ends) < _NEAR
         at = shapely.get_coordinates(ends) if near else np.zeros((2, 2))
         height = self._heights[1] + _LIFT if near else -1.0

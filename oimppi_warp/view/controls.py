@@ -68,9 +68,13 @@ class Plots:
 
     Args:
         server: A viser server.
+
+    Attributes:
+        shown: Whether plots are on the page; they are added one at a time, since each takes a browser a while.
     """
 
     def __init__(self, server: Any) -> None:
+        self.shown = False
         self._gui = server.gui
         self._folder: Any = None
         self._values: dict[str, deque[tuple[float, float]]] = {}
@@ -84,18 +88,16 @@ class Plots:
         self._time = time
         for name, value in values.items():
             if np.isfinite(value):
-                known = self._values.setdefault(name, deque(maxlen=_PLOTTED))
-                known.append((time, float(value)))
-                self._show(name, np.array(known).T)
-
-    def _show(self, name: str, data: np.ndarray) -> None:
-        if name in self._plots:
-            self._plots[name].data = tuple(data)
+                self._values.setdefault(name, deque(maxlen=_PLOTTED)).append((time, float(value)))
+        if not self.shown:
             return
-        if self._folder is None:
-            self._folder = self._gui.add_folder("Plots", order=10.0)
-        with self._folder:
-            self._plots[name] = add_plot(self._gui, name, *data)
+        for name, plot in self._plots.items():
+            plot.data = tuple(np.array(self._values.get(name, ())).reshape(-1, 2).T)
+        if missing := [name for name in self._values if name not in self._plots]:
+            if self._folder is None:
+                self._folder = self._gui.add_folder("Plots", order=10.0)
+            with self._folder:
+                self._plots[missing[0]] = add_plot(self._gui, missing[0], *np.array(self._values[missing[0]]).T)
 
 
 def add_plot(gui: Any, name: str, times: np.ndarray, values: np.ndarray) -> Any:

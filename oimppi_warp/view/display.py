@@ -38,7 +38,7 @@ class Display(Protocol):
         ...
 
     def lines(self, name: str, segments: np.ndarray, colors: np.ndarray, width: float) -> None:
-        """Draws line segments.
+        """Draws line segments; the arrays must not be changed afterwards.
 
         Args:
             name: Name of the lines; others of this name are replaced.

@@ -37,8 +37,8 @@ _SHAPES = {
 _UNWATCHED = 0.2
 """Time without a browser after which a real arm is stopped [s]."""
 _SETTINGS_AFTER, _SETTINGS_EVERY = 1.0, 0.2
-"""Time after the session's start at which the first folder of settings appears, and time between two of them [s]. A
-slow browser draws nothing while it creates the controls, so the arm should be moving first."""
+"""Time after the session's start at which plots and the first folder of settings appear, and time between two folders
+[s]. A slow browser draws nothing while it creates them, so the arm should be moving first."""
 _HANDLE_HEIGHT = 0.06
 """Height of the handles of goal and object above the table [m]."""
 _BARS = 10
@@ -88,6 +88,7 @@ class LiveView:
                 self._session.close()
             self.tick()
             if began >= due:
+                self._plots.shown = True
                 due = began + _SETTINGS_EVERY if self._settings.add_folder() else math.inf
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 

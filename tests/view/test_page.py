@@ -125,6 +125,9 @@ def test_a_handle_stays_where_it_is_dragged_until_its_drop_was_taken(page):
 
 def test_plots_keep_the_latest_values_and_begin_anew_with_a_new_episode(page):
     plots = Plots(page.server)
+    plots.add(-1.0, {"error": 2.0})
+    assert not plots._plots, "the arm should be moving first"
+    plots.shown = True
     for step in range(300):
         plots.add(0.05 * step, {"error": 1.0 / (step + 1), "clearance": np.nan})
     assert plots._plots.keys() == {"error"}, "nothing is known of the other one"
