@@ -70,6 +70,8 @@ class Page:
         self._notice = self.server.gui.add_markdown("", order=-20.0, visible=False)
         self._file: FileShapes | None = None
         self._scene: Scene | None = None
+        self._visible: list[Any] = []
+        self._colliders: list[Any] = []
         self._shown = True, False
         self._drawn: dict[str, Any] = {}
         self._latest: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -97,8 +99,7 @@ class Page:
 
     @contextmanager
     def frame(self, time: float) -> Iterator[None]:
-        """Shows at once what is drawn within the block; the time is of no use here."""
-        del time
+        """Shows at once what is drawn within the block, whatever its time."""
         with self.server.atomic():
             yield
         self.server.flush()
@@ -122,7 +123,7 @@ class Page:
             path: self.server.scene.add_frame(f"/bodies/{number}", show_axes=False) for number, path in enumerate(paths)
         }
         self._visible = [self._add(shape, f"visible{n}", self._shown[0]) for n, shape in enumerate(shapes)]
-        self._colliders: list[Any] = []
+        self._colliders = []
         self._add_colliders()
 
     def show_shapes(self, *, visible: bool, colliders: bool) -> None:
