@@ -36,7 +36,7 @@ _SHAPES = {
 """What is shown of the scene, by the name of the choice."""
 _UNWATCHED = 0.2
 """Time without a browser after which a real arm is stopped [s]."""
-_SETTINGS_AFTER, _SETTINGS_EVERY = 1.0, 0.2
+_SETTINGS_AFTER, _SETTINGS_EVERY = 3.0, 0.2
 """Time after the session's start at which plots and the first folder of settings appear, and time between two folders
 [s]. A slow browser draws nothing while it creates them, so the arm should be moving first."""
 _HANDLE_HEIGHT = 0.06
