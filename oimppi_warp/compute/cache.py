@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -109,6 +110,20 @@ def cached(name: str, content: str, compute: Callable[[], np.ndarray]) -> np.nda
     except OSError:
         return values  # with an unwritable cache the run is slower, but does not fail
     return values
+
+
+def store_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
+    """Writes arrays by their names to one file of the cache folder, which appears there once it is complete.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_name(f"{file.name}.{os.getpid()}.part")
+    with partial.open("wb") as stream:
+        np.savez(stream, **arrays)
+    partial.replace(file)
+    make_room(file.parent)
 
 
 def touch(file: Path) -> None:

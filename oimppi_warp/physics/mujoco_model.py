@@ -6,7 +6,6 @@ Making it again would import Newton and MuJoCo Warp, which takes two seconds.
 from __future__ import annotations
 
 import io
-import os
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
@@ -17,7 +16,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from oimppi_warp.compute.cache import cache_folder, content_of_data, make_room, source_content, touch
+from oimppi_warp.compute.cache import cache_folder, content_of_data, source_content, store_arrays, touch
 from oimppi_warp.compute.loading import quick_compilation
 from oimppi_warp.physics.newton_model import ROLES, SOLVER_OPTIONS, NewtonModel, build_model
 from oimppi_warp.scene import Scene
@@ -207,12 +206,7 @@ def _save(made: MujocoModel, file: Path) -> None:
     compiled = np.zeros(mujoco.mj_sizeModel(made.model), dtype=np.uint8)
     mujoco.mj_saveModel(made.model, None, compiled)
     places = {field.name: getattr(made, field.name) for field in fields(made) if field.name != "model"}
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_name(f"{file.name}.{os.getpid()}.part")
-    with partial.open("wb") as stream:
-        np.savez(stream, model=compiled, **places)
-    partial.replace(file)
-    make_room(file.parent)
+    store_arrays(file, {"model": compiled, **places})
 
 
 def _load(file: Path) -> MujocoModel:

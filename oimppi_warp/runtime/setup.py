@@ -1,4 +1,4 @@
-"""What an episode is made from: plain data, available without importing planner and plant."""
+"""The setup of an episode: scene, settings and options of the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pictures are drawn on: a page in the browser, or one of Newton's viewers."""
+"""The interface of a display: a page in the browser, or one of Newton's viewers."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _SHAPES = {
     "colliders": {"visible": False, "colliders": True},
     "both": {"visible": True, "colliders": True},
 }
-"""What is shown of the scene, by the name of the choice."""
+"""Arguments of :meth:`oimppi_warp.view.browser.Page.show_shapes` for each choice of the control "Shapes"."""
 _UNWATCHED = 0.2
 """Time without a browser after which a real arm is stopped [s]."""
 _SETTINGS_AFTER, _SETTINGS_EVERY = 3.0, 0.2

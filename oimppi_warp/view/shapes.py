@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import os
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
@@ -19,7 +18,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from oimppi_warp.compute.cache import cache_folder, content_of_data, make_room, source_content, touch
+from oimppi_warp.compute.cache import cache_folder, content_of_data, source_content, store_arrays, touch
 from oimppi_warp.errors import SceneError
 from oimppi_warp.geometry.footprint import collider_mesh, quaternion_product, transform_points
 from oimppi_warp.scene import Collider, Joint, Scene
@@ -330,12 +329,7 @@ def _save(shapes: tuple[Shape, ...], things: str, file: Path) -> None:
         for field in fields(shape):
             value = getattr(shape, field.name)
             arrays[f"{number}.{field.name}"] = np.frombuffer(value, np.uint8) if field.name == "textured" else value
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_name(f"{file.name}.{os.getpid()}.part")
-    with partial.open("wb") as stream:
-        np.savez(stream, **arrays)
-    partial.replace(file)
-    make_room(file.parent)
+    store_arrays(file, arrays)
 
 
 def _load(file: Path) -> tuple[tuple[Shape, ...], str]:

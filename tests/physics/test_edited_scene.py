@@ -312,7 +312,7 @@ def test_nobody_can_change_a_scene_behind_the_caches_back(scene):
 
 
 def drawn(scene: Scene, path: str) -> dict[str, np.ndarray]:
-    """Where each shape below a path is drawn in its body's frame: its transform [7] by its path.
+    """Transforms, shape [7], of the drawn shapes below a path, in the frame of their body, by their own path.
 
     Newton's viewers are given a stage of the edited scene; the page is given the shapes of the file, edited. They have
     to agree.
