@@ -18,6 +18,16 @@ def pytest_configure() -> None:
             raise pytest.UsageError(str(error).replace("--device ", "OIMPPI_TEST_DEVICE=")) from None
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Lets tests in real time run again where they fail.
+
+    An emulated arm stops, as it should, where the machine stands still for a fifth of a second.
+    """
+    for item in items:
+        if item.get_closest_marker("realtime"):
+            item.add_marker(pytest.mark.flaky(reruns=2))
+
+
 @pytest.fixture(scope="session")
 def device() -> str:
     """Warp device to compute on: the environment variable ``OIMPPI_TEST_DEVICE`` names it, ``cpu`` by default.

@@ -368,7 +368,7 @@ def check_any_mesh(boxes, holes, flips, seed):
 ANY_MESH = {"boxes": BOXES, "holes": st.integers(0, 2), "flips": st.integers(0, 2), "seed": st.integers(0, 99)}
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
 @example(boxes=[(3, 1, 2, 1, 3), (2, 1, 1, 1, 2), (1, 3, 2, 2, 3)], holes=2, flips=2, seed=63)  # leaves a flat piece
 @example(boxes=[(0, 0, 2, 1, 1), (0, 0, 2, 1, 2)], holes=0, flips=1, seed=0)  # leaves a face without neighbours
 @given(**ANY_MESH)

@@ -312,7 +312,7 @@ def test_joints_of_a_suspicious_speed_are_named(tmp_path):
 # Rounded angles
 
 
-@pytest.mark.parametrize("angle", [0.0001, 0.0016, 0.008])
+@pytest.mark.parametrize("angle", [0.0016, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (0.0001, 0.008))])
 @pytest.mark.parametrize("name", ["turret", "upper", "hand", "flange"])
 def test_rounded_angles_change_neither_reach_nor_postures(tmp_path, name, angle):
     exact = desk_arm()

@@ -420,13 +420,13 @@ def run_ten_steps(options: dict) -> None:
         assert log["lost_samples"].max() == 0
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(TASKS)
 def test_what_is_written_passes_the_check_and_is_what_was_asked_for(options):
     check_random_task(options)
 
 
-@settings(max_examples=3, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck))
+@settings(max_examples=2, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck))
 @given(TASKS)
 def test_what_is_written_can_be_run(options):
     run_ten_steps(options)

@@ -470,7 +470,9 @@ def test_an_arm_from_a_urdf_brings_its_object_to_the_goal(tmp_path, device):
 
 
 @pytest.mark.parametrize("method", ["cloi", pytest.param("soi", marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("name", "parts"), [("ur", ur_parts), ("panda", panda_parts)])
+@pytest.mark.parametrize(
+    ("name", "parts"), [pytest.param("ur", ur_parts, marks=pytest.mark.slow), ("panda", panda_parts)]
+)
 def test_an_imported_arm_is_as_gentle_as_the_one_that_is_shipped(tmp_path, device, name, parts, method):
     urdf = write_urdf(tmp_path, parts(), name)
     assert main(["scene", "robot", str(urdf), "--out", str(tmp_path)]) == 0

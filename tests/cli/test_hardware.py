@@ -18,6 +18,8 @@ from support.two_processes import assert_19_of_20, assert_gentle_success, comman
 from oimppi_warp.cli.main import main
 from oimppi_warp.record.log import EpisodeLog
 
+pytestmark = pytest.mark.realtime
+
 
 def lab(host: str, *options: str, log: Path) -> AbstractContextManager[None]:
     """The command `oimppi lab-emulator` with lab01."""

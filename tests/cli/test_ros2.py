@@ -13,6 +13,8 @@ from support.two_processes import assert_19_of_20, assert_gentle_success, push, 
 from oimppi_warp.cli.main import main
 from oimppi_warp.record.log import EpisodeLog
 
+pytestmark = pytest.mark.realtime
+
 
 def lab(domain: int, *options: str, log: Path) -> AbstractContextManager[None]:
     """The command `oimppi ros2 plant` with lab01."""

@@ -70,7 +70,7 @@ def report(found: np.ndarray, count: int) -> str:
     [
         ("apriltag36h11", rendered.ORDINARY, 0.99),
         ("apriltag36h11", Conditions(noise=6.0, light=0.3, slope=0.8), 0.8),
-        ("apriltag36h11", Conditions(blur=1.0), 0.8),
+        pytest.param("apriltag36h11", Conditions(blur=1.0), 0.8, marks=pytest.mark.slow),
         ("aruco6x6", Conditions(blur=1.2), 0.9),
     ],
     ids=["ordinary", "dark and noisy", "blurred", "aruco, more blurred"],

@@ -148,9 +148,9 @@ def test_an_object_that_no_push_moves_otherwise_may_graze_obstacles():
     [
         # The T stands astride the robot's base, where the arm does not reach behind it.
         ("task02", "cloi", (0.1552, -0.0688, -2.776)),
-        ("task02", "soi", (0.1689, -0.0386, -2.6312)),
+        pytest.param("task02", "soi", (0.1689, -0.0386, -2.6312), marks=pytest.mark.slow),
         # Two of its ends are less than a millimetre from the walls of the gap.
-        ("task03", "cloi", (0.508, -0.05, -2.331)),
+        pytest.param("task03", "cloi", (0.508, -0.05, -2.331), marks=pytest.mark.slow),
     ],
 )
 def test_an_object_that_nothing_freed_gets_to_its_goal(name: str, method: str, start: tuple[float, ...], device: str):

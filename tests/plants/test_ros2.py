@@ -31,6 +31,7 @@ from oimppi_warp.plants.ros2.plant import Ros2Plant
 from oimppi_warp.plants.ros2.poses import Ros2Poses
 from oimppi_warp.plants.ros2.rclpy_link import RclpyLink
 
+pytestmark = pytest.mark.realtime
 COMMANDS = ros2_topics.NOMINAL_COMMANDS
 
 

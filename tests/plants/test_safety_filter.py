@@ -103,7 +103,7 @@ def scaled(before: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["task02", "task04", "arm7_01"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_whatever_is_commanded_the_arm_touches_nothing(name: str, seed: int):
     scene, safety = shipped(name), Safety()
     watch = Watch(scene)

@@ -42,6 +42,8 @@ from oimppi_warp.runtime.control import real_time
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.runtime.watch import Watch
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 def made() -> Iterator[LabEmulator]:

@@ -27,7 +27,7 @@ DEEPEST = -0.012
 
 
 @pytest.mark.parametrize("method", ["cloi", "soi"])
-@pytest.mark.parametrize("name", ["task01", "task02"])
+@pytest.mark.parametrize("name", [pytest.param("task01", marks=pytest.mark.slow), "task02"])
 def test_the_object_is_brought_to_its_goal(name: str, method: str):
     log = episode(name, method, seed=1).run()
     metrics = summarize(log)

@@ -71,12 +71,13 @@ def _row(change, scene: str = "task02", begins: str = "") -> str:
         problems = check_scene(variant(Path(folder), change, scene))
         problem = next(problem for problem in problems if problem.what.startswith(begins))
         cells = [problem.what, f"`{problem.prim}`" if problem.prim else "", problem.allowed, problem.fix]
-        return "| " + " | ".join(_plain(cell, folder) for cell in cells) + " |"
+        return "| " + " | ".join(plain(cell, folder) for cell in cells) + " |"
 
 
-def _plain(text: str, folder: str) -> str:
-    """Without what differs from one machine to the next, and safe in a table."""
-    for place in (str(Path(folder).resolve()), folder, str(Path(__file__).parent)):
+def plain(text: str, folder: str = "") -> str:
+    """A text as the manual has it: without what differs from one machine to the next, and safe in a table."""
+    places = (str(Path(folder).resolve()), folder) if folder else ()
+    for place in (*places, str(Path(__file__).parent)):
         text = text.replace(place, "...")
     text = re.sub(r"0x[0-9a-f]+", "...", text)
     return text.replace("|", "\\|").replace("<", "\\<").replace("_", "\\_") if "`" not in text else text

@@ -361,6 +361,7 @@ def test_the_exported_page_works_from_disk(record, page):
     assert page.problems == []
 
 
+@pytest.mark.slow
 def test_two_browsers_see_the_same_and_closing_one_ends_nothing(live, browser, page):
     opened(page, live)
     other = browser.new_page(viewport={"width": 1000, "height": 700})

@@ -24,6 +24,8 @@ from oimppi_warp.view import live
 from oimppi_warp.view.live import LiveView
 from oimppi_warp.view.session import Session
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 def made() -> Iterator[LabEmulator]:
