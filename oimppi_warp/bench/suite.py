@@ -18,6 +18,7 @@ from typing import Any
 from oimppi_warp.config.presets import PRESETS
 from oimppi_warp.config.run_spec import LARGEST_SEED, MODES, RunSpec
 from oimppi_warp.errors import ConfigError
+from oimppi_warp.plants.factory import starts_itself
 from oimppi_warp.record.log import flatten, to_json
 from oimppi_warp.registries import ENGINES, METHODS, PLANTS
 from oimppi_warp.runtime.request import TOLERANCE_LIMITS, SettingsRequest, is_tolerance
@@ -253,6 +254,11 @@ def _check(suite: Suite) -> None:
             raise ConfigError(
                 f"{where}: the last trial would be number {entry.numbers.stop - 1}\n"
                 f"  allowed: first + trials up to {NUMBERS}"
+            )
+        if entry.beside is not None and starts_itself(entry.run.plant):
+            raise ConfigError(
+                f"{where}: beside cannot be used with the plant {entry.run.plant}, which chooses the starts itself\n"
+                "  to do:   remove the one or the other"
             )
         for method in entry.methods:
             try:

@@ -105,7 +105,11 @@ def _execute(command: Command) -> int:
         status = command.execute()
         sys.stdout.flush()
         return status
-    except OimppiError as error:
+    except (OimppiError, SystemError) as error:
+        if _is_from_ctrl_c(error):
+            return _interrupted()
+        if isinstance(error, SystemError):
+            raise
         print(f"oimppi: {error}", file=sys.stderr)
         return 2
     except SystemExit:  # what Rich makes of a BrokenPipeError
@@ -117,10 +121,15 @@ def _execute(command: Command) -> int:
         return 2
     except KeyboardInterrupt:
         return _interrupted()
-    except SystemError as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # it came while C code ran that does not expect it
-            return _interrupted()
-        raise
+
+
+def _is_from_ctrl_c(error: BaseException | None) -> bool:
+    """Returns whether an exception, or one that led to it, is what C code made of Ctrl-C that it did not expect."""
+    while error is not None:
+        if isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _interrupted() -> int:

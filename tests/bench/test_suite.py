@@ -263,6 +263,10 @@ BAD = {
     "first before zero": (SMALL + "first = -1", "an integer from 0 to 999999"),
     "unknown plant": (SMALL + 'plant = "real"', '"ideal" or "lab"'),
     "plant options that are none": (SMALL + 'plant_options = ["damping"]', 'like ["damping=0.1"]'),
+    "starts that the plant chooses": (
+        SMALL + 'beside = [0.0005, 0.002]\nplant = "pusht"',
+        "beside cannot be used with the plant pusht",
+    ),
     "a note that is none": (SMALL + "note = 3", "note = 3"),
     "a published figure without source": (SMALL + '[[published]]\nname = "a"', "name and source (text)"),
     "a published figure that is none": (

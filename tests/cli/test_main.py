@@ -121,10 +121,17 @@ def test_ctrl_c_that_an_extension_makes_a_system_error_of_is_status_130(
     stage: Stage, capsys: pytest.CaptureFixture[str]
 ):
     """USD raises one if Ctrl-C comes while one of its functions examines a Python object."""
-    stage.problem = SystemError("returned a result with an exception set")
-    stage.problem.__cause__ = KeyboardInterrupt()
-    assert status("run", "synthetic") == 130
-    assert capsys.readouterr().err == "oimppi: interrupted\n"
+    made = SystemError("returned a result with an exception set")
+    made.__cause__ = KeyboardInterrupt()
+    refused = SceneError("the file cannot be read")  # by a reader that catches every exception
+    refused.__context__ = made
+    for stage.problem in (made, refused):
+        assert status("run", "synthetic") == 130
+        assert capsys.readouterr().err == "oimppi: interrupted\n"
+    stage.problem = SceneError("the record cannot be written")
+    stage.problem.__context__ = KeyboardInterrupt()
+    assert status("run", "synthetic") == 2, "what fails after Ctrl-C is told"
+    assert "cannot be written" in capsys.readouterr().err
 
 
 def test_record_and_json_hold_log_plots_and_metrics(stage: Stage, tmp_path: Path):
