@@ -183,7 +183,7 @@ def test_points_beside_sharp_edges_are_on_their_own_side():
     assert ((depths > 0.0) == (winding(blade, points) > 0.5)).all()
 
 
-@pytest.mark.parametrize("hollow", [20, 3])
+@pytest.mark.parametrize("hollow", [pytest.param(20, marks=pytest.mark.slow), 3])
 def test_many_parts_are_no_more_pieces_than_one(hollow):
     parts = []
     for number in range(20):

@@ -22,7 +22,7 @@ BALLS = {
 }
 
 
-@pytest.mark.parametrize("kind", BALLS)
+@pytest.mark.parametrize("kind", ["of triangles of one size", pytest.param("with poles", marks=pytest.mark.slow)])
 def test_a_ball_is_imported_and_rolls_every_way(tmp_path, kind, capsys):
     file = saved(BALLS[kind](), tmp_path, "ball.stl")
     ball = import_mesh(file)

@@ -57,6 +57,7 @@ def test_plans_are_those_of_the_cpu_to_rounding(method):
         assert shown == pytest.approx(cpu.samples(4).terms, rel=1e-2, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_newton_engine_there_is_the_one_of_a_gpu():
     there = planner("mppi", EMULATED_GPU, "newton", samples=2, horizon=6, substeps=3)
     assert isinstance(there.dynamics, NewtonWorlds)

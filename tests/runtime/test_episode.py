@@ -39,8 +39,14 @@ def test_the_object_is_brought_to_its_goal(name: str, method: str):
     assert log["lost_samples"].max() == 0
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [
+        pytest.param(name, method, marks=[] if method == "cloi" or name == "task02" else [pytest.mark.slow])
+        for name in SCENES
+        for method in METHODS
+    ],
+)
 def test_every_scene_plans_and_runs_with_every_method(name: str, method: str, device: str):
     scene = load_scene(name)
     config = set_option(set_option(best(method), "robot.optimizer.samples=128"), "object.plan_steps=20")

@@ -296,6 +296,7 @@ def test_dragging_the_goal_changes_the_plan(live, page):
     assert page.problems == []
 
 
+@pytest.mark.slow
 def test_the_ring_of_a_handle_turns_the_goal(live, page):
     opened(page, live)
     page.get_by_label("Show handles", exact=True).check()

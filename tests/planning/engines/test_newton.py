@@ -321,10 +321,17 @@ def certain_but(**changes: object) -> Draws:
     return Draws(per_sample=2, worst=2, **both)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+CHANGES = [{"tool_friction": 6.0}, {"friction": 0.2}, {"mass": 20.0}, {"pose": (0.01, 0, 0)}, {"tool": (0.006, 0)}]
+
+
 @pytest.mark.parametrize(
-    "change", [{"tool_friction": 6.0}, {"friction": 0.2}, {"mass": 20.0}, {"pose": (0.01, 0, 0)}, {"tool": (0.006, 0)}]
-)  # fmt: skip
+    ("engine", "change"),
+    [
+        *((NewtonThreads, change) for change in CHANGES),
+        (NewtonWorlds, CHANGES[0]),
+        *(pytest.param(NewtonWorlds, change, marks=pytest.mark.slow) for change in CHANGES[1:]),
+    ],
+)
 def test_a_draw_changes_what_it_says(engine, change, pushes):
     states, controls, plant = pushes
     dynamics = make(engine, small_tasks.shipped("task01"), 1, draws=certain_but(**change))

@@ -85,7 +85,7 @@ def test_an_optimizer_refuses_settings_of_another():
 # What CEM does
 
 
-@pytest.mark.parametrize("scene", ["task01", "point01"])
+@pytest.mark.parametrize("scene", [pytest.param("task01", marks=pytest.mark.slow), "point01"])
 def test_cem_pushes_the_object_nearer_to_its_goal_than_an_arm_that_stands_still(scene: str, device: str):
     loaded = small_tasks.shipped(scene)
     config = best("cloi")
