@@ -258,7 +258,7 @@ def _check(suite: Suite) -> None:
         if entry.beside is not None and starts_itself(entry.run.plant):
             raise ConfigError(
                 f"{where}: beside cannot be used with the plant {entry.run.plant}, which chooses the starts itself\n"
-                "  to do:   remove the one or the other"
+                "  to do:   remove one of the two"
             )
         for method in entry.methods:
             try:

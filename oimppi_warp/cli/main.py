@@ -124,7 +124,7 @@ def _execute(command: Command) -> int:
 
 
 def _is_from_ctrl_c(error: BaseException | None) -> bool:
-    """Returns whether an exception, or one that led to it, is what C code made of Ctrl-C that it did not expect."""
+    """Returns whether C code, as in USD, turned Ctrl-C into this exception or into one that led to it."""
     while error is not None:
         if isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt):
             return True

@@ -82,7 +82,7 @@ def test_phi_2_is_the_distance_that_shapely_finds(name, geometry):
     scene, field = shipped(name), geometry(name).clearance
     surface = geometry(name).surface
     errors = []
-    for pose in poses_near_contact(scene, field, 80, seed=1):
+    for pose in poses_near_contact(scene, field, 120, seed=1):
         expected = exact_clearance(scene, from_center(surface, pose))
         found = pose_field_at(field, pose)
         if expected > 0.0:
