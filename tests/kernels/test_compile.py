@@ -36,7 +36,7 @@ ARGUMENTS = {
 MOST_REGISTERS, MOST_STACK = 255, 64
 """Most registers per thread, and bytes of local memory per thread, where registers that do not fit are spilled."""
 OTHER_ARMS = re.compile("_(PP|RRRRRRR|2|7)(_|$)")
-"""Finds, by their names, the modules for the point robot and for the arm of seven joints; they are compiled at night."""
+"""Finds the modules for the point robot and the arm of seven joints by their names; they are compiled at night."""
 STACK = {"oimppi_warp.kernels.fields.distance": 512}
 """Modules with a larger stack: that of a mesh query, which runs on the CPU only."""
 
