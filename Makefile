@@ -36,7 +36,7 @@ $(EXTRAS_ENV): $(LOCK_ENV) requirements-extras.lock
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock -r requirements-extras.lock
 	@touch $@
 
-demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (about a minute; the first run compiles)
+demo: $(LOCK_ENV) ## push the T block around an obstacle to its goal (the first run installs and compiles: two minutes)
 	$(BIN)/oimppi demo --record runs/demo --force
 
 view: $(LOCK_ENV) ## watch the task of `make demo` in a browser, and change the task while it runs

@@ -80,6 +80,17 @@ class ConfigError(OimppiError):
     """A setting, an option or an argument that does not exist or has a value that cannot be used."""
 
 
+def missing_package(what: str, package: str, extra: str) -> ConfigError:
+    """Returns the error of an optional package that is not installed.
+
+    Args:
+        what: What was asked for, such as ``the plant pusht``.
+        package: The package that it needs.
+        extra: The extra of this package that installs it.
+    """
+    return ConfigError(f"{what}: {package} is not installed\n  to do:   pip install 'oimppi-warp[{extra}]'")
+
+
 class DeviceError(OimppiError):
     """A compute device that does not exist, or has too little free memory."""
 

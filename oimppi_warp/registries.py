@@ -45,9 +45,11 @@ PLANTS: Registry[Any] = Registry(
         "xarm": "oimppi_warp.plants.xarm.plant:XArmPlant",
         "ros2": "oimppi_warp.plants.ros2.plant:Ros2Plant",
     },
+    from_files=True,
 )
 """Functions or classes that make a plant to control, ``(scene, config, *, seed) -> Plant``
-(:class:`oimppi_warp.plants.plant.Plant`); further keyword arguments are options (``--plant-options``)."""
+(:class:`oimppi_warp.plants.plant.Plant`), of which ``config`` and ``seed`` may be left out; further keyword arguments
+are options (``--plant-options``)."""
 
 COST_TERMS: Registry[Any] = Registry("cost term", "oimppi_warp.cost_terms", {})
 """Cost terms of the robot level, in addition to the built-in ones (:class:`oimppi_warp.CostTerm`)."""

@@ -3,19 +3,25 @@
 The command line, suites, the viewer, tables and ``oimppi doctor`` offer the entries of the registries, so a new entry
 appears in all of them. Shipped entries are imported on first use. Other entries are registered in Python with
 :meth:`Registry.register`. To be available on the command line and in worker processes too, an entry must be declared by
-an installed package as an entry point of the registry's group. `docs/extending.md` has an example of each.
+an installed package as an entry point of the registry's group. `docs/extending.md` has an example of each. A registry
+may also take entries straight from a Python file, as ``FILE.py:NAME``.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
 from typing import Any, Generic, Literal, TypeVar
 
 from oimppi_warp.errors import ConfigError
-from oimppi_warp.suggestions import did_you_mean
+from oimppi_warp.suggestions import did_you_mean, did_you_mean_file
 
 T = TypeVar("T")
 
@@ -30,11 +36,14 @@ class Registry(Mapping[str, T], Generic[T]):
         kind: Noun for an entry, in the singular, for messages, such as ``"method"``.
         group: Entry point group for entries of installed packages, such as ``"oimppi_warp.methods"``.
         shipped: Shipped entries by name, each as ``"module:attribute"``.
+        from_files: Whether ``FILE.py:NAME``, an attribute of a Python file, names an entry too. Such entries are not
+            listed.
     """
 
-    def __init__(self, kind: str, group: str, shipped: Mapping[str, str]) -> None:
+    def __init__(self, kind: str, group: str, shipped: Mapping[str, str], *, from_files: bool = False) -> None:
         self.kind = kind
         self.group = group
+        self.from_files = from_files
         self._targets: dict[str, str] = dict(shipped)
         self._loaded: dict[str, T] = {}
 
@@ -80,10 +89,27 @@ class Registry(Mapping[str, T], Generic[T]):
             ConfigError: No entry has this name; the message lists all names.
         """
         known = [*others, *self]
-        if name not in known:
-            near = did_you_mean(str(name), known)
-            hint = f"\n  to do:   {near}" if near else ""
-            raise ConfigError(f"{self.kind} {name!r} does not exist\n  allowed: {', '.join(known)}{hint}")
+        if name in known:
+            return
+        if place := self.place(name):
+            if not place[0].is_file():
+                near = did_you_mean_file(place[0], (), (".py",))
+                raise ConfigError(
+                    f"{self.kind} {name!r}: there is no file {place[0]}\n"
+                    f"  to do:   {near or 'give the path of a Python file, as FILE.py:NAME'}"
+                )
+            return
+        near = did_you_mean(str(name), known)
+        hint = f"\n  to do:   {near}" if near else ""
+        files = ", or FILE.py:NAME" if self.from_files else ""
+        raise ConfigError(f"{self.kind} {name!r} does not exist\n  allowed: {', '.join(known)}{files}{hint}")
+
+    def place(self, name: object) -> tuple[Path, str] | None:
+        """Returns file and attribute of an entry ``FILE.py:NAME``; ``None`` for other names."""
+        if not (self.from_files and isinstance(name, str)):
+            return None
+        file, _, attribute = name.rpartition(":")
+        return (Path(os.path.expanduser(file)), attribute) if file.endswith(".py") and attribute else None
 
     def is_local(self, name: str) -> bool:
         """Returns whether an entry was added by :meth:`register`, which makes it unknown to other processes."""
@@ -107,6 +133,8 @@ class Registry(Mapping[str, T], Generic[T]):
                 continue
 
     def __getitem__(self, name: str) -> T:
+        if name not in self._loaded and (place := self.place(name)):
+            return self._from_file(*place)
         if name not in self._loaded:
             if name in self._targets:
                 module, _, attribute = self._targets[name].partition(":")
@@ -130,9 +158,50 @@ class Registry(Mapping[str, T], Generic[T]):
         return sum(1 for _ in self)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._targets or name in self._loaded or name in self._installed
+        if name in self._targets or name in self._loaded or name in self._installed:
+            return True
+        place = self.place(name)
+        return place is not None and place[0].is_file()
+
+    def _from_file(self, file: Path, attribute: str) -> T:
+        """Returns an attribute of a Python file."""
+        try:
+            module = _run_file(file.resolve())
+        except Exception as error:
+            raise ConfigError(
+                f"{self.kind}: {file} cannot be loaded: {type(error).__name__}: {error}\n"
+                f"  to do:   run `python {file}` to see where"
+            ) from error
+        if not hasattr(module, attribute):
+            found = [
+                name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
+            ]
+            near = did_you_mean(attribute, found)
+            raise ConfigError(
+                f"{self.kind}: {file} defines no {attribute}\n  allowed: {', '.join(found) or 'nothing'}"
+                + (f"\n  to do:   {near}" if near else "")
+            )
+        return getattr(module, attribute)
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
         """Returns the entry points of installed packages by name, except those with the name of a shipped entry."""
         return {point.name: point for point in entry_points(group=self.group) if point.name not in self._targets}
+
+
+def _run_file(file: Path) -> ModuleType:
+    """Imports a Python file, once per process; it can import the files beside it, as with ``python FILE``."""
+    name = f"{file.stem}_of_{abs(hash(file)):x}"
+    if name not in sys.modules:
+        if str(file.parent) not in sys.path:
+            sys.path.insert(0, str(file.parent))
+        spec = spec_from_file_location(name, file)
+        if spec is None or spec.loader is None:
+            raise ImportError("not a Python file")
+        module = sys.modules[name] = module_from_spec(spec)  # dataclasses look their module up
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]

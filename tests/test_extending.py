@@ -105,7 +105,7 @@ def test_help_suites_and_the_doctor_know_installed_entries(site: Path, tmp_path:
     for choice in (
         "{mppi,soi,cloi,straight}",
         "{auto,quasistatic,newton,careful}",
-        "{ideal,lab,pusht,xarm,ros2,kinematic}",
+        "{ideal,lab,pusht,xarm,ros2,kinematic,FILE.py:NAME}",
     ):
         assert choice in said
     doctor = oimppi(site, "doctor", "--json", folder=tmp_path).stdout

@@ -14,6 +14,26 @@ ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
 
 
+def test_the_complete_plant_pushes_the_disc_to_its_goal(tmp_path: Path):
+    (tmp_path / "disc_world.py").write_text(
+        re.findall(r"```python\n(# disc_world\.py.*?)```", PAGE, flags=re.DOTALL)[0]
+    )
+    made, run, viewed = re.findall(r"^oimppi (.*disc.*)$", PAGE, flags=re.MULTILINE)
+    assert viewed.startswith("view disc.usda")
+    for command in (made, f"{run} --method mppi --device cpu"):
+        found = subprocess.run(
+            [sys.executable, "-m", "oimppi_warp", *command.split()],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            timeout=280,
+        )
+        assert found.returncode == 0, found.stderr
+    assert "goal reached within 200 mm, also within 5 mm" in found.stdout
+    assert (tmp_path / "runs" / "disc" / "way.png").is_file()
+
+
 def test_a_gymnasium_environment_is_a_plant_in_a_few_lines(tmp_path: Path):
     for name, code in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", PAGE, flags=re.DOTALL):
         (tmp_path / name).write_text(code)

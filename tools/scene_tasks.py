@@ -47,7 +47,7 @@ TASKS = (
     ),
     Task(
         "task05",
-        "Push the S to its place in IROS",
+        "Push the S to its place in the word IROS",
         LETTER_S,
         (0.30, -0.40, 0.0),
         (0.50, 0.15, -math.pi / 2),

@@ -22,7 +22,7 @@ from oimppi_warp.bench.suite import Published
 from oimppi_warp.bench.trial import Trial
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.plants.factory import starts_itself
-from oimppi_warp.record.log import EpisodeLog, LogError, flatten, to_json, write_atomically
+from oimppi_warp.record.log import EpisodeLog, LogError, flatten, holds_record, to_json, write_atomically
 from oimppi_warp.record.metrics import first_success, summarize
 
 FORMAT = 1
@@ -184,6 +184,8 @@ def load_results(path: str | Path) -> ResultSet:
     file = path / FILE if path.is_dir() else path
     if not path.exists():
         raise LogError(f"{path}: there is no such file or folder\n  allowed: {_ALLOWED}")
+    if holds_record(path):
+        raise LogError(f"{path}: the record of one run, not the results of a suite\n  allowed: {_ALLOWED}")
     try:
         facts = json.loads(file.read_text(encoding="utf-8"))
         if facts.pop("format") != FORMAT:
@@ -192,7 +194,8 @@ def load_results(path: str | Path) -> ResultSet:
         facts["published"] = tuple(_published_from(row) for row in facts.get("published", ()))
         return ResultSet(**facts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise LogError(f"{path}: cannot be read as the results of a suite ({error})\n  allowed: {_ALLOWED}") from None
+        reason = f"{file.name}: {error.strerror}" if isinstance(error, OSError) else error
+        raise LogError(f"{path}: cannot be read as the results of a suite ({reason})\n  allowed: {_ALLOWED}") from None
 
 
 def _published_from(row: dict[str, Any]) -> Published:

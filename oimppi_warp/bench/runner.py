@@ -22,7 +22,7 @@ from oimppi_warp.bench.results import FILE, Result, ResultSet, make_result, resu
 from oimppi_warp.bench.suite import Suite
 from oimppi_warp.bench.trial import Trial, make_trials
 from oimppi_warp.bench.worker import Outcome, run_trial
-from oimppi_warp.errors import OimppiError
+from oimppi_warp.errors import OimppiError, missing_package
 from oimppi_warp.planning.resolve import entries_used
 from oimppi_warp.plants.factory import make_plant, starts_itself
 from oimppi_warp.record.log import to_json, versions, write_atomically
@@ -192,7 +192,8 @@ def cluster_backend(backend: Backend, cluster: str, jobs: int | None) -> Iterato
     """Connects to a dask cluster, or starts a local one, and makes it joblib's back end inside the context.
 
     Raises:
-        BenchError: dask is not installed, or the cluster cannot be reached.
+        ConfigError: dask is not installed.
+        BenchError: The cluster cannot be reached.
     """
     import joblib
 
@@ -212,10 +213,7 @@ def cluster_backend(backend: Backend, cluster: str, jobs: int | None) -> Iterato
                 )
                 stack.enter_context(distributed.Client(**options))
         except ImportError as error:
-            raise BenchError(
-                f"--backend {backend}: {error.name} is not installed\n  allowed: --backend loky\n"
-                "  to do:   pip install oimppi-warp[cluster]"
-            ) from None
+            raise missing_package(f"--backend {backend}", str(error.name), "cluster") from None
         except (OSError, ConnectionError, RuntimeError) as error:
             raise BenchError(f"--cluster {cluster}: cannot connect to a cluster ({error})") from None
         yield

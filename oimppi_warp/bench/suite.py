@@ -210,6 +210,9 @@ def load_suite(suite: str | Path) -> Suite:
     tables = found.pop("entry", [{}])
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise ConfigError(f"{file}: entry is not a list of tables\n  allowed: [[entry]], followed by its keys")
+    for table in (found, *tables):
+        if place := PLANTS.place(table.get("plant")):
+            table["plant"] = f"{file.parent / place[0]}:{place[1]}"
     common = _values(found, f"{file}: ", beside=("title", "note", "entry", "published"))
     entries = []
     for number, table in enumerate(tables):
@@ -296,8 +299,8 @@ def _integer(low: int, high: int) -> tuple[Callable[[Any], bool], str]:
     return fits, f"an integer from {low} to {high}"
 
 
-def _one_of(names: Any) -> tuple[Callable[[Any], bool], str]:
-    return lambda value: isinstance(value, str) and value in names, " or ".join(f'"{name}"' for name in names)
+def _one_of(names: Any, others: str = "") -> tuple[Callable[[Any], bool], str]:
+    return lambda value: isinstance(value, str) and value in names, " or ".join(f'"{name}"' for name in names) + others
 
 
 _JOINTS = str.maketrans("", "", "_-")
@@ -337,7 +340,7 @@ def _keys() -> dict[str, tuple[Callable[[Any], bool], str]]:
             f"position [m] and yaw [rad], {TOLERANCE_LIMITS}, like [0.005, 0.02]",
         ),
         "mode": _one_of(MODES),
-        "plant": _one_of(PLANTS),
+        "plant": _one_of(PLANTS, " or FILE.py:NAME"),
         "plant_options": (
             lambda value: _strings(value) and all("=" in item for item in value),
             'a list of options of the plant, like ["damping=0.1"]',

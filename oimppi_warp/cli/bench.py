@@ -40,7 +40,7 @@ class Bench:
     raised an error, 2 bad input, 130 stopped with Ctrl-C.
     """
 
-    suite: Annotated[Positional[str], arg(metavar="SUITE", help_behavior_hint="(default: list all suites)")] = ""
+    suite: Annotated[Positional[str], arg(metavar="[SUITE]", help_behavior_hint="(default: list all suites)")] = ""
     """Name of a shipped suite, or a suite's TOML file."""
 
     out: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/SUITE)")] = None
@@ -261,9 +261,10 @@ def _summary(results: ResultSet, folder: Path) -> None:
     from oimppi_warp.bench.report.tables import brief_table, score_table
 
     scores = score_table(results)
-    _print_table(scores if scores.rows else brief_table(results))
-    if scores.rows and results.note:
-        Console(highlight=False).print(results.note, soft_wrap=True)
+    brief = brief_table(results)
+    _print_table(scores if scores.rows else brief)
+    if note := results.note if scores.rows else brief.note:
+        Console(highlight=False).print(note, soft_wrap=True, style="dim")
     missing = results.planned - len(results.results)
     failed = [result for result in results.results if not result.success]
     console = Console(highlight=False)

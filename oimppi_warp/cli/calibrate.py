@@ -109,7 +109,7 @@ class OnTable(BoardOptions):
 
     at: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="(default: --places)")] = None
     """Pose of the board in all images: x and y of its origin in metres, and the angle from the world's x to the board's
-    in radians. If X is negative, write --at=X,Y,YAW with an equals sign."""
+    in radians."""
 
     places: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: DIR/places.csv)")] = None
     """File with the pose of the board in each image: CSV with the columns image, x, y and yaw."""

@@ -12,7 +12,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from oimppi_warp.config.presets import PRESETS
 from oimppi_warp.config.run_spec import LARGEST_SEED, MethodName
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, missing_package
+from oimppi_warp.registries import METHODS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -67,6 +68,7 @@ class Demos:
         """Records the demonstrations and returns the exit status."""
         from oimppi_warp.runtime.request import SettingsRequest, parse_tolerance
 
+        METHODS.check(self.method)
         for name, value, low in (
             ("--episodes", self.episodes, 1),
             ("--jobs", self.jobs, 1),
@@ -82,9 +84,7 @@ class Demos:
         try:
             from oimppi_warp.environments import demos
         except ImportError as error:
-            raise ConfigError(
-                f"demonstrations need {error.name}, which is not installed\n  to do:   pip install oimppi-warp[demos]"
-            ) from None
+            raise missing_package("demonstrations", str(error.name), "demos") from None
 
         from rich.console import Console
 

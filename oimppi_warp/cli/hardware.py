@@ -27,7 +27,7 @@ class LabEmulator:
     SDK over TCP (forbid_uds). The object's pose is served as in a real lab (docs/hardware.md). Ctrl-C ends it.
     """
 
-    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "lab01"
+    scene: Annotated[Positional[str], arg(metavar="[SCENE]")] = "lab01"
     """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
 
     start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="(default: drawn with --seed)")] = None

@@ -29,9 +29,11 @@ from oimppi_warp.cli.ros2 import Ros2Check, Ros2Plant
 from oimppi_warp.cli.run import Demo, Run
 from oimppi_warp.cli.scene import Import, New, Scenes
 from oimppi_warp.cli.system import Doctor, Warmup
+from oimppi_warp.cli.values import VALUES
 from oimppi_warp.cli.view import Export, View
-from oimppi_warp.errors import OimppiError
+from oimppi_warp.errors import ConfigError, OimppiError
 from oimppi_warp.signals import ending_like_ctrl_c, silence
+from oimppi_warp.suggestions import did_you_mean
 
 _PIPE_CLOSED = 141
 """Exit status where nobody reads the output to its end, as that of a program which SIGPIPE ended."""
@@ -96,7 +98,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # NumPy's BLAS threads slow down the planner's kernels
     with ending_like_ctrl_c():
-        return _execute(_parse(sys.argv[1:] if arguments is None else arguments))
+        try:
+            command = _parse(sys.argv[1:] if arguments is None else arguments)
+        except OimppiError as error:
+            print(f"oimppi: {error}", file=sys.stderr)
+            return 2
+        except BrokenPipeError:  # the help was not read to its end
+            if not _nobody_reads():
+                raise
+            return _PIPE_CLOSED
+        return _execute(command)
 
 
 def _execute(command: Command) -> int:
@@ -153,13 +164,23 @@ def _nobody_reads() -> bool:
 
 
 def _parse(arguments: Sequence[str]) -> Any:
-    """Parses the command line; the command's name selects its parser, so that messages are about its options only."""
+    """Parses the command line; the command's name selects its parser, so that messages are about its options only.
+
+    Raises:
+        ConfigError: There is no such command.
+    """
     kind: Any = Command
     name, about = "oimppi", "Object-informed MPPI: an arm pushes an object to its goal."
     while arguments:
-        chosen = next((each for each in get_args(kind) if each.__metadata__[0].name == arguments[0]), None)
+        commands = {each.__metadata__[0].name: each for each in get_args(kind)}
+        chosen = commands.get(arguments[0])
         if chosen is None:
+            if commands and not arguments[0].startswith("-"):
+                near = did_you_mean(arguments[0], commands) or f"see {name} --help"
+                raise ConfigError(
+                    f"{name} has no command {arguments[0]!r}\n  allowed: {', '.join(commands)}\n  to do:   {near}"
+                )
             break
         kind, (details,) = chosen.__origin__, chosen.__metadata__  # a command, or a union of them
         name, about, arguments = f"{name} {details.name}", details.description, arguments[1:]
-    return tyro.cli(kind, prog=name, description=about, args=arguments)
+    return tyro.cli(kind, prog=name, description=about, args=arguments, registry=VALUES)

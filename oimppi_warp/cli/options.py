@@ -48,7 +48,7 @@ class HardwareOptions:
     """Address of the server that sends the object's poses."""
 
     pose_timeout: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: 2.5)")] = None
-    """Age in seconds of the object's pose from which on the arm is stopped."""
+    """The arm stops when the object's pose is older than this, in seconds."""
 
     speed: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: 1; first 0.1)")] = None
     """Share of the usual speed, from 0.01 to 1. The first run at a new address is limited to 0.1."""
@@ -92,8 +92,7 @@ class TaskOptions:
     """Options of a real arm."""
 
     start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="(default: drawn with --seed)")] = None
-    """Start pose of the object in metres and radians, or the index I (from 0) of a start listed in the scene.
-    If X is negative, write --start=X,Y,YAW with an equals sign."""
+    """Start pose of the object in metres and radians, or the index I (from 0) of a start listed in the scene."""
 
     goal: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="(default: the scene's)")] = None
     """Goal pose of the object, as X,Y,YAW in metres and radians."""
@@ -178,7 +177,7 @@ class TaskOptions:
                 console.print(f"{self.scene}: {warnings}, listed by `oimppi scene check {self.scene}`", soft_wrap=True)
         if not device.kernels_are_cached():
             console.print(
-                "First run on this machine: the kernels are compiled once, in about 20 seconds on two idle cores.",
+                "First run on this machine: the planner's kernels are compiled, in about 20 seconds on two idle cores.",
                 soft_wrap=True,
             )
         from oimppi_warp.runtime.setup import Setup

@@ -35,7 +35,7 @@ class Ros2Plant:
     /velocity_controller/commands_nominal; without them for 0.25 s, the arm stops. Ctrl-C ends it.
     """
 
-    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "lab01"
+    scene: Annotated[Positional[str], arg(metavar="[SCENE]")] = "lab01"
     """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
 
     start: Annotated[str | None, arg(metavar="I|X,Y,YAW", help_behavior_hint="(default: drawn with --seed)")] = None
@@ -98,7 +98,7 @@ class Ros2Check:
     Exit status: 0 no problems found, 1 problems found.
     """
 
-    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "lab01"
+    scene: Annotated[Positional[str], arg(metavar="[SCENE]")] = "lab01"
     """Scene whose robot the arm is compared with."""
 
     plant_options: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE", help_behavior_hint="(repeatable)")] = ()

@@ -121,8 +121,7 @@ class New(ObjectOptions):
     """Object to push: the name of an object in DIR/objects (DIR is that of --out), or one of the following specs."""
 
     start: Annotated[str, arg(metavar="X,Y,YAW")] = "0.3,-0.45,0"
-    """Start pose of the object relative to the centre of the arm's base, in metres and radians.
-    If X is negative, write --start=X,Y,YAW with an equals sign."""
+    """Start pose of the object relative to the centre of the arm's base, in metres and radians."""
 
     goal: Annotated[str, arg(metavar="X,Y,YAW")] = "0.5,0.3,3.14159"
     """Goal pose of the object, in the form of --start."""
@@ -180,8 +179,8 @@ class New(ObjectOptions):
             )
         print("checked: nothing overlaps, the arm reaches start and goal")
         print("next:")
-        for command in ("scene check", "view", "run"):
-            print(f"  oimppi {command} {shlex.quote(str(written.file))}")
+        for command, start in (("scene check", ""), ("view", " --start 0"), ("run", " --start 0")):
+            print(f"  oimppi {command} {shlex.quote(str(written.file))}{start}")
         return 0
 
 

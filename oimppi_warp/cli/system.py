@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from oimppi_warp.cli.printing import print_rows
+from oimppi_warp.config.run_spec import listed
 from oimppi_warp.errors import ConfigError
 from oimppi_warp.registries import ENGINES, METHODS
 
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from oimppi_warp.scene import Scene
-
-    EngineOrAll = str
-else:
-    EngineOrAll = ENGINES.choice("all")
 
 
 @dataclass(frozen=True)
@@ -35,11 +32,11 @@ class Warmup:
     compiled for this machine's CPU run only on CPUs of the same kind.
     """
 
-    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
+    scene: Annotated[Positional[str], arg(metavar="[SCENE]")] = "task02"
     """A USD file, or the name of a shipped scene (`oimppi scenes` lists them).
     The Newton engine's kernels depend on the scene's shapes."""
 
-    engine: EngineOrAll = "all"
+    engine: Annotated[str, arg(metavar=listed("all", *ENGINES))] = "all"
     """Rollout engine whose kernels are compiled."""
 
     arch: Annotated[tuple[str, ...], arg(metavar="SM", help_behavior_hint="(default: none)")] = ()
@@ -53,6 +50,7 @@ class Warmup:
 
     def execute(self) -> int:
         """Compiles the kernels and returns the exit status."""
+        ENGINES.check(self.engine, "all")
         architectures = [_architecture(name) for name in self.arch]
         if self.out is not None:
             os.environ["WARP_CACHE_PATH"] = str(self.out.absolute() / "warp")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from oimppi_warp.cli.options import REAL, TaskOptions, busy, notices
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, missing_package
 from oimppi_warp.network import check_listening
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class View(TaskOptions):
     Closing the browser does not stop the run (a real arm it does); Ctrl-C does. Exit status: 0, or 2 for bad input.
     """
 
-    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "task02"
+    scene: Annotated[Positional[str], arg(metavar="[SCENE]")] = "task02"
     """A USD file, or the name of a shipped scene (`oimppi scenes` lists them)."""
 
     replay: Annotated[Path | None, arg(metavar="DIR|BAG", help_behavior_hint="")] = None
@@ -155,7 +155,7 @@ class View(TaskOptions):
     def _rerun(self) -> int:
         """Shows the run or the record in Rerun until Ctrl-C, and returns the exit status."""
         if importlib.util.find_spec("rerun") is None:
-            raise ConfigError("--viewer rerun: Rerun is not installed\n  to do:   pip install 'oimppi-warp[rerun]'")
+            raise missing_package("--viewer rerun", "rerun-sdk", "rerun")
         if self.paused:
             raise ConfigError("--paused: Rerun has no button to go on\n  to do:   --viewer browser")
         if self.replay is None and self.run.plant in REAL:

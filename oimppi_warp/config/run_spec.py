@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
@@ -17,10 +17,13 @@ LARGEST_SEED = 2**32 - 1
 """Largest seed; seeds are 32-bit numbers."""
 
 
-if TYPE_CHECKING:
-    MethodName = EngineName = PlantName = str
-else:  # the command line and its help list the choices
-    MethodName, EngineName, PlantName = METHODS.choice(), ENGINES.choice("auto"), PLANTS.choice()
+def listed(*names: str) -> str:
+    """Returns names as the help of the command line lists choices."""
+    return f"{{{','.join(names)}}}"
+
+
+MethodName = Annotated[str, arg(metavar=listed(*METHODS))]
+"""Name of a method."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class RunSpec:
     """Method: plain MPPI (mppi), or MPPI that follows an object plan made once (soi) or at every step (cloi).
     An object plan is a sequence of object poses from the current pose to the goal, planned without the arm."""
 
-    engine: EngineName = "auto"
+    engine: Annotated[str, arg(metavar=listed("auto", *ENGINES))] = "auto"
     """Rollout engine: the paper's quasi-static model (quasistatic) or full physics (newton).
     auto selects the engine with the highest known success rate among those that keep up with the control period.
     If none keeps up on this machine, the fastest engine is selected."""
@@ -47,12 +50,12 @@ class RunSpec:
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of the planner's noise and, unless --start is given, of the start pose: 0 to 4294967295."""
 
-    plant: PlantName = "ideal"
+    plant: Annotated[str, arg(metavar=listed(*PLANTS, "FILE.py:NAME"))] = "ideal"
     """Plant to control: an ideal simulation (ideal), or a simulated laboratory (lab), configured by the settings lab.*.
     In lab, the object is detected once a second, with delay, noise, occasional outliers and occlusion by the arm.
     Commands are delayed and joint accelerations are limited. pusht is the benchmark Push-T, for the scene pusht.
     xarm is a real xArm6 at the address --robot-address, and ros2 an arm on ROS 2 topics, both in real time.
-    docs/own_plant.md describes how to add a plant of your own."""
+    FILE.py:NAME is a plant of your own, a class or function in a Python file (docs/own_plant.md)."""
 
     plant_options: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE", help_behavior_hint="(default: none)")] = ()
     """Options of the plant: the keyword arguments of the function that makes it."""

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from oimppi_warp.errors import missing_package
+
 try:
     import gymnasium
 except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        f"the environments need {error.name}, which is not installed\n  to do:   pip install oimppi-warp[gym]",
-        name=error.name,
-    ) from None
+    needed = str(missing_package("the environments", str(error.name), "gym"))
+    raise ModuleNotFoundError(needed, name=error.name) from None
 
 _SCENES = Path(__file__).parents[1] / "scenes"
 _ENTRY = "oimppi_warp.environments.push:PushEnvironment"

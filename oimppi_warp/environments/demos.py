@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.config.settings import Config
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, missing_package
 from oimppi_warp.record.log import to_json, write_atomically
 
 EPISODES = "episodes"
@@ -201,9 +201,7 @@ def write_dataset(who: Demonstrator, found: list[Demonstration], folder: Path, n
         import minari
         from minari.data_collector.episode_buffer import EpisodeBuffer
     except ImportError as error:
-        raise ConfigError(
-            f"demonstrations need {error.name}, which is not installed\n  to do:   pip install oimppi-warp[demos]"
-        ) from None
+        raise missing_package("demonstrations", str(error.name), "demos") from None
     import oimppi_warp.environments  # noqa: F401  # registers the tasks
 
     environment = gymnasium.make(

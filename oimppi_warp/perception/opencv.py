@@ -8,7 +8,7 @@ from types import ModuleType
 
 import numpy as np
 
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, missing_package
 
 _PIXELS = 3e6
 """Number of pixels up to which images are enlarged."""
@@ -27,7 +27,7 @@ def load_opencv() -> ModuleType:
         import cv2
     except ImportError as error:
         if error.name == "cv2":
-            raise ConfigError("OpenCV is not installed\n  to do:   pip install 'oimppi-warp[perception]'") from None
+            raise missing_package("a camera", "OpenCV", "perception") from None
         raise ConfigError(
             f"OpenCV cannot be loaded: {error}\n"
             "  to do:   install the library that is missing (on Debian and Ubuntu: apt install libgl1 libglib2.0-0)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, get_args, get_type_hints
 
@@ -38,7 +38,10 @@ def make_plant(scene: Scene, config: Config, spec: RunSpec) -> Plant:
         if has_own_world(make):
             raise ConfigError(f"--friction {spec.friction:g}: the plant {spec.plant} has a friction of its own")
         scene = replace(scene, object=replace(scene.object, friction=spec.friction))
-    return make(scene, config, seed=spec.seed, **plant_options(make, spec.plant, spec.plant_options))
+    parameters = inspect.signature(make).parameters
+    given: dict[str, Any] = {"seed": spec.seed} if "seed" in parameters else {}
+    given |= plant_options(make, spec.plant, spec.plant_options)
+    return make(*(scene, config)[: _count_task(parameters.values())], **given)
 
 
 def starts_itself(plant: str) -> bool:
@@ -79,6 +82,13 @@ def plant_options(make: Callable[..., Plant], name: str, assignments: Sequence[s
             kinds = " or ".join(kind.__name__ for kind in _kinds(known[key]))
             raise ConfigError(f"--plant-options {assignment}: not a value of this option\n  allowed: {kinds}") from None
     return found
+
+
+def _count_task(parameters: Iterable[inspect.Parameter]) -> int:
+    """Returns how many of scene and config a function takes: config only by that name, or if it has no default."""
+    unnamed = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    first = [each for each in parameters if each.kind in unnamed][:2]
+    return len([each for each in first if each.name in _GIVEN or each.default is inspect.Parameter.empty])
 
 
 def _types(make: Callable[..., Plant]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import numpy as np
 import shapely
 
 from oimppi_warp.config.settings import Config
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, missing_package
 from oimppi_warp.geometry.footprint import footprint, outline
 from oimppi_warp.observation import Observation, planar_transform
 from oimppi_warp.plants.plant import Verdict
@@ -143,9 +143,7 @@ def _make(**options: Any) -> Any:
         import gym_pusht  # noqa: F401  # pyright: ignore[reportMissingImports]
         import gymnasium
     except ImportError as error:
-        raise ConfigError(
-            f"the plant pusht needs {error.name}, which is not installed\n  to do:   pip install oimppi-warp[pusht]"
-        ) from None
+        raise missing_package("the plant pusht", str(error.name), "pusht") from None
     return gymnasium.make("gym_pusht/PushT-v0", obs_type="state", disable_env_checker=True, **options)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from oimppi_warp.config import ros2_topics as names
-from oimppi_warp.errors import ConfigError, OimppiError
+from oimppi_warp.errors import OimppiError, missing_package
 from oimppi_warp.record.log import LogError
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -284,6 +284,4 @@ def _rosbags(module: str) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        raise ConfigError(
-            "bags need the package rosbags, which is not installed\n  to do:   pip install 'oimppi-warp[export]'"
-        ) from error
+        raise missing_package("ROS 2 bags", "rosbags", "export") from error

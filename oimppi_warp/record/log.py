@@ -258,8 +258,10 @@ class EpisodeLog:
             reason = str(error)
             if isinstance(error, OSError) and error.filename:
                 reason = f"{Path(error.filename).name}: {error.strerror}"
+            below = next((found.parent for depth in ("*", "*/*") for found in folder.glob(f"{depth}/{_JSON}")), None)
+            hint = "" if below is None else f"\n  to do:   give one of the records in it, such as {below}"
             raise LogError(
-                f"{folder}: contains no complete record ({reason})\n  allowed: a folder with {_NPZ} and {_JSON}"
+                f"{folder}: contains no complete record ({reason})\n  allowed: a folder with {_NPZ} and {_JSON}{hint}"
             ) from error
         return cls.of_columns(header, columns, references)
 
@@ -337,10 +339,15 @@ def versions() -> dict[str, str]:
     return found
 
 
+def holds_record(folder: Path) -> bool:
+    """Returns whether a folder holds a record, or a part of one."""
+    return (folder / _NPZ).exists() or (folder / _JSON).exists()
+
+
 def unused_folder(folder: Path) -> Path:
     """Returns a folder that holds no record: the given one, or the next free one of NAME-2, NAME-3, ... beside it."""
     taken, number = folder, 1
-    while (taken / _NPZ).exists() or (taken / _JSON).exists():
+    while holds_record(taken):
         number += 1
         taken = folder.with_name(f"{folder.name}-{number}")
     return taken

@@ -17,6 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
+from oimppi_warp.errors import ObservationError
 from oimppi_warp.observation import Observation, check_shapes
 from oimppi_warp.planning.plan import Plan
 from oimppi_warp.plants.drive import Drive
@@ -25,6 +26,11 @@ from oimppi_warp.plants.safety_filter import Filtered, SafetyFilter
 from oimppi_warp.priority import lower_priority
 from oimppi_warp.runtime.estimator import Estimator, Event
 from oimppi_warp.runtime.watch import Watch
+
+_CLOCK_PERIODS = 10
+"""Number of control periods after which the clock of a plant in lock step is checked."""
+_CLOCK_ERROR = 0.2
+"""Share by which the clock may be off then: a simulator's steps need not divide the control period."""
 
 
 class SupportsPlanning(Protocol):
@@ -135,11 +141,13 @@ def lock_step(
         guard: Filter of the commands.
 
     Raises:
-        ObservationError: An array that the plant reports has the wrong length.
+        ObservationError: An array that the plant reports has the wrong length, or its time does not advance by its
+            control period.
     """
     plant, timed_planner, command = drive.plant, _TimedPlanner(planner), np.zeros(dof)
     observation = _observed(plant, dof)
     known = _known(estimator, observation)
+    began, periods = observation.time, 0
     while True:
         timed_plan, lost = None, known is None and timed_planner.started
         if known is None:
@@ -152,6 +160,9 @@ def lock_step(
         planned, filtered = command, filtered_command(guard, drive, observation, command)
         command = drive.apply(filtered.joint_velocity)
         observation = _observed(plant, dof)
+        periods += 1
+        if periods == _CLOCK_PERIODS:
+            _check_clock(plant, observation.time - began)
         known = _known(estimator, observation)
         step = _control_step(drive, command, timed_plan, observation, known, estimator)
         stopped = step.stopped or lost or filtered.stopped
@@ -249,6 +260,18 @@ def real_time(
             plant.close()  # before anything that takes time
         if own is not None:
             own.shutdown(wait=True, cancel_futures=True)
+
+
+def _check_clock(plant: Plant, passed: float) -> None:
+    """Raises ObservationError unless about as much time [s] has passed for the plant as its control periods take."""
+    wanted = _CLOCK_PERIODS * plant.control_period
+    if not abs(passed - wanted) <= _CLOCK_ERROR * wanted:
+        raise ObservationError(
+            f"the plant {type(plant).__name__}: its time advanced by {passed:.3g} s in {_CLOCK_PERIODS} control "
+            f"periods of {plant.control_period:g} s\n"
+            f"  allowed: about {wanted:g} s\n"
+            "  to do:   let apply() move for one control period, and observe() return the time after it"
+        )
 
 
 def _observed(plant: Plant, dof: int) -> Observation:

@@ -35,6 +35,7 @@ from oimppi_warp.plants.plant import (
     MovablePlant,
     Plant,
     RealPlant,
+    StreamingPlant,
     TruthfulPlant,
     has_own_world,
     has_tipped,
@@ -129,6 +130,7 @@ class Episode:
     ) -> None:
         """Makes everything else, once there is a plant."""
         await_loaded(setup_kernels(scene, config))
+        check_plant(self.plant, spec, passed=passed)
         if has_own_world(self.plant):
             x, y, yaw = map(float, self.plant.observe().object_pose)
             scene = scene.with_start((x, y, yaw))
@@ -138,7 +140,6 @@ class Episode:
                 check_task(found)
             scene = found
         self.scene = scene
-        check_plant(self.plant, spec, passed=passed)
         if isinstance(self.plant, RealPlant):
             config = self.plant.limited(config)
         resolved = resolve(config, scene, control_period=self.plant.control_period)
@@ -395,6 +396,12 @@ def check_plant(plant: Plant, spec: RunSpec, *, passed: bool) -> None:
         given = "no control_period" if period is None else f"a control_period of {period}"
         allowed = f"the duration of a command in seconds, {bounds.low:g} to {bounds.high:g}, such as 0.05"
         raise ConfigError(f"the plant {type(plant).__name__} has {given}\n  allowed: {allowed}")
+    needed = {"observe": "observe(), which returns an Observation"}
+    if not isinstance(plant, StreamingPlant):
+        needed["apply"] = "apply(joint_velocity), which moves the arm for one control period"
+    for name, method in needed.items():
+        if not callable(getattr(plant, name, None)):
+            raise ConfigError(f"the plant {type(plant).__name__} has no method {name}\n  to do:   add {method}")
     if spec.friction is not None and passed:
         raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")
     if spec.knock is not None and not isinstance(plant, MovablePlant):

@@ -19,10 +19,22 @@ TIGHT = (0.55, 0.83, 0.62)
 REFERENCE = (0.95, 0.6, 0.1)
 PLAN = (0.1, 0.35, 0.9)
 FORCE = (0.85, 0.1, 0.1)
-CLEARANCE = (0.55, 0.2, 0.6)
+CLEARANCE = (0.8, 0.15, 0.4)
 KEPT_APART = (1.0, 0.25, 0.0)
 FAINT, STRONG = np.array((0.72, 0.76, 0.85)), np.array((0.45, 0.2, 0.75))
-"""Colours of sampled paths with zero weight and with the largest weight."""
+"""Colours of sampled paths with zero weight and with the largest weight. All colours are linear RGB, 0 to 1."""
+LEGEND = (
+    (GOAL, "goal of the object, and circle of the position tolerance"),
+    (TIGHT, "circle of the tight tolerance"),
+    (REFERENCE, "object's plan: its path, and its last pose"),
+    (tuple(FAINT), "sampled paths of the tool; violet the more weight they have"),
+    (tuple(STRONG), "best sample"),
+    (PLAN, "planned path of the tool"),
+    (FORCE, "contact points and forces"),
+    (CLEARANCE, "shortest line from the object to an obstacle"),
+    (KEPT_APART, "shapes that the safety filter keeps apart, between their nearest points"),
+)
+"""Colours, and what is drawn in them."""
 METRES_PER_NEWTON = 0.01
 """Drawn length of a contact force per newton."""
 _REFERENCE_POINTS = 60

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+from oimppi_warp.view.canvas import LEGEND
 
 FPS = 20.0
 """Maximum frame rate [1/s]."""
@@ -61,6 +63,18 @@ class Playback:
         """Returns whether a new start was asked for since the last call."""
         asked, self._reset = self._reset, False
         return asked
+
+
+def add_legend(gui: Any) -> None:
+    """Adds a closed folder that names what is drawn, by its colour."""
+    with gui.add_folder("Legend", order=7.0, expand_by_default=False):
+        gui.add_html("".join(_legend_row(color, meaning) for color, meaning in LEGEND))
+
+
+def _legend_row(color: Sequence[float], meaning: str) -> str:
+    shade = ",".join(f"{100 * part ** (1 / 2.2):.0f}%" for part in color)  # of the page, which has sRGB
+    swatch = f'<span style="color:rgb({shade})">&#9632;</span>'
+    return f'<div style="font-size:0.85em;padding:0 0.8em">{swatch} {meaning}</div>'
 
 
 class Plots:

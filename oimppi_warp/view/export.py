@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, missing_package
 from oimppi_warp.record.log import write_atomically
 from oimppi_warp.signals import check_interrupted
 from oimppi_warp.view.canvas import Canvas
@@ -156,6 +156,4 @@ def _import_optional(module: str, to: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise ConfigError(
-            f"--to {to}: the package {module} is not installed\n  to do:   pip install 'oimppi-warp[export]'"
-        ) from error
+        raise missing_package(f"--to {to}", module, "export") from error

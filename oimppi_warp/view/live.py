@@ -20,7 +20,7 @@ from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd.editing import save_scene
 from oimppi_warp.view.browser import Page
 from oimppi_warp.view.canvas import Canvas
-from oimppi_warp.view.controls import FPS, Handle, Playback, Plots
+from oimppi_warp.view.controls import FPS, Handle, Playback, Plots, add_legend
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.session import Session
 from oimppi_warp.view.settings_panel import SettingsPanel
@@ -88,7 +88,9 @@ class LiveView:
                 self._session.close()
             self.tick()
             if began >= due:
-                self._plots.shown = True
+                if not self._plots.shown:
+                    self._plots.shown = True
+                    add_legend(self._gui)
                 due = began + _SETTINGS_EVERY if self._settings.add_folder() else math.inf
             time.sleep(max(1.0 / FPS - (time.perf_counter() - began), 0.002))
 
@@ -130,7 +132,10 @@ class LiveView:
             gui.add_button("New seed and start").on_click(lambda _event: self._new_seed())
             offered = {"method": tuple(METHODS), "engine": ("auto", *ENGINES), "plant": tuple(PLANTS)}
             for name, choices in offered.items():
-                control = gui.add_dropdown(name.capitalize(), choices, initial_value=getattr(session.wanted.spec, name))
+                chosen = getattr(session.wanted.spec, name)
+                if chosen not in choices:  # a plant from a file
+                    choices = (*choices, chosen)
+                control = gui.add_dropdown(name.capitalize(), choices, initial_value=chosen)
                 control.on_update(lambda event, name=name: self._choose(name, event))
             preset = gui.add_dropdown("Preset", tuple(PRESETS), initial_value=session.wanted.config.preset)
             preset.on_update(self._choose_preset)

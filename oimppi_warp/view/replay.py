@@ -18,7 +18,7 @@ from oimppi_warp.signals import check_interrupted
 from oimppi_warp.usd import load_scene
 from oimppi_warp.view.browser import Page
 from oimppi_warp.view.canvas import Canvas
-from oimppi_warp.view.controls import FPS, Playback, add_plot
+from oimppi_warp.view.controls import FPS, Playback, add_legend, add_plot
 from oimppi_warp.view.picture import Picture
 
 FIGURES = {
@@ -99,6 +99,7 @@ class ReplayView:
             self._speed = gui.add_slider("Speed", min=0.25, max=8.0, step=0.25, initial_value=1.0)
         self._slider.on_update(lambda event: event.client_id is not None and self._jump(int(event.target.value)))
         self._add_plots()
+        add_legend(gui)
 
     @property
     def row(self) -> int:

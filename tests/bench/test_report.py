@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pytest
 from support.sample_results import make_one, make_set
+from support.synthetic_episode import make_log
 
 from oimppi_warp.bench import paper
 from oimppi_warp.bench.report.figures import every_figure
 from oimppi_warp.bench.report.markdown import facts
 from oimppi_warp.bench.report.tables import (
+    brief_table,
     every_table,
     failures,
     paper_table,
@@ -250,6 +252,19 @@ def test_what_was_planned_ahead_is_told_whoever_did_it():
     rows = {row[1]: row[4] for row in time_table(make_set([ahead, make_one(method="cloi")])).rows}
     assert rows["MINE"] == "8.0 (3.0)"
     assert "(" not in rows["CLOI"]
+
+
+def test_the_record_of_one_run_is_no_result_of_a_suite(tmp_path: Path):
+    with pytest.raises(LogError, match="the record of one run, not the results of a suite"):
+        load_results(make_log(steps=5).save(tmp_path / "run"))
+    with pytest.raises(LogError, match=r"results of a suite \(results\.json: No such file or directory\)"):
+        load_results(tmp_path)
+
+
+def test_the_table_in_the_terminal_explains_its_columns():
+    table = brief_table(make_set([make_one(method="cloi")]))
+    for name in table.header[3:]:
+        assert name.split(" [")[0] in table.note, name
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"format": 99}', "[1]"])

@@ -23,6 +23,7 @@ from oimppi_warp.bench.runner import BenchError, SuiteRun, cluster_backend
 from oimppi_warp.bench.suite import Suite, load_suite
 from oimppi_warp.bench.trial import Trial
 from oimppi_warp.cli.main import main
+from oimppi_warp.errors import ConfigError
 from oimppi_warp.record.log import EpisodeLog
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -248,7 +249,7 @@ def test_a_local_cluster_of_dask_runs_trials(tmp_path: Path):
 def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(BenchError, match=r"pip install oimppi-warp\[cluster\]"),
+        pytest.raises(ConfigError, match=r"pip install 'oimppi-warp\[cluster\]'"),
         cluster_backend("dask", "", 1),
     ):
         pass
@@ -334,7 +335,7 @@ def test_a_plant_whose_package_is_missing_is_reported_before_any_trial(
     monkeypatch.setitem(sys.modules, "gym_pusht", None)  # importing it raises ModuleNotFoundError
     assert main(["bench", "pusht", "--trials", "1", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
-    assert "needs gym_pusht" in said and "pip install oimppi-warp[pusht]" in said
+    assert "gym_pusht is not installed" in said and "pip install 'oimppi-warp[pusht]'" in said
     assert not (tmp_path / "out").exists()
 
 

@@ -190,13 +190,20 @@ OPTIONS = ("method", "engine", "device", "threads", "seed", "start", "goal", "pr
 
 BAD_INPUT = {
     "no command": ([], "run"),
-    "unknown command": (["push"], "run"),
+    "unknown command": (["runn", "task02"], "oimppi has no command 'runn'"),
+    "unknown command of a group": (["scene", "nwe"], "did you mean new?"),
     "no scene": (["run"], "SCENE"),
     "unknown option": (["run", "t", "--metod", "soi"], "--method"),
-    "unknown method": (["run", "t", "--method", "rrt"], "mppi"),
+    "unknown method": (["run", "t", "--method", "sio"], "did you mean soi?"),
+    "unknown plant": (["run", "t", "--plant", "idael"], "did you mean ideal?"),
+    "plant of a file that is missing": (["run", "t", "--plant", "nowhere.py:Arm"], "there is no file nowhere.py"),
     "unknown preset": (["run", "t", "--preset", "bset"], "paper"),
     "seed that is no number": (["run", "t", "--seed", "x"], "--seed"),
     "negative seed": (["run", "t", "--seed", "-1"], "0 to 4294967295"),
+    "threads that are no number": (["run", "t", "--threads", "two"], "--threads: two is not a whole number"),
+    "friction that is no number": (["run", "t", "--friction", "low"], "--friction: low is not a number"),
+    "knock with a word": (["run", "t", "--knock", "1", "2", "x"], "--knock: x is not a number"),
+    "knock with two numbers": (["run", "t", "--knock", "1", "2"], "Expected 3 values"),
     "no threads": (["run", "t", "--threads", "0"], "1 or more"),
     "unknown engine": (["run", "t", "--engine", "bullet"], "newton"),
     "unknown setting": (["run", "t", "--set", "cost.w_aling=2"], "cost.w_align"),
@@ -232,7 +239,7 @@ def test_a_misspelt_option_is_searched_among_those_of_the_command(capsys: pytest
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize("words", ["scenes", "scene check task01", "compare {0} {0}"])
+@pytest.mark.parametrize("words", ["run --help", "scenes", "scene check task01", "compare {0} {0}"])
 def test_output_that_nobody_reads_to_the_end_ends_in_silence(words: str, unbuffered: str):
     results = Path(__file__).resolve().parents[2] / "docs" / "results" / "newton.json"
     command = f"{sys.executable} -m oimppi_warp {words.format(results)}; echo status $? >&2"

@@ -53,7 +53,7 @@ def test_without_gymnasium_the_import_says_what_to_install():
     code = "import sys; sys.modules['gymnasium'] = None; import oimppi_warp.environments"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert run.returncode == 1
-    assert "need gymnasium, which is not installed\n  to do:   pip install oimppi-warp[gym]" in run.stderr
+    assert "the environments: gymnasium is not installed\n  to do:   pip install 'oimppi-warp[gym]'" in run.stderr
 
 
 @pytest.mark.parametrize(("name", "actions"), [("task02", "joint"), ("pusht", "tool"), ("lab01", "tool")])

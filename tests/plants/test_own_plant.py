@@ -258,6 +258,35 @@ def test_a_plant_whose_control_period_is_missing_or_in_milliseconds_is_an_error(
         Episode(shipped("task01"), small(), plant=plant, engine="quasistatic", device="cpu")
 
 
+@pytest.mark.parametrize("name", ["observe", "apply"])
+def test_a_plant_without_one_of_its_methods_is_an_error(name: str):
+    class Mute(Kinematic):
+        pass
+
+    setattr(Mute, name, None)
+    with pytest.raises(ConfigError, match=rf"the plant Mute has no method {name}\n  to do:   add {name}\("):
+        Episode(shipped("task01"), small(), plant=Mute(shipped("task01")), engine="quasistatic", device="cpu")
+
+
+@pytest.mark.parametrize(("share", "fits"), [(0.0, False), (0.05, False), (0.9, True), (1.1, True), (2.0, False)])
+def test_a_plant_in_lock_step_whose_time_does_not_pass_with_its_periods_is_an_error(
+    share: float, fits: bool, device: str
+):
+    class Slow(Kinematic):
+        def apply(self, joint_velocity: np.ndarray) -> None:
+            super().apply(joint_velocity)
+            self.time += (share - 1.0) * self.control_period
+
+    plant = Slow(shipped("task01"))
+    episode = Episode(shipped("task01"), small(), plant=plant, method="mppi", engine="quasistatic", device=device)
+    if fits:
+        assert len(episode.run()) == 20
+        return
+    said = rf"the plant Slow: its time advanced by {share:.3g} s in 10 control periods of 0.1 s\n  allowed: about 1 s"
+    with pytest.raises(ObservationError, match=said):
+        episode.run()
+
+
 class Watched(Kinematic):
     """Keeps what it was told, and reports too few joints from some time on."""
 

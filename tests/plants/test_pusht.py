@@ -145,7 +145,7 @@ def test_without_the_extra_the_message_names_it(monkeypatch):
         return found(name, *rest, **named)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    with pytest.raises(ConfigError, match=r"needs gym_pusht.*\n.*pip install oimppi-warp\[pusht\]"):
+    with pytest.raises(ConfigError, match=r"the plant pusht: gym_pusht is not.*\n.*pip install 'oimppi-warp\[pusht\]'"):
         plant()
 
 

@@ -81,6 +81,9 @@ def test_a_save_that_fails_leaves_no_record_that_looks_complete(tmp_path: Path, 
 def test_a_folder_without_a_record_is_an_error_that_says_what_is_needed(tmp_path: Path):
     with pytest.raises(LogError, match=r"episode\.npz and episode\.json"):
         EpisodeLog.load(tmp_path)
+    inside = make_log(steps=5).save(tmp_path / "trials" / "first")
+    with pytest.raises(LogError, match=f"to do:   give one of the records in it, such as {inside}"):
+        EpisodeLog.load(tmp_path)
 
 
 @pytest.mark.parametrize("size", [0, 10, 2000])

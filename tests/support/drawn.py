@@ -17,12 +17,14 @@ class Drawn:
         scenes: The scenes that were loaded.
         segments: The latest line segments by name, shape [n, 2, 3] [m].
         dots: The latest points by name, shape [n, 3] [m].
+        colors: All colours of lines and points.
     """
 
     def __init__(self) -> None:
         self.scenes: list[Scene] = []
         self.segments: dict[str, np.ndarray] = {}
         self.dots: dict[str, np.ndarray] = {}
+        self.colors: set[tuple[float, float, float]] = set()
 
     @contextmanager
     def frame(self, time: float) -> Iterator[None]:
@@ -37,6 +39,8 @@ class Drawn:
     def lines(self, name: str, segments: np.ndarray, colors: np.ndarray, width: float) -> None:
         assert colors.shape == (len(segments), 3)
         self.segments[name] = segments
+        self.colors |= {(red, green, blue) for red, green, blue in np.unique(colors, axis=0).tolist()}
 
     def points(self, name: str, points: np.ndarray, radius: float, color: tuple[float, float, float]) -> None:
         self.dots[name] = points
+        self.colors.add(color)

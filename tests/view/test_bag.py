@@ -227,5 +227,5 @@ def test_a_bag_is_exported_again_beside_itself(file: Path, tmp_path: Path):
 
 def test_a_bag_without_rosbags_asks_for_it(file: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(ConfigError, match=r"package rosbags.*\n  to do:   pip install 'oimppi-warp\[export\]'"):
+    with pytest.raises(ConfigError, match=r"rosbags is not.*\n  to do:   pip install 'oimppi-warp\[export\]'"):
         load_record(file)

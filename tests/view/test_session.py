@@ -21,7 +21,7 @@ from oimppi_warp.runtime.episode import Episode
 from oimppi_warp.runtime.setup import Setup
 from oimppi_warp.usd import load_scene
 from oimppi_warp.usd.editing import save_scene
-from oimppi_warp.view.canvas import Canvas
+from oimppi_warp.view.canvas import LEGEND, Canvas
 from oimppi_warp.view.export import export, rows_of
 from oimppi_warp.view.picture import Picture
 from oimppi_warp.view.replay import Replay
@@ -189,6 +189,14 @@ def test_a_line_shows_the_clearance_of_the_object(x, gap):
     (line,) = display.segments["clearance"]
     assert np.linalg.norm(line[1] - line[0]) == pytest.approx(gap, abs=1e-6)
     assert line[0, 2] > scene.object.rest_height
+
+
+def test_the_legend_names_every_colour(session):
+    session.watched = True
+    until(lambda: session.latest.sampled.size)
+    picture, display = session.latest, Drawn()
+    Canvas(display).draw(replace(picture, weights=np.arange(len(picture.weights)) % 2.0))
+    assert display.colors == {color for color, _ in LEGEND}
 
 
 def test_what_the_safety_filter_keeps_apart_is_drawn_and_said(session, monkeypatch):

@@ -1,4 +1,5 @@
-"""Hooks of the documentation site: links that leave ``docs/`` lead to pages of those files; formulas and flowcharts.
+"""Hooks of the documentation site: links that leave ``docs/`` lead to pages of those files, and links whose text is
+the file name of a page get the page's title; formulas and flowcharts.
 
 The pages in ``docs/`` are written for the forge, where ``../kernels/pushing.py`` is a file of the repository. On the
 site, each such file is a page below ``source/``; ``CONTRIBUTING.md`` and ``CHANGELOG.md`` are pages beside the others.
@@ -11,6 +12,7 @@ import os
 import posixpath
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -35,6 +37,8 @@ PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGEL
 LANGUAGES = {".py": "python", ".toml": "toml", ".usda": "text", ".json": "json"}
 """Languages of the highlighter by the suffixes of the files."""
 _DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+_NAMED = re.compile(r"\[`([\w-]+\.md)`\](?=\()")
+"""A link's text that is the file name of a page."""
 _LINK = re.compile(r"(?<=\]\()([^)\s#]+)(#[^)\s]*)?(?=\))")
 
 
@@ -72,9 +76,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Redirects the links that leave ``docs/``, and draws the flowcharts."""
-    here = page.file.src_uri
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: Any) -> str:
+    """Redirects the links that leave ``docs/``, names pages by their titles, and draws the flowcharts."""
+    here, titles = page.file.src_uri, dict(_titles(config.nav or []))
 
     def redirected(match: re.Match[str]) -> str:
         link, anchor = match.group(1), match.group(2) or ""
@@ -84,7 +88,18 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
 
     if here.startswith("source/"):
         return markdown
+    markdown = _NAMED.sub(lambda found: f"[{titles.get(found.group(1), found.group(1))}]", markdown)
     return _DIAGRAM.sub(lambda found: flowchart(found.group(1)), _LINK.sub(redirected, markdown))
+
+
+def _titles(nav: list[Any]) -> Iterator[tuple[str, str]]:
+    """Yields file and title of each page of the navigation."""
+    for entry in nav:
+        for title, content in entry.items():
+            if isinstance(content, str):
+                yield content, title
+            else:
+                yield from _titles(content)
 
 
 def _target(here: str, link: str) -> str | None:

@@ -29,10 +29,11 @@ FAILED = "#b91c1c"
 def every_figure(results: ResultSet) -> dict[str, tuple[str, Figure]]:
     """Draws the figures of a report, and returns the caption and the figure of each, by file name without extension."""
     with matplotlib.rc_context(STYLE):
+        reported = any(results.of(task, method) for task, method in REPORTED)
         found = {
             "success": (
-                "Success rates with Wilson's 95 % intervals. Light bars: the task's tolerance; solid bars: the tight "
-                "tolerance; diamonds: the rates reported in the paper.",
+                "Success rates with Wilson's 95 % intervals. Light bars: the task's tolerance; solid bars, in front: "
+                f"the tight tolerance{'; diamonds: the rates reported in the paper' * reported}.",
                 success_figure(results),
             ),
             "errors": (

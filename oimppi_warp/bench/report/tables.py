@@ -59,11 +59,17 @@ def brief_table(results: ResultSet) -> Table:
     """Builds a table narrow enough for a terminal."""
     rows = []
     for task, method, s in _groups(results):
-        tight = rate(s.tight) if s.tight_counts else "-"
+        stricter = (rate(s.tight) if s.tight_counts else "-", rate(s.exact) if s.exact_counts else "-")
         numbers = (number(s.time, 1), number(s.error_until, 2), number(s.plan_ms, 1))
-        rows.append((task, method.upper(), rate(s.success), interval(s.success), tight, *numbers))
-    header = ("task", "method", "success", "95 %", "tight", "time [s]", "ε_d [m]", "plan [ms]")
-    return Table(results.title, "", header, tuple(rows))
+        rows.append((task, method.upper(), rate(s.success), interval(s.success), *stricter, *numbers))
+    header = ("task", "method", "success", "95 %", "tight", "exact", "time [s]", "ε_d [m]", "plan [ms]")
+    return Table(
+        results.title,
+        "95 %: confidence interval of success. tight, exact: within the scene's stricter tolerances. time: simulated, "
+        "to success, median. ε_d: distance to the goal, mean until success. plan: wall time of a plan, median.",
+        header,
+        tuple(rows),
+    )
 
 
 def success_table(results: ResultSet) -> Table:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
-from oimppi_warp.errors import ConfigError
+from oimppi_warp.errors import ConfigError, missing_package
 
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -149,7 +149,7 @@ def _field(description: Any, value: Any, types: Callable[[str], Any]) -> Any:
 
 def missing(package: str) -> ConfigError:
     """Returns the error of a package that is not installed."""
-    return ConfigError(f"{package} is not installed\n  to do:   pip install 'oimppi-warp[ros2]'")
+    return missing_package("ROS 2", package, "ros2")
 
 
 def header(stamp: float, frame: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from oimppi_warp.errors import ConfigError, HardwareError
+from oimppi_warp.errors import HardwareError, missing_package
 from oimppi_warp.network import split_address
 from oimppi_warp.plants.real.arm import Check, JointReports, check_limits
 from oimppi_warp.plants.xarm.codes import describe
@@ -49,9 +49,7 @@ def _sdk() -> Any:
             import xarm.wrapper as sdk
             from xarm.core.utils.log import logger, origin_logger
     except ImportError:
-        raise ConfigError(
-            "the xArm's SDK is not installed\n  to do:   pip install 'oimppi-warp[xarm]' (or xarm-python-sdk)"
-        ) from None
+        raise missing_package("the plant xarm", "xarm-python-sdk", "xarm") from None
     for each in (logger, origin_logger):
         each.setLevel(logging.CRITICAL)
     for name, module in list(sys.modules.items()):
