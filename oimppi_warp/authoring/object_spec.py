@@ -217,4 +217,4 @@ def _suggestion(spec: str) -> str:
     """Returns the nearest known specs as a line of a message; empty if none is near."""
     examples = {_plain(name): f"{name}:{shape.example}" if shape.example else name for name, shape in SHAPES.loadable()}
     near = difflib.get_close_matches(_plain(spec.partition(":")[0]), examples, n=1, cutoff=0.5)
-    return f"\n  did you mean {examples[near[0]]}?" if near else ""
+    return f"\n  to do:   did you mean {examples[near[0]]}?" if near else ""

@@ -65,8 +65,6 @@ class Check:
 
 def _show(console: Console, file: str, problems: Sequence[Problem]) -> None:
     """Prints the problems of one scene, after a line with their number."""
-    from rich.padding import Padding
-    from rich.table import Table
     from rich.text import Text
 
     errors = sum(problem.severity == "error" for problem in problems)
@@ -77,11 +75,9 @@ def _show(console: Console, file: str, problems: Sequence[Problem]) -> None:
     for problem in problems:
         mark = Text(problem.severity, style="bold red" if problem.severity == "error" else "bold yellow")
         console.print(Text.assemble("  ", mark, f"  <{problem.prim}>" if problem.prim else ""), soft_wrap=True)
-        table = Table.grid(padding=(0, 2))
         for name, text in (("found", problem.what), ("allowed", problem.allowed), ("to do", problem.fix)):
             if text:
-                table.add_row(Text(name, style="dim"), Text(text, overflow="fold"))
-        console.print(Padding(table, (0, 0, 0, 4), expand=False))
+                console.print(Text.assemble("    ", (f"{name:9}", "dim"), text), soft_wrap=True)
 
 
 def _count(number: int, noun: str) -> str:

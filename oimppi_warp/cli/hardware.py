@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class LabEmulator:
     """Emulate a lab on this machine: an xArm's controller, the arm and the object in simulation, and a camera.
 
-    `oimppi run SCENE --plant xarm --robot-address 127.0.0.2` moves it, and so does any program that uses the vendor's
+    Move it with `oimppi run SCENE --plant xarm --robot-address 127.0.0.2`, or with any program that uses the vendor's
     SDK over TCP (forbid_uds). The object's pose is served as in a real lab (docs/hardware.md). Ctrl-C ends it.
     """
 

@@ -224,10 +224,10 @@ class Export:
 
     def execute(self) -> int:
         """Writes the export and returns the exit status."""
-        notices()
+        console = notices()
         from oimppi_warp.view.export import export
 
-        with redirect_stdout(io.StringIO()):  # hides what viewers print about ports and temporary files
+        with busy(console, f"writing {self.to}"), redirect_stdout(io.StringIO()):  # hides what viewers print
             file = export(self.folder, self.to, self.output)
         print(file)
         return 0

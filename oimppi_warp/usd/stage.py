@@ -83,6 +83,9 @@ class SceneStage:
         fix = "correct the reference; its path is relative to the file that contains it"
         broken = stage.GetCompositionErrors()
         self._stop_at([self.error(str(each), allowed=allowed, fix=fix) for each in broken])
+        if not stage.GetPseudoRoot().GetAllChildren():
+            what = "the file has no prims: it is empty, or ends too early"
+            raise self.error(what, allowed="a scene", fix="export it again, or begin with `oimppi scene new`")
         invalid = invalid_properties(stage)
         self._stop_at([self.error(each.what, each.prim, allowed=each.allowed, fix=each.fix) for each in invalid])
         return stage

@@ -94,6 +94,14 @@ def test_what_is_not_usd_is_refused(tmp_path, text, name):
         load_scene(file)
 
 
+@pytest.mark.parametrize("text", ["#usda 1.0", "#usda 1.0 (\n", '#usda 1.0\n(\n    upAxis = "Z"\n)\n'])
+def test_a_file_that_ends_too_early_is_refused_as_such(tmp_path, text):
+    file = tmp_path / "scene.usda"
+    file.write_text(text)
+    with pytest.raises(SceneError, match="the file has no prims"):
+        load_scene(file)
+
+
 def test_a_folder_is_no_scene(tmp_path):
     with pytest.raises(SceneError, match="there is no such file"):
         load_scene(tmp_path)
