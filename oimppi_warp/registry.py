@@ -9,7 +9,9 @@ may also take entries straight from a Python file, as ``FILE.py:NAME``.
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -93,11 +95,9 @@ class Registry(Mapping[str, T], Generic[T]):
             return
         if place := self.place(name):
             if not place[0].is_file():
-                near = did_you_mean_file(place[0], (), (".py",))
-                raise ConfigError(
-                    f"{self.kind} {name!r}: there is no file {place[0]}\n"
-                    f"  to do:   {near or 'give the path of a Python file, as FILE.py:NAME'}"
-                )
+                near = did_you_mean_file(place[0], (), (".py",)).removesuffix("?")
+                fix = f"{near}:{place[1]}?" if near else "give the path of a Python file, as FILE.py:NAME"
+                raise ConfigError(f"{self.kind} {name!r}: there is no file {place[0]}\n  to do:   {fix}")
             return
         near = did_you_mean(str(name), known)
         hint = f"\n  to do:   {near}" if near else ""
@@ -133,7 +133,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 continue
 
     def __getitem__(self, name: str) -> T:
-        if name not in self._loaded and (place := self.place(name)):
+        if name not in self._loaded and (place := self.place(name)) and place[0].is_file():
             return self._from_file(*place)
         if name not in self._loaded:
             if name in self._targets:
@@ -167,19 +167,18 @@ class Registry(Mapping[str, T], Generic[T]):
         """Returns an attribute of a Python file."""
         try:
             module = _run_file(file.resolve())
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ConfigError(
-                f"{self.kind}: {file} cannot be loaded: {type(error).__name__}: {error}\n"
-                f"  to do:   run `python {file}` to see where"
+                f"{self.kind} {f'{file}:{attribute}'!r}: the file cannot be loaded: {type(error).__name__}: {error}\n"
+                f"  to do:   run `{shlex.join([sys.executable, str(file)])}` to see where"
             ) from error
         if not hasattr(module, attribute):
-            found = [
-                name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
-            ]
+            own = {name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__}
+            found = sorted(name for name in own if not name.startswith("_"))
             near = did_you_mean(attribute, found)
             raise ConfigError(
-                f"{self.kind}: {file} defines no {attribute}\n  allowed: {', '.join(found) or 'nothing'}"
-                + (f"\n  to do:   {near}" if near else "")
+                f"{self.kind} {f'{file}:{attribute}'!r}: the file defines no {attribute}\n"
+                f"  allowed: {', '.join(found) or 'nothing'}" + (f"\n  to do:   {near}" if near else "")
             )
         return getattr(module, attribute)
 
@@ -191,7 +190,7 @@ class Registry(Mapping[str, T], Generic[T]):
 
 def _run_file(file: Path) -> ModuleType:
     """Imports a Python file, once per process; it can import the files beside it, as with ``python FILE``."""
-    name = f"{file.stem}_of_{abs(hash(file)):x}"
+    name = f"{file.stem}_{hashlib.sha256(str(file).encode()).hexdigest()[:12]}"  # the same in every process
     if name not in sys.modules:
         if str(file.parent) not in sys.path:
             sys.path.insert(0, str(file.parent))

@@ -212,7 +212,11 @@ def load_suite(suite: str | Path) -> Suite:
         raise ConfigError(f"{file}: entry is not a list of tables\n  allowed: [[entry]], followed by its keys")
     for table in (found, *tables):
         if place := PLANTS.place(table.get("plant")):
-            table["plant"] = f"{file.parent / place[0]}:{place[1]}"
+            table["plant"] = f"{os.path.relpath(file.parent / place[0])}:{place[1]}"
+            try:
+                PLANTS.check(table["plant"])
+            except ConfigError as error:
+                raise ConfigError(f"{file}: {error}") from None
     common = _values(found, f"{file}: ", beside=("title", "note", "entry", "published"))
     entries = []
     for number, table in enumerate(tables):

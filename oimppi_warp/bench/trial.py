@@ -19,6 +19,7 @@ from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError, SceneError
 from oimppi_warp.plants.factory import starts_itself
 from oimppi_warp.record.log import flatten, to_json
+from oimppi_warp.registries import PLANTS
 from oimppi_warp.runtime.request import SettingsRequest, prepare_scene
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ class Trial:
         config = self.config  # including default weights of cost terms from other packages
         config = replace(config, cost=replace(config.cost, extra=effective_weights(config.cost)))
         facts = flatten(self) | {"config": to_json(config)}
+        if place := PLANTS.place(self.run.plant):
+            facts["plant"] = f"{hashlib.sha256(place[0].read_bytes()).hexdigest()}:{place[1]}"
         for name in ("scene", "number", *flatten(self.settings), *(["threads"] * (not self.real_time))):
             del facts[name]
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]

@@ -55,6 +55,7 @@ class Run(TaskOptions):
         from oimppi_warp.plants.plant import RealPlant
         from oimppi_warp.record.log import unused_folder, write_atomically
         from oimppi_warp.record.metrics import summarize
+        from oimppi_warp.registries import PLANTS
 
         with console.status("loading kernels") as status:
             episode = setup.episode(report=_reporter(console, status))
@@ -64,7 +65,8 @@ class Run(TaskOptions):
         if record != self.record:
             console.print(f"{self.record} holds a record; this one is written to {record}", soft_wrap=True)
         if record is None and isinstance(episode.plant, RealPlant):  # there is a record of every run
-            record = Path("runs") / time.strftime(f"{setup.spec.plant}-%Y-%m-%d-%H-%M-%S")
+            name = PLANTS.place(setup.spec.plant) or ("", setup.spec.plant)
+            record = Path("runs") / f"{name[1]}-{time.strftime('%Y-%m-%d-%H-%M-%S')}"
         with _progress(episode.config.episode.max_sim_seconds, console) as on_step:
             try:
                 log = episode.run(on_step=on_step)

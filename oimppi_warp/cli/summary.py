@@ -113,5 +113,5 @@ def _time(metrics: Metrics) -> str:
     if metrics.run.mode == "realtime":
         return time
     first = metrics.preplan_time_s
-    planned = f" ({first:.2f} s of it before the first step)" if first >= 0.01 else ""
-    return f"{time}, or {metrics.total_time_s:.2f} s with planning that the arm has to wait for{planned}"
+    planned = f" ({first:.2f} s of that before the first step)" if first >= 0.01 else ""
+    return f"{time}, or {metrics.total_time_s:.2f} s if the arm waits for planning{planned}"

@@ -27,7 +27,7 @@ def load_opencv() -> ModuleType:
         import cv2
     except ImportError as error:
         if error.name == "cv2":
-            raise missing_package("a camera", "OpenCV", "perception") from None
+            raise missing_package("perception", "OpenCV", "perception") from None
         raise ConfigError(
             f"OpenCV cannot be loaded: {error}\n"
             "  to do:   install the library that is missing (on Debian and Ubuntu: apt install libgl1 libglib2.0-0)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import types
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, get_args, get_type_hints
 
@@ -38,10 +38,17 @@ def make_plant(scene: Scene, config: Config, spec: RunSpec) -> Plant:
         if has_own_world(make):
             raise ConfigError(f"--friction {spec.friction:g}: the plant {spec.plant} has a friction of its own")
         scene = replace(scene, object=replace(scene.object, friction=spec.friction))
-    parameters = inspect.signature(make).parameters
-    given: dict[str, Any] = {"seed": spec.seed} if "seed" in parameters else {}
-    given |= plant_options(make, spec.plant, spec.plant_options)
-    return make(*(scene, config)[: _count_task(parameters.values())], **given)
+    positional, named = _task_arguments(spec.plant, make, {"scene": scene, "config": config, "seed": spec.seed})
+    if spec.plant_options:
+        named |= plant_options(make, spec.plant, spec.plant_options)
+    try:
+        inspect.signature(make).bind(*positional, **named)
+    except TypeError as error:
+        raise ConfigError(
+            f"the plant {spec.plant} cannot be made: {error}\n"
+            "  allowed: the arguments scene, config and seed, or some of them; others need a default or --plant-options"
+        ) from None
+    return make(*positional, **named)
 
 
 def starts_itself(plant: str) -> bool:
@@ -84,17 +91,43 @@ def plant_options(make: Callable[..., Plant], name: str, assignments: Sequence[s
     return found
 
 
-def _count_task(parameters: Iterable[inspect.Parameter]) -> int:
-    """Returns how many of scene and config a function takes: config only by that name, or if it has no default."""
-    unnamed = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    first = [each for each in parameters if each.kind in unnamed][:2]
-    return len([each for each in first if each.name in _GIVEN or each.default is inspect.Parameter.empty])
+def _task_arguments(name: str, make: Any, given: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+    """Returns those of scene, config and seed that a function takes: by name, or scene and config as its first ones.
+
+    Args:
+        name: Name of the plant.
+        make: The function or class that makes it.
+        given: Scene, config and seed by name.
+
+    Raises:
+        ConfigError: It is neither a function nor a class.
+    """
+    try:
+        parameters = inspect.signature(make).parameters.values()
+    except (TypeError, ValueError):
+        raise ConfigError(f"the plant {name} is neither a function nor a class") from None
+    kinds = inspect.Parameter
+    named = {each.name for each in parameters if each.kind in (kinds.POSITIONAL_OR_KEYWORD, kinds.KEYWORD_ONLY)}
+    positional = []
+    if "scene" not in named:
+        unnamed = (kinds.POSITIONAL_ONLY, kinds.POSITIONAL_OR_KEYWORD)
+        first = [each for each in parameters if each.kind in unnamed and each.default is kinds.empty]
+        anything = any(each.kind is kinds.VAR_POSITIONAL for each in parameters)
+        positional = ["scene", "config"][: 2 if anything else len(first)]
+    if any(each.kind is kinds.VAR_KEYWORD for each in parameters):
+        named.add("seed")
+    return [given[each] for each in positional], {
+        each: value for each, value in given.items() if each in named and each not in positional
+    }
 
 
 def _types(make: Callable[..., Plant]) -> dict[str, Any]:
     """Returns the type of each argument by name; that of an argument without annotation is ``str``."""
     function = make.__init__ if inspect.isclass(make) else make
-    hints = get_type_hints(function)
+    try:
+        hints = get_type_hints(function)
+    except (NameError, TypeError):  # types that are imported for type checkers only
+        hints = {}
     parameters = inspect.signature(make).parameters.values()
     named = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     return {each.name: hints.get(each.name, str) for each in parameters if each.kind in named}

@@ -258,8 +258,8 @@ class EpisodeLog:
             reason = str(error)
             if isinstance(error, OSError) and error.filename:
                 reason = f"{Path(error.filename).name}: {error.strerror}"
-            below = next((found.parent for depth in ("*", "*/*") for found in folder.glob(f"{depth}/{_JSON}")), None)
-            hint = "" if below is None else f"\n  to do:   give one of the records in it, such as {below}"
+            below = sorted(found.parent for depth in ("*", "*/*") for found in folder.glob(f"{depth}/{_JSON}"))
+            hint = f"\n  to do:   give one of the records in it, such as {below[0]}" if below else ""
             raise LogError(
                 f"{folder}: contains no complete record ({reason})\n  allowed: a folder with {_NPZ} and {_JSON}{hint}"
             ) from error

@@ -270,7 +270,7 @@ def _check_clock(plant: Plant, passed: float) -> None:
             f"the plant {type(plant).__name__}: its time advanced by {passed:.3g} s in {_CLOCK_PERIODS} control "
             f"periods of {plant.control_period:g} s\n"
             f"  allowed: about {wanted:g} s\n"
-            "  to do:   let apply() move for one control period, and observe() return the time after it"
+            "  to do:   let each command move the plant for one control period, and observe() return the time after it"
         )
 
 

@@ -402,6 +402,11 @@ def check_plant(plant: Plant, spec: RunSpec, *, passed: bool) -> None:
     for name, method in needed.items():
         if not callable(getattr(plant, name, None)):
             raise ConfigError(f"the plant {type(plant).__name__} has no method {name}\n  to do:   add {method}")
+    if isinstance(plant, RealPlant) and spec.mode != "realtime":
+        raise ConfigError(
+            f"the plant {type(plant).__name__} is a real arm, which runs in real time only\n"
+            '  to do:   --mode realtime (mode="realtime")'
+        )
     if spec.friction is not None and passed:
         raise ConfigError("friction: a plant that is passed has its own friction\n  to do:   pass its name instead")
     if spec.knock is not None and not isinstance(plant, MovablePlant):

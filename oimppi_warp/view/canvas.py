@@ -27,7 +27,7 @@ LEGEND = (
     (GOAL, "goal of the object, and circle of the position tolerance"),
     (TIGHT, "circle of the tight tolerance"),
     (REFERENCE, "object's plan: its path, and its last pose"),
-    (tuple(FAINT), "sampled paths of the tool; violet the more weight they have"),
+    (tuple(FAINT), "sampled paths of the tool; the more weight, the more violet"),
     (tuple(STRONG), "best sample"),
     (PLAN, "planned path of the tool"),
     (FORCE, "contact points and forces"),

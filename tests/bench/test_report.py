@@ -264,7 +264,7 @@ def test_the_record_of_one_run_is_no_result_of_a_suite(tmp_path: Path):
 def test_the_table_in_the_terminal_explains_its_columns():
     table = brief_table(make_set([make_one(method="cloi")]))
     for name in table.header[3:]:
-        assert name.split(" [")[0] in table.note, name
+        assert f"{name.split(' [')[0]}: " in table.note, name
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"format": 99}', "[1]"])

@@ -292,6 +292,6 @@ def test_without_opencv_there_is_one_message(tmp_path, monkeypatch, capsys):
     for arguments in (("run", "lab01"), ("record", tmp_path / "new"), ("sheet", "lab01", "--out", tmp_path)):
         assert perceive(*arguments) == 2
         assert capsys.readouterr().err == (
-            "oimppi: a camera: OpenCV is not installed\n  to do:   pip install 'oimppi-warp[perception]'\n"
+            "oimppi: perception: OpenCV is not installed\n  to do:   pip install 'oimppi-warp[perception]'\n"
         )
     assert list(tmp_path.iterdir()) == []

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import sys
 
 import pytest
 from support.small_tasks import shipped
 
 from oimppi_warp.bench.suite import load_suite
+from oimppi_warp.bench.trial import make_trials
 from oimppi_warp.config.presets import best
 from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.errors import ConfigError
@@ -96,24 +98,88 @@ def test_a_plant_comes_straight_from_a_file(tmp_path, monkeypatch):
     spec = RunSpec().changed(plant="my_plant.py:Alone", plant_options=("gain=4",))
     changed = make_plant(scene, best(), spec)
     assert type(changed) is type(alone) and changed.gain == 4.0  # the file was run once
+    assert re.fullmatch("my_plant_[0-9a-f]{12}", type(alone).__module__)
     assert make_plant(scene, best(), RunSpec(plant="my_plant.py:all_of_it", seed=7)) == ("task01", "best", 7)
     assert not any("my_plant" in name for name in PLANTS) and not PLANTS.is_local("my_plant.py:Alone")
     with pytest.raises(ConfigError, match=r"no Alnoe\n  allowed: Alone, all_of_it\n  to do:   did you mean Alone"):
         make_plant(scene, best(), RunSpec(plant="my_plant.py:Alnoe"))
     (tmp_path / "broken.py").write_text("import no_such_module")
-    with pytest.raises(ConfigError, match=r"broken\.py cannot be loaded: ModuleNotFoundError: No module named"):
+    with pytest.raises(
+        ConfigError, match=r"broken\.py:Plant': the file cannot be loaded: ModuleNotFoundError"
+    ):
         make_plant(scene, best(), RunSpec(plant="broken.py:Plant"))
     with pytest.raises(ConfigError, match=r"there is no file my_plnt\.py\n  to do:   did you mean my_plant\.py"):
         RunSpec().changed(plant="my_plnt.py:Alone")
 
 
-def test_a_suite_takes_a_plant_from_a_file_beside_it(tmp_path):
+SIGNATURES = {
+    "def f(scene): return scene, None, None": (True, False, False),
+    "def f(scene, config): return scene, config, None": (True, True, False),
+    "def f(scene, seed=0): return scene, None, seed": (True, False, True),
+    "def f(scene, radius=0.1, config=None): return scene, config, None": (True, True, False),
+    "def f(config, scene): return scene, config, None": (True, True, False),
+    "def f(*, scene, config, seed): return scene, config, seed": (True, True, True),
+    "def f(task, settings, *, seed): return task, settings, seed": (True, True, True),
+    "def f(task, settings, **rest): return task, settings, rest['seed']": (True, True, True),
+    "def f(*given, **rest): return *given, rest['seed']": (True, True, True),
+    "def f(task, /): return task, None, None": (True, False, False),
+    "def f(): return None, None, None": (False, False, False),
+}
+
+
+@pytest.mark.parametrize("code", SIGNATURES)
+def test_a_plant_gets_what_it_takes_of_scene_config_and_seed(code):
+    names: dict = {}
+    exec(code, names)
+    scene, config = shipped("task01"), best()
+    PLANTS.register("f", names["f"])
+    try:
+        made = make_plant(scene, config, RunSpec(plant="f", seed=7))
+    finally:
+        PLANTS.unregister("f")
+    assert made == tuple(
+        given if has else None for given, has in zip((scene, config, 7), SIGNATURES[code], strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("f = 3", "f is neither a function nor a class"),
+        ("def f(scene, radius: float): pass", "cannot be made: missing a required argument: 'radius'\n  allowed: the"),
+        ("import sys; sys.exit(3)", "the file cannot be loaded: SystemExit: 3\n  to do:   run"),
+        ("def f(:", "the file cannot be loaded: SyntaxError"),
+    ],
+)
+def test_a_file_or_a_function_that_makes_no_plant_says_why(code, said, tmp_path):
+    (tmp_path / "wrong.py").write_text(code)
+    with pytest.raises(ConfigError, match=said):
+        make_plant(shipped("task01"), best(), RunSpec(plant=f"{tmp_path / 'wrong.py'}:f"))
+
+
+def test_options_need_no_types_that_only_type_checkers_import():
+    def mine(scene: "Unknown", gain="1"):  # noqa: F821, UP037  # pyright: ignore[reportUndefinedVariable]
+        return gain
+
+    assert options("gain=2", make=mine) == {"gain": "2"}
+
+
+def test_a_suite_takes_a_plant_from_a_file_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir("..")
     (tmp_path / "mine.py").write_text("def plant(scene):\n    return scene.name\n")
     (tmp_path / "suite.toml").write_text('tasks = ["task01"]\nmethods = ["mppi"]\nplant = "mine.py:plant"\n')
     (entry,) = load_suite(tmp_path / "suite.toml").entries
+    assert entry.run.plant == f"{tmp_path.name}/mine.py:plant"  # the same in every checkout
     assert make_plant(shipped("task01"), best(), entry.run) == "task01"
-    (tmp_path / "mine.py").unlink()
-    with pytest.raises(ConfigError, match=r'plant = [\s\S]*allowed: "ideal" or .* or FILE\.py:NAME'):
+    before = make_trials(load_suite(tmp_path / "suite.toml"))[0][0].key
+    (tmp_path / "mine.py").write_text("def plant(scene):\n    return 2\n")
+    assert make_trials(load_suite(tmp_path / "suite.toml"))[0][0].key != before  # it is run again
+    (tmp_path / "mine.py").rename(tmp_path / "mein.py")
+    with pytest.raises(
+        ConfigError, match=r"suite\.toml: plant .*: there is no file .*\n.*did you mean .*mein\.py:plant"
+    ):
         load_suite(tmp_path / "suite.toml")
 
 

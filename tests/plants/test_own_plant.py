@@ -12,6 +12,7 @@ from support.small_tasks import shipped
 
 from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best
+from oimppi_warp.config.run_spec import RunSpec
 from oimppi_warp.config.settings import Config
 from oimppi_warp.errors import ConfigError, ObservationError, OimppiError
 from oimppi_warp.geometry.kinematics import tip_frame
@@ -23,7 +24,9 @@ from oimppi_warp.plants.plant import (
     ContactPlant,
     JudgingPlant,
     MovablePlant,
+    RealPlant,
     SimulatedPlant,
+    StopRules,
     TruthfulPlant,
     Verdict,
     ideal_plant,
@@ -31,7 +34,7 @@ from oimppi_warp.plants.plant import (
 from oimppi_warp.record.metrics import summarize
 from oimppi_warp.registries import PLANTS
 from oimppi_warp.runtime.control import lock_step
-from oimppi_warp.runtime.episode import Episode
+from oimppi_warp.runtime.episode import Episode, check_plant
 from oimppi_warp.runtime.estimator import Estimator
 from oimppi_warp.scene import Scene
 
@@ -256,6 +259,15 @@ def test_a_plant_whose_control_period_is_missing_or_in_milliseconds_is_an_error(
     said = r"Kinematic has .*control_period[\s\S]*in seconds, 0\.001 to 1, such as 0\.05"
     with pytest.raises(ConfigError, match=said):
         Episode(shipped("task01"), small(), plant=plant, engine="quasistatic", device="cpu")
+
+
+def test_a_real_arm_in_lock_step_is_an_error():
+    rules = StopRules()
+    members = {name: lambda *_: None for name in vars(RealPlant) if not name.startswith("_")} | {"rules": rules}
+    made = type("Arm", (Kinematic,), members)(shipped("task01"))
+    with pytest.raises(ConfigError, match="the plant Arm is a real arm, which runs in real time only"):
+        check_plant(made, RunSpec(), passed=False)
+    check_plant(made, RunSpec(mode="realtime"), passed=False)
 
 
 @pytest.mark.parametrize("name", ["observe", "apply"])

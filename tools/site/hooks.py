@@ -88,7 +88,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: Any) 
 
     if here.startswith("source/"):
         return markdown
-    markdown = _NAMED.sub(lambda found: f"[{titles.get(found.group(1), found.group(1))}]", markdown)
+    markdown = _NAMED.sub(lambda found: f"[*{titles.get(found.group(1), found.group(1))}*]", markdown)
     return _DIAGRAM.sub(lambda found: flowchart(found.group(1)), _LINK.sub(redirected, markdown))
 
 

@@ -65,8 +65,9 @@ def brief_table(results: ResultSet) -> Table:
     header = ("task", "method", "success", "95 %", "tight", "exact", "time [s]", "ε_d [m]", "plan [ms]")
     return Table(
         results.title,
-        "95 %: confidence interval of success. tight, exact: within the scene's stricter tolerances. time: simulated, "
-        "to success, median. ε_d: distance to the goal, mean until success. plan: wall time of a plan, median.",
+        "95 %: confidence interval of success. tight: success within the scene's tight tolerance. exact: success "
+        "within 5 mm and 0.02 rad. time: simulated, to success, median. ε_d: distance to the goal, mean until success. "
+        "plan: wall time, median.",
         header,
         tuple(rows),
     )
