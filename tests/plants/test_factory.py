@@ -104,9 +104,7 @@ def test_a_plant_comes_straight_from_a_file(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=r"no Alnoe\n  allowed: Alone, all_of_it\n  to do:   did you mean Alone"):
         make_plant(scene, best(), RunSpec(plant="my_plant.py:Alnoe"))
     (tmp_path / "broken.py").write_text("import no_such_module")
-    with pytest.raises(
-        ConfigError, match=r"broken\.py:Plant': the file cannot be loaded: ModuleNotFoundError"
-    ):
+    with pytest.raises(ConfigError, match=r"broken\.py:Plant': the file cannot be loaded: ModuleNotFoundError"):
         make_plant(scene, best(), RunSpec(plant="broken.py:Plant"))
     with pytest.raises(ConfigError, match=r"there is no file my_plnt\.py\n  to do:   did you mean my_plant\.py"):
         RunSpec().changed(plant="my_plnt.py:Alone")
