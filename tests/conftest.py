@@ -19,12 +19,12 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Lets tests in real time run again where they fail.
+    """Lets tests in real time run again where they fail, except slow ones, of which some take an hour.
 
     An emulated arm stops, as it should, where the machine stands still for a fifth of a second.
     """
     for item in items:
-        if item.get_closest_marker("realtime"):
+        if item.get_closest_marker("realtime") and not item.get_closest_marker("slow"):
             item.add_marker(pytest.mark.flaky(reruns=2))
 
 
