@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from support.episodes import episode
 
-from oimppi_warp.config.overrides import set_option
 from oimppi_warp.config.presets import best, lab
 from oimppi_warp.geometry.feasibility import sample_start
 from oimppi_warp.record.metrics import summarize
@@ -29,20 +28,13 @@ WEDGED = [(0.378, -0.176, 1.567), (0.404, -0.175, 1.571), (0.477, 0.031, 1.083)]
 """Poses of the T of task03 in which it leans on a box, or touches both."""
 
 
-def test_a_wedged_object_is_freed_since_the_reference_waits_for_it():
-    def freed(*options: str) -> int:
-        found = 0
-        for start in WEDGED:
-            for seed in range(3):
-                scene, config = load_scene("task03").with_start(start), best("soi")
-                for option in options:
-                    config = set_option(config, option)
-                found += summarize(Episode(scene, config, method="soi", device="cpu", seed=seed).run()).success
-        return found
-
-    with_it = freed()
-    assert with_it >= 6
-    assert with_it > freed("reposition.least_pace=1")
+def test_a_wedged_object_is_freed():
+    found = []
+    for start in WEDGED:
+        scene = load_scene("task03").with_start(start)
+        for seed in range(3):
+            found.append(summarize(Episode(scene, best("soi"), method="soi", device="cpu", seed=seed).run()))
+    assert sum(metrics.success for metrics in found) >= 8
 
 
 @pytest.mark.parametrize(("name", "method"), [("lab01", "cloi"), ("lab02", "cloi"), ("lab01", "soi"), ("lab02", "soi")])
