@@ -37,7 +37,7 @@ class Trial:
     Attributes:
         task: Short name of the scene, followed by the entry's label, if any.
         scene: Name of a shipped scene, or a file, from which it is loaded.
-        content: Hash of the scene's files.
+        content: Hash of the scene's files, and of the file of a plant ``FILE.py:NAME``.
         number: Number of the trial, from 0; the same number means the same start and the same seed for every method.
         start: Planar start pose of the object: x, y, yaw [m, m, rad]. A plant that starts itself ignores it.
         run: Options of the run, with the trial's own seed.
@@ -72,7 +72,7 @@ class Trial:
         config = replace(config, cost=replace(config.cost, extra=effective_weights(config.cost)))
         facts = flatten(self) | {"config": to_json(config)}
         if place := PLANTS.place(self.run.plant):
-            facts["plant"] = f"{hashlib.sha256(place[0].read_bytes()).hexdigest()}:{place[1]}"
+            facts["plant"] = place[1]  # its file counts by its content
         for name in ("scene", "number", *flatten(self.settings), *(["threads"] * (not self.real_time))):
             del facts[name]
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
@@ -190,6 +190,8 @@ def make_trials(suite: Suite) -> tuple[list[Trial], dict[str, Scene]]:
                 known.add((name, method))
             scenes[name] = scene
             content = scene_content(scene.file)
+            if place := PLANTS.place(entry.run.plant):
+                content += hashlib.sha256(place[0].read_bytes()).hexdigest()[:24]
             for number in entry.numbers:
                 seed = trial_seed(entry.run.seed, number)
                 start = scene.start if starts_itself(entry.run.plant) else _start(scene, number, seed, entry.beside)
