@@ -32,7 +32,9 @@ SIZE = (1000, 700)
 SEEN = 600
 """Width of the part of the page that the panel does not cover [pixels]."""
 MOVED = 150
-"""Pixels that have to change from the first picture on for the arm, or its plan, to count as moving."""
+"""Pixels that have to change for the arm, or its plan, to count as moving."""
+MOVES, APART = 3, 2.0
+"""Number of such changes in a row, and longest time from one to the next [s]; a single one only completes a picture."""
 PATIENCE = 120.0
 """Time without a new frame after which the measurement is given up [s]."""
 
@@ -147,11 +149,15 @@ def measure(scene: str, caches: Path, page: Any) -> None:
             if _is_drawn(first):
                 break
         drawn = at - command.began
-        while True:
+        changes: list[float] = []
+        while len(changes) < MOVES:
             at, image = screen.next()
             if np.sum(np.abs(image - first).sum(axis=-1) > 60) > MOVED:
-                break
-        moving = at - command.began
+                if changes and at - changes[-1] > APART:  # the picture was completed, and stood still again
+                    changes.clear()
+                changes.append(at)
+                first = image
+        moving = changes[0] - command.began
         screen.close()
         times = [0.0, *(each for each, _ in command.lines if each <= drawn), drawn]
         silence = max(np.diff(times))
