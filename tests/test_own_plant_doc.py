@@ -14,23 +14,29 @@ ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
 
 
+def python(folder: Path, *words: str) -> str:
+    """Runs Python in a folder, and returns what it printed."""
+    run = subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
 def test_the_complete_plant_pushes_the_disc_to_its_goal(tmp_path: Path):
     (tmp_path / "disc_world.py").write_text(
         re.findall(r"```python\n(# disc_world\.py.*?)```", PAGE, flags=re.DOTALL)[0]
     )
     made, run, viewed = re.findall(r"^oimppi (.*disc.*)$", PAGE, flags=re.MULTILINE)
     assert viewed.startswith("view disc.usda")
-    for command in (made, f"{run} --method mppi --device cpu"):
-        found = subprocess.run(
-            [sys.executable, "-m", "oimppi_warp", *command.split()],
-            cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            timeout=280,
-        )
-        assert found.returncode == 0, found.stderr
-    assert "goal reached within 200 mm, also within 5 mm" in found.stdout
+    python(tmp_path, "-m", "oimppi_warp", *made.split())
+    said = python(tmp_path, "-m", "oimppi_warp", *run.split(), "--method", "mppi", "--device", "cpu")
+    assert "goal reached within 200 mm, also within 5 mm" in said
     assert (tmp_path / "runs" / "disc" / "way.png").is_file()
 
 
@@ -39,16 +45,7 @@ def test_a_gymnasium_environment_is_a_plant_in_a_few_lines(tmp_path: Path):
         (tmp_path / name).write_text(code)
     class_lines = (tmp_path / "environment_plant.py").read_text().partition("own_world")[2].strip().splitlines()
     assert len([line for line in class_lines if line.strip()]) <= 25
-    run = subprocess.run(
-        [sys.executable, "crude_pusht.py"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=280,
-    )
-    assert run.returncode == 0, run.stderr
-    assert run.stdout.splitlines()[-1] == "success {'reward': 1.0}"
+    assert python(tmp_path, "crude_pusht.py").splitlines()[-1] == "success {'reward': 1.0}"
 
 
 def test_every_optional_member_is_in_the_table():

@@ -1,6 +1,7 @@
-"""How text on the command line becomes a value: numbers, and options that may be left out.
+"""Parsing of numbers and of optional values on the command line.
 
-tyro takes ``T | None`` for a choice of two types, and its messages name both. Here, such an option is one of type T.
+tyro treats ``T | None`` as a choice between two types, and its error messages name both. With these rules, such an
+option is parsed as a T, and numbers have messages of their own.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _NUMBERS = {int: "a whole number", float: "a number"}
 
 @VALUES.primitive_rule
 def number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Returns how to read a number, or several of them; ``None`` for other types."""
+    """Returns the parser of an ``int``, a ``float`` or a tuple of these; ``None`` for other types."""
     kinds = get_args(info.type) if get_origin(info.type) is tuple else (info.type,)
     if not kinds or any(kind not in _NUMBERS for kind in kinds):
         return None
@@ -41,7 +42,7 @@ def number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 
 @VALUES.primitive_rule
 def optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Returns how to read a ``T | None``, which is ``None`` only where it is not given; ``None`` for other types."""
+    """Returns the parser of a ``T | None``: that of T; ``None`` for other types."""
     if get_origin(info.type) not in (Union, types.UnionType):
         return None
     kinds = [kind for kind in get_args(info.type) if kind is not type(None)]

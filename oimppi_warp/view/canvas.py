@@ -24,15 +24,15 @@ KEPT_APART = (1.0, 0.25, 0.0)
 FAINT, STRONG = np.array((0.72, 0.76, 0.85)), np.array((0.45, 0.2, 0.75))
 """Colours of sampled paths with zero weight and with the largest weight. All colours are linear RGB, 0 to 1."""
 LEGEND = (
-    (GOAL, "goal of the object, and circle of the position tolerance"),
-    (TIGHT, "circle of the tight tolerance"),
-    (REFERENCE, "object's plan: its path, and its last pose"),
+    (GOAL, "goal, and the position tolerance around it"),
+    (TIGHT, "tight position tolerance"),
+    (REFERENCE, "the object's plan: path and last pose"),
     (tuple(FAINT), "sampled paths of the tool; the more weight, the more violet"),
     (tuple(STRONG), "best sample"),
     (PLAN, "planned path of the tool"),
     (FORCE, "contact points and forces"),
     (CLEARANCE, "shortest line from the object to an obstacle"),
-    (KEPT_APART, "shapes that the safety filter keeps apart, between their nearest points"),
+    (KEPT_APART, "nearest points of shapes that the safety filter keeps apart"),
 )
 """Colours, and what is drawn in them."""
 METRES_PER_NEWTON = 0.01
